@@ -482,7 +482,8 @@ class Model:
                 likelihood = PositionLikelihood(
                     self.chain, whole, self.observations, self.chain.vector(point)
                 )
-        return target_of(likelihood, self.priors, tables.noise.scale).uncut_at(point or {})
+        priors = choice.told(self.priors) if choice else self.priors
+        return target_of(likelihood, priors, tables.noise.scale).uncut_at(point or {})
 
     def white_target(self) -> Target:
         """Log-posterior of the torque with white noise, whatever the configuration asks for."""

@@ -8,8 +8,6 @@ FALSE_ALARMS = 0.05
 # Twins that tell what chance does, and samples of recordings that are asked at most, as a fit and a
 # check are to end before anybody gives up.
 TWINS, LONGEST = 24, 100_000
-# The twins' own limit is known to 0.3 of a standard normal; below this nothing is a finding.
-LEAST_Z = 4.0
 # Outputs beyond the model's parameters that a recording or twin must have to be asked.
 LEAST_OUTPUTS = 20
 # Share of a candidate's columns that must be left beside the model's own, or this motion does not

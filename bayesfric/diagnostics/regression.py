@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from bayesfric.diagnostics.candidates import KINDS, Along, Scales, late, scales_of
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
@@ -30,7 +31,6 @@ from bayesfric.diagnostics.policy import (
     BETTER,
     FALSE_ALARMS,
     LEAST_OUTPUTS,
-    LEAST_Z,
     MOST,
     TESTABLE,
     TWINS,
@@ -91,7 +91,7 @@ class _Choice:
     z: float
     p: float
     largest: float  # z of all candidates
-    limit: float  # that it must exceed, by the twins
+    limit: float  # that it must exceed
     worth: Array  # of every candidate, scans last
     scan: Scan | None = None
 
@@ -104,7 +104,7 @@ class Step:
     shape: str
     z: float
     p: float
-    largest: float  # z of all candidates, and what it must exceed by the twins
+    largest: float  # z of all candidates, and what it must exceed
     limit: float
     share: float
     sure: bool
@@ -336,13 +336,15 @@ class Regression:
         z, null = scored(mine, [asked(twin, *given) for twin in self.twins])
         largest = null.max(axis=1)
         limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
+        # so few twins know it to 0.3: nor is less than by as many normals (Bonferroni)
+        limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
         kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
         # a shape, or the place of a scan, is one more number
         shapes = Counter(key.kind for key, _ in self._groups)
         count = np.array([len(o) + (shapes[k.kind] > 1) for k, o in self._groups] + [3, 2, 2])
         gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
         worth = gains - (count - 1) * math.log(self.data.left.size)
-        allowed = z > max(limit, LEAST_Z)
+        allowed = z > limit
         if choosing:  # what the noise's wander can be is not to be taken before it is known
             slow = mine.scans[0].place < _SLOW
             allowed &= [k not in (PUSH, "drift") and not (k == TONE and slow) for k in kinds]

@@ -21,7 +21,7 @@ from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import MEMORY, MOST
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 
@@ -65,6 +65,22 @@ class Choice:
 
     order: int
     tried: tuple[Evidence, ...]
+    memory: tuple[float, ...] = ()  # partial autocorrelations of the residuals, as many as the order
+    sd: float = 0.0  # to which they are known
+
+    def told(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
+        """Give priors in which the memory is that of these residuals.
+
+        Sampled freely it may leave where it is harmless: with a longer one any fit is a good one.
+        What the user said of it stays.
+        """
+        found = dict(priors)
+        for k, middle in enumerate(self.memory, start=1):
+            name = f"noise.pacf_{k}"
+            if priors[name].default:
+                ends = [max(middle - self.sd, -MEMORY), min(middle + self.sd, MEMORY)]
+                found[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
+        return found
 
     @property
     def white(self) -> bool:
@@ -138,7 +154,10 @@ def choose_order(
         )
     tried[0] = replace(tried[0], bic=0.0)
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
-    return Choice(best.order if best.bic < -EVIDENCE else 0, tuple(tried))
+    if best.bic >= -EVIDENCE:
+        return Choice(0, tuple(tried))
+    memory = np.clip(ar.burg(scaled, follows, best.order), -MEMORY, MEMORY)
+    return Choice(best.order, tuple(tried), tuple(memory.tolist()), 1.0 / math.sqrt(n))
 
 
 class _Plain:
