@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bayesfric.complaints import complaint, read_text
+from bayesfric.configuration_errors import configuration_error, read_text
 from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
@@ -213,7 +213,7 @@ class Config(BaseModel):
             try:
                 found[name] = Reference.model_validate(given, strict=True)
             except ValidationError as error:
-                raise complaint(f"{where}.", "value", error, given, Reference) from None
+                raise configuration_error(f"{where}.", "value", error, given, Reference) from None
         return found
 
     @contextmanager
@@ -303,7 +303,7 @@ def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Chec
         if error.errors(include_url=False)[0]["type"] == "json_invalid":
             what = f"is nested too deep for a {kind}"
             raise BadInput(str(path), what, "correct the file") from None
-        raise complaint(f"{path}: ", kind, error, document, model) from None
+        raise configuration_error(f"{path}: ", kind, error, document, model) from None
 
 
 def _no_toml(path: Path, text: str, message: str) -> BadInput:

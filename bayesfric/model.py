@@ -43,14 +43,14 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.sampling import Progress, Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.notebook import html_table
 from bayesfric.preparation import prepare, residual_noise
-from bayesfric.progress import by_method, progress_shown, silent
+from bayesfric.progress import Progress, Shown, by_method, progress_shown, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 from bayesfric.report.summary.summary import estimate_summary
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
     from bayesfric.whole_fit import Beginning
 
 Array = NDArray[np.float64]
-Shown = Callable[[Progress], None]
 
 
 def _first_point(estimates: Sequence[Estimate]) -> dict[str, float] | None:

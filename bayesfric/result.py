@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +12,7 @@ from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.files import check_free
@@ -58,7 +57,7 @@ class Result:
         *,
         draws: int | None = None,
         paper: bool = False,
-        progress: Callable[[Progress], None] = lambda _: None,
+        progress: Shown = silent,
     ) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 

@@ -25,10 +25,10 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.rests_beyond import rests_beyond
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.sampling import Progress, Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.model import Model
-from bayesfric.progress import by_method, silent
+from bayesfric.progress import Progress, Shown, by_method, silent
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.loss_limits import limits_of_losses
@@ -62,7 +62,7 @@ def whole_fit(
     sampling: Sampling,
     *,
     output_error: bool,
-    progress: Callable[[Progress], None],
+    progress: Shown,
     checkpoint: Callable[[str, Sampling], Checkpoint | None],
 ) -> Result:
     """Sample a model and sum it up; arguments as of :meth:`bayesfric.Model.fit`."""
@@ -139,9 +139,7 @@ def _may_be_simulated(model: Model) -> bool:
     return there or (told is not None and any(told.model_dump(exclude_unset=True).values()))
 
 
-def begin(
-    model: Model, *, output_error: bool = False, progress: Callable[[Progress], None] = silent
-) -> Beginning:
+def begin(model: Model, *, output_error: bool = False, progress: Shown = silent) -> Beginning:
     """Estimate, choose the noise, and make the log-posterior that is sampled.
 
     The output error simulates. It is asked for, or its likelihood needs a place to start
@@ -222,7 +220,7 @@ def _with_rests(summary: Summary, model: Model, found: Fit) -> Summary:
     return summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
 
 
-def _self_check(model: Model, found: Fit, progress: Callable[[Progress], None]) -> Checked | None:
+def _self_check(model: Model, found: Fit, progress: Shown) -> Checked | None:
     """Try the fit on simulated recordings like its own, unless none are wanted."""
     tables, seen = model.config.tables, (model.recordings, model.observations)
     number = tables.self_check.number(sum(r.time.size for r in model.recordings))

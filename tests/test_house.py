@@ -15,7 +15,7 @@ from tests.conftest import REPOSITORY
 HOUSE = REPOSITORY / "bayesfric"
 # From the ground up: files beside the rooms that any room may import, then the rooms themselves.
 FLOORS = (
-    ("complaints", "errors", "huber", "notebook", "templates"),
+    ("configuration_errors", "errors", "notebook", "progress", "robust", "templates", "threads"),
     ("results",),
     ("recordings",),
     ("mechanism",),

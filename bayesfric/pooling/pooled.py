@@ -6,7 +6,7 @@ that were each fitted alone. Where they agree, the second will do for many runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Posterior, Status
-from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
+from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.pooling.joint_runs import JointTarget, varying_parts
 from bayesfric.pooling.population import (
     Interval,
@@ -26,7 +26,7 @@ from bayesfric.pooling.population import (
     population,
 )
 from bayesfric.preparation import residual_noise
-from bayesfric.progress import Spent
+from bayesfric.progress import Progress, Shown, Spent
 
 if TYPE_CHECKING:
     from bayesfric.model import Model
@@ -74,7 +74,7 @@ class Pooled:
         return asdict(self)
 
 
-def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None]) -> Pooled:
+def pooled(model: Model, seed: int | None, progress: Shown) -> Pooled:
     """Fit every recording alone, then all together, as a model's configuration says.
 
     ``seed`` replaces the configuration's.

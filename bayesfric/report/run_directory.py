@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import bayesfric
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import FILE, calculator_json
@@ -49,7 +49,7 @@ def write_run(
     draws: int | None = None,
     *,
     paper: bool = False,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
 ) -> None:
     """Write a run directory that :func:`check_free` let pass.
 
@@ -100,7 +100,7 @@ def draw(
     folder: Path,
     run: FinishedRun,
     kinds: Sequence[str],
-    progress: Callable[[Progress], None],
+    progress: Shown,
 ) -> list[RunFigure]:
     """Draw a run's figures into ``folder``, and give those that show anything."""
     folder.mkdir(exist_ok=True)

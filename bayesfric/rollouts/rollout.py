@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.finished import Finished, finished
-from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.law import Law
 from bayesfric.recordings.moving import without_excluded
@@ -45,7 +45,7 @@ def rollout(
     every: bool = False,
     draws: int = 100,
     seed: int | None = None,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
 ) -> RollOut:
     """Play recordings to the joint, as ``bayesfric rollout`` does, and compare its motion.
 

@@ -23,7 +23,7 @@ READERS = ("csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag",
 _INSTRUMENTED = [
     "bayesfric.recordings",
     "bayesfric.config",
-    "bayesfric.complaints",
+    "bayesfric.configuration_errors",
     "bayesfric.errors",
     "json",
     "tomllib",
