@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.progress import Spent, progress_shown
 from bayesfric.threads import QUIET
+from bayesfric.version import __version__
 
 if TYPE_CHECKING:
     from bayesfric.model import Model
@@ -56,7 +56,7 @@ def _version(
     version: Annotated[bool, Option("--version", help="print the version")] = False,
 ) -> None:
     if version:
-        print(bayesfric.__version__)
+        print(__version__)
         raise typer.Exit
 
 

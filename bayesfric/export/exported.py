@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint, without_load_losses
 from bayesfric.export.carried import carried, law_lost, lost_terms
@@ -28,6 +27,7 @@ from bayesfric.report.files import check_free, made_beside, parents_made, unwrit
 from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.summary import LEVEL
 from bayesfric.results.reported import ORDER
+from bayesfric.version import __version__
 
 # Draws that intervals are told from.
 _DRAWS = 400
@@ -209,7 +209,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     numbers = {name: float(x[0]) for name, x in kept.values.items()}
     rotary = chain.load.motion == "rotary"
     record: dict[str, Any] = {
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "run": found.name,
         "format": form.name,
         "meaning": form.meaning,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import bayesfric
 from bayesfric.fleet.figures import fleet_figures, shown
 from bayesfric.fleet.population import OUTLIER, FleetPopulation, sure
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
@@ -16,6 +15,7 @@ from bayesfric.report.figures.style import save
 from bayesfric.report.page.figures import PageFigure
 from bayesfric.report.page.inline_svg import inline_svg
 from bayesfric.report.page.rendering import render
+from bayesfric.version import __version__
 
 # Columns of the units that there is room for.
 _MOST = 6
@@ -68,7 +68,7 @@ def fleet_page(
         "outliers": [one for one in lines if (one.probability or 0.0) >= OUTLIER],
         "figures": figures,
         "sure": sure,
-        "version": bayesfric.__version__,
+        "version": __version__,
     }
     return render("fleet.html.j2", **told)
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import bayesfric
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.progress import Progress, Shown, silent
@@ -29,6 +28,7 @@ from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.version import __version__
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
@@ -197,7 +197,7 @@ def _told_of_run(
 ) -> dict[str, str]:
     """Say what is needed to repeat a run."""
     return {
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "versions": json.dumps(
             {"python": platform.python_version()}
             | {name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")}
