@@ -17,7 +17,7 @@ from bayesfric.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from bayesfric import plot
-    from bayesfric.checked import check
+    from bayesfric.check_report import check
     from bayesfric.export.exported import export
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
@@ -42,7 +42,7 @@ _HOMES = {
     "Model": "model",
     "Recording": "recordings.recording",
     "Term": "mechanism.own_term",
-    "check": "checked",
+    "check": "check_report",
     "export": "export.exported",
     "plot": "plot",
     "report": "result",

@@ -13,15 +13,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.config import Config, read_config
-from bayesfric.config_text import (
-    config_of,
-    mechanism_table,
-    prior_value,
-    recording_table,
-    with_settings,
-    with_terms,
-)
 from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
@@ -49,7 +40,16 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.notebook import html_table
-from bayesfric.preparation import prepare, residual_noise
+from bayesfric.problem.config import Config, read_config
+from bayesfric.problem.config_text import (
+    config_of,
+    mechanism_table,
+    prior_value,
+    recording_table,
+    with_settings,
+    with_terms,
+)
+from bayesfric.problem.preparation import prepare, residual_noise
 from bayesfric.progress import Progress, Shown, by_method, progress_shown, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
@@ -58,7 +58,7 @@ from bayesfric.report.summary.summary import estimate_summary
 if TYPE_CHECKING:
     import pandas as pd
 
-    from bayesfric.pooling.pooled import Pooled
+    from bayesfric.pooled_fit import Pooled
     from bayesfric.result import Result
     from bayesfric.whole_fit import Beginning
 
@@ -593,7 +593,7 @@ class Model:
         BadInput
             If no parameter is named, or recordings are too few, or too many for one posterior.
         """
-        from bayesfric.pooling.pooled import pooled  # asks the model
+        from bayesfric.pooled_fit import pooled  # asks the model
 
         auto = self.config.tables.mechanism.auto
         model = self.completed(progress=progress)[0] if auto else self

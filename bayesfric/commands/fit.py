@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.commands.unfinished import unfinished
-from bayesfric.config import Config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.model import Model
+from bayesfric.problem.config import Config, read_config
 from bayesfric.progress import Progress, Shown, silent
 from bayesfric.report.files import check_free
 from bayesfric.report.summary.record import Summary

@@ -8,7 +8,7 @@ from bayesfric.commands.unfinished import asked_to_stop
 from bayesfric.errors import Interrupted
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
 from bayesfric.fleet.population import sure
-from bayesfric.pooling.population import Interval
+from bayesfric.population.population import Interval
 from bayesfric.progress import Shown, silent
 from bayesfric.report.text_templates import filled
 

@@ -43,7 +43,7 @@ def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[
 
 def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> list[str]:
     """Add texts to write, and draw; give the files drawn."""
-    from bayesfric.finished import fit_of
+    from bayesfric.finished_run import fit_of
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.paper.methods_text import methods_text

@@ -19,7 +19,7 @@ from bayesfric.report.files import write_beside
 from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.summary.rollout import RollOutPart, rollout_part
 from bayesfric.report.text_templates import filled, sentence
-from bayesfric.rollouts.rolled import RollOut
+from bayesfric.results.roll_out import RollOut
 from bayesfric.rollouts.rollout import rollout as played
 
 

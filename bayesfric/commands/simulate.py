@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.config import Config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
+from bayesfric.problem.config import Config
 from bayesfric.report.files import write_beside
 from bayesfric.version import __version__
 

@@ -20,7 +20,7 @@ from bayesfric.export.figure import ExportPicture, export_figure
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of
 from bayesfric.export.law import unwritten
 from bayesfric.export.pendulum import pendulum
-from bayesfric.finished import Finished, finished
+from bayesfric.finished_run import Finished, finished
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable

@@ -209,7 +209,7 @@ def _check(folder: Path, *, resume: bool) -> None:
 
 def _text(plan: Plan) -> str:
     """Keep what the fleet was made of."""
-    from bayesfric.config_text import document_text
+    from bayesfric.problem.config_text import document_text
 
     told = plan.runs.model_dump()
     units = {"count": len(plan.units), "joint": plan.joint, "over": plan.over}

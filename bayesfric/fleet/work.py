@@ -20,10 +20,10 @@ from typing import Any, TypedDict
 
 from filelock import FileLock
 
-from bayesfric.config import Config, parse_config
 from bayesfric.errors import BadInput
 from bayesfric.fleet.results import failure, record_of
 from bayesfric.model import Model
+from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.read import recorded_files
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.files import write_beside

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.config import Config, parse_config, read_config
-from bayesfric.config_text import config_of, document_text, recording_table
 from bayesfric.errors import BadInput
-from bayesfric.finished import Finished
+from bayesfric.finished_run import Finished
 from bayesfric.model import Model
+from bayesfric.problem.config import Config, parse_config, read_config
+from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
-from bayesfric.rollouts.rolled import Part
+from bayesfric.results.roll_out import Part
 
 
 @dataclass(frozen=True, eq=False)

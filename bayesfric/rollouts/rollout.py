@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.finished import Finished, finished
+from bayesfric.finished_run import Finished, finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.progress import Progress, Shown, silent
@@ -19,8 +19,8 @@ from bayesfric.recordings.filters import later
 from bayesfric.recordings.law import Law
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.recording import Recording
+from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut
 from bayesfric.rollouts.recordings import Recorded, of_config, of_recordings, own
-from bayesfric.rollouts.rolled import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut
 from bayesfric.rollouts.unexplained import played, unexplained
 
 Array = NDArray[np.float64]

@@ -18,10 +18,10 @@ import pytest
 from bayesfric.commands import unfinished as module
 from bayesfric.commands.fit import fit
 from bayesfric.commands.unfinished import alone_in
-from bayesfric.config import read_config
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.archive import read_archive
 from bayesfric.inference.sampling import checkpoint, step_file
+from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 

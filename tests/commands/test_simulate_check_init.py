@@ -13,9 +13,9 @@ import typer
 
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import parse_config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import parse_config, read_config
 from bayesfric.recordings import Processing
 from bayesfric.whole_fit import _may_be_simulated
 from tests.conftest import REPOSITORY

@@ -16,8 +16,8 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Posterior, Status
 from bayesfric.inference.sampling.sampling import Sampling, sample
-from bayesfric.pooling.joint_runs import JointTarget, varying_parts
-from bayesfric.pooling.population import (
+from bayesfric.population.joint_runs import JointTarget, varying_parts
+from bayesfric.population.population import (
     Interval,
     Population,
     Varying,
@@ -25,7 +25,7 @@ from bayesfric.pooling.population import (
     likelihood,
     population,
 )
-from bayesfric.preparation import residual_noise
+from bayesfric.problem.preparation import residual_noise
 from bayesfric.progress import Progress, Shown, Spent
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def pooled(model: Model, seed: int | None, progress: Shown) -> Pooled:
     if seed is not None:
         settings = settings.model_copy(update={"seed": seed})
     _check(model, vary)
-    from bayesfric.checked import check  # both ask the model
+    from bayesfric.check_report import check  # both ask the model
     from bayesfric.whole_fit import begin
 
     choice = begin(model, progress=progress).choice

@@ -27,7 +27,8 @@ from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
-from bayesfric.pooling.options import PoolingOptions
+from bayesfric.mechanism.joint import Joint
+from bayesfric.population.options import PoolingOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
@@ -281,6 +282,14 @@ def parse_config(text: str, path: Path) -> Config:
         if count > 1:
             raise BadInput(f"{path}: priors.{name}", "is given twice", "leave one out")
     return Config(path=path, text=text, tables=tables)
+
+
+def chain_of(config: str) -> Joint | None:
+    """Rebuild a run's chain from its configuration, where this version still reads that."""
+    try:
+        return parse_config(config, Path(RUN_CONFIG)).tables.mechanism.joint()
+    except BadInput:
+        return None
 
 
 def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:

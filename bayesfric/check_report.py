@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.config_text import toml_value
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.noise import SCALES
 from bayesfric.model import Model
+from bayesfric.problem.config_text import toml_value
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.alerts import doubt_text
