@@ -371,12 +371,12 @@ def test_handlers_are_put_back(here, number):
 
 
 def test_before_sampling_nothing_is_kept(here, monkeypatch):
-    from bayesfric import whole_fit
+    from bayesfric import fit as method
 
     def interrupted(*_, **__):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(whole_fit, "begin", interrupted)
+    monkeypatch.setattr(method, "starting_point", interrupted)
     ended = here.run("fit", "few.toml", "-o", "run")
     assert (ended.code, ended.out) == (143, "")
     assert ended.err == "bayesfric: interrupted, nothing was written\n"
