@@ -8,12 +8,16 @@ looks wrong beforehand. What it samples goes to :func:`summary`, :mod:`plot`, :f
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from bayesfric.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from bayesfric import plot
-    from bayesfric.checked import check
+    from bayesfric.check_report import check
     from bayesfric.export.exported import export
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
@@ -24,7 +28,6 @@ if TYPE_CHECKING:
     from bayesfric.result import report, summary
     from bayesfric.rollouts.rollout import rollout
 
-__version__ = "0.1.0"
 __all__ = [
     "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check", "export", "plot",
     "report", "rollout", "summary",
@@ -39,21 +42,40 @@ _HOMES = {
     "Model": "model",
     "Recording": "recordings.recording",
     "Term": "mechanism.own_term",
-    "check": "checked",
-    "export": "export",
+    "check": "check_report",
+    "export": "export.exported",
     "plot": "plot",
-    "report": "report",
+    "report": "result",
     "rollout": "rollouts.rollout",
     "summary": "result",
 }
 
 
+class _Room(ModuleType):
+    """A room with the name of what it is for: ``bayesfric.report(posterior, folder)``."""
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        name = self.__name__.rpartition(".")[2]
+        return getattr(import_module(f"bayesfric.{_HOMES[name]}"), name)(*given, **named)
+
+
+class _Face(ModuleType):
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in ("export", "report"):  # Python puts a room here, whoever imports it
+            value.__class__ = _Room
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Face
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'bayesfric' has no attribute {name!r}")
-    home = import_module(f"bayesfric.{_HOMES[name]}")
-    # modules stay: plot holds the figures, and report can be called
-    found = globals()[name] = home if name == _HOMES[name] else getattr(home, name)
+    # rooms and plot, which holds the figures, stay modules
+    module = name in ("export", "plot", "report")
+    home = import_module(f"bayesfric.{name if module else _HOMES[name]}")
+    found = globals()[name] = home if module else getattr(home, name)
     return found
 
 

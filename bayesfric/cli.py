@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.progress import Spent, progress_shown
 from bayesfric.threads import QUIET
+from bayesfric.version import __version__
 
 if TYPE_CHECKING:
     from bayesfric.model import Model
@@ -56,7 +56,7 @@ def _version(
     version: Annotated[bool, Option("--version", help="print the version")] = False,
 ) -> None:
     if version:
-        print(bayesfric.__version__)
+        print(__version__)
         raise typer.Exit
 
 
@@ -128,7 +128,7 @@ def simulate(
 ) -> None:
     """Simulate a recording from known parameters; the truth is saved beside it."""
     from bayesfric.commands.simulate import simulate as run
-    from bayesfric.config import read_config
+    from bayesfric.problem.config import read_config
 
     truth = run(read_config(config), output, seed=seed)
     lines = [f"Simulated recording written to {output}, truth beside it as .truth.json"]
@@ -138,7 +138,7 @@ def simulate(
 @app.command()
 def check(config: ConfigFile, verbose: Verbose = False, as_json: AsJson = False) -> None:
     """Read everything; print what is measured, its quality and its problems."""
-    from bayesfric.checked import check as run
+    from bayesfric.check_report import check as run
 
     found = run(config)
     _print(found.as_json(), as_json, found.text(verbose=verbose).splitlines())
@@ -402,7 +402,7 @@ def _fit(
     with ExitStack() as bars:
         from bayesfric.commands.fit import demo_config, fit_text
         from bayesfric.commands.fit import fit as run
-        from bayesfric.config import read_config
+        from bayesfric.problem.config import read_config
 
         show = bars.enter_context(_progress())
 

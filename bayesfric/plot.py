@@ -11,7 +11,7 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.result import result_of
-from bayesfric.rollouts.rolled import RollOut
+from bayesfric.results.roll_out import RollOut
 
 
 def rollout(found: RollOut) -> Figure:

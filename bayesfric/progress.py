@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
-if TYPE_CHECKING:
-    from bayesfric.inference.sampling.sampling import Progress
+
+@dataclass(frozen=True)
+class Progress:
+    """How far work has come, for a progress bar; of sampling, the worst parameter's diagnostics."""
+
+    phase: str
+    steps: int = 0
+    ess: float = math.nan
+    rhat: float = math.nan
+
+
+Shown = Callable[[Progress], None]
 
 
 class Spent:
@@ -59,20 +71,18 @@ def silent(_: Progress) -> None:
     """Tell nobody how far work has come."""
 
 
-def by_method(progress: Callable[[Progress], None]) -> Callable[[str], None]:
+def by_method(progress: Shown) -> Callable[[str], None]:
     """Tell by the name of a method of estimation that it begins."""
-    from bayesfric.inference.sampling.sampling import Progress
-
     return lambda method: progress(Progress(f"{method} estimate"))
 
 
 @contextmanager
 def progress_shown(
-    wanted: bool | Callable[[Progress], None],
-) -> Iterator[Callable[[Progress], None]]:
+    wanted: bool | Shown,
+) -> Iterator[Shown]:
     """Give what to call as work goes on: a bar where it is wanted, or what was given."""
     if callable(wanted) or not wanted:
-        yield wanted or (lambda _: None)
+        yield wanted or silent
         return
     from rich.console import Console
     from rich.progress import Progress as Bar

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 from weakref import ref
 
-from bayesfric.config_text import saved_name
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.problem.config_text import saved_name
+from bayesfric.problem.problem import Problem
+from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.files import check_free
 from bayesfric.report.shown import Summary
 from bayesfric.report.summary.record import read_summary_file
-
-if TYPE_CHECKING:
-    from bayesfric.model import Model
 
 # Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
 # what was read from a file, may have been changed.
@@ -32,7 +29,7 @@ _KEPT = "_bayesfric_result"
 class Result:
     """A sampled model."""
 
-    model: Model
+    model: Problem
     fit: Fit  # draws and diagnostics, point estimates, predictions of what was held out
     summary: Summary  # what summary.json holds, but for the place of recordings
 
@@ -59,7 +56,7 @@ class Result:
         *,
         draws: int | None = None,
         paper: bool = False,
-        progress: Callable[[Progress], None] = lambda _: None,
+        progress: Shown = silent,
     ) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 

@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from bayesfric.commands.fit import fit, fit_text
-from bayesfric.config import read_config
+from bayesfric.problem.config import read_config
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.table import comparison_text
 from bayesfric.report.figures.forest import forest_figure

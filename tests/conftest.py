@@ -61,14 +61,14 @@ LONG = {
         checkpoint discrepancy fast_moments moves rests_beyond sampling static_friction""",
     "mechanism": """
         closed_loop quantities""",
-    "pooling": """
+    "population": """
         pooled""",
     "recordings": """
         load_torque temperature""",
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        browser corner dependence figures forest methods_text prediction residual ridge
+        browser corner figures forest methods_text prediction residual ridge
         run_directory self_check summary validation""",
     "rollouts": """
         rollout""",

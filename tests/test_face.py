@@ -17,10 +17,10 @@ import pytest
 from scipy import stats
 
 import bayesfric as bf
-from bayesfric.config_text import config_of, mechanism_table, prior_value
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
 from tests.commands.bench import Bench, without_figures
 from tests.conftest import REPOSITORY, brought
 

@@ -30,12 +30,13 @@ def compare(
         return comparison(summaries, estimates=estimates)
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
+    from bayesfric.problem.config import chain_of
     from bayesfric.report.comparison.between_runs import (
         between_runs,
         between_runs_csv,
         each_run_csv,
     )
-    from bayesfric.report.comparison.run_draws import chain_of, read_draws
+    from bayesfric.report.comparison.run_draws import read_draws
     from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
     from bayesfric.report.figures.style import save
     from bayesfric.report.files import check_free, made_beside

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.commands.unfinished import unfinished
-from bayesfric.config import Config, read_config
 from bayesfric.errors import BadInput
-from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.model import Model
+from bayesfric.problem.config import Config, read_config
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.report.files import check_free
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text as fit_text
@@ -27,7 +27,7 @@ def fit(
     force: bool = False,
     output_error: bool = False,
     paper: bool = False,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
     found: Callable[[Summary], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration, write the run directory, and return what ``summary.json`` holds.

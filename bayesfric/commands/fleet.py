@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from bayesfric.commands.unfinished import asked_to_stop
 from bayesfric.errors import Interrupted
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
 from bayesfric.fleet.population import sure
-from bayesfric.inference.sampling.sampling import Progress
-from bayesfric.pooling.population import Interval
+from bayesfric.population.population import Interval
+from bayesfric.progress import Shown, silent
 from bayesfric.report.text_templates import filled
 
 
@@ -21,7 +20,7 @@ def fleet(
     workers: int | None = None,
     scheduler: str | None = None,
     resume: bool = False,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
 ) -> FleetRun:
     """Work through what a ``FLEET.toml`` names.
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.commands.init import configuration, may_slide, other_presets, target_line
-from bayesfric.config_text import toml_value
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config_text import toml_value
 from bayesfric.recordings.recognition import Chosen, Log, recognise
 from bayesfric.recordings.tables import read_table
 from bayesfric.recordings.tables.reader import TableOptions

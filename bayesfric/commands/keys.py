@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.commands.init_fleet import FLEET
-from bayesfric.config_schema import Kind, schema_of
+from bayesfric.commands.schema import Kind, schema_of
 from bayesfric.errors import BadInput
 from bayesfric.recordings.units import UNIT_KEYWORD
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.report.files import write_beside
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
 
 
-def report(
-    run: Path, *, paper: bool = False, progress: Callable[[Progress], None] = lambda _: None
-) -> dict[str, Any]:
+def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[str, Any]:
     """Make ``report.html`` and what follows from ``summary.json`` again; nothing is sampled.
 
     ``paper`` has the figures drawn again, as PDF and PNG, for which the recordings are read, and
@@ -44,11 +41,9 @@ def report(
     return {"run": str(run), "written": sorted([*texts, *drawn])}
 
 
-def _for_paper(
-    run: Path, name: str, texts: dict[str, str], progress: Callable[[Progress], None]
-) -> list[str]:
+def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> list[str]:
     """Add texts to write, and draw; give the files drawn."""
-    from bayesfric.finished import fit_of
+    from bayesfric.finished_run import fit_of
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.paper.methods_text import methods_text

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from bayesfric.commands.report import report
 from bayesfric.errors import BadInput
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.progress import Shown
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
@@ -20,7 +20,7 @@ from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.summary.rollout import RollOutPart, rollout_part
 from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
-from bayesfric.rollouts.rolled import RollOut
+from bayesfric.results.roll_out import RollOut
 from bayesfric.rollouts.rollout import rollout as played
 
 
@@ -31,7 +31,7 @@ def rollout(
     draws: int,
     seed: int | None = None,
     every: bool = False,
-    progress: Callable[[Progress], None],
+    progress: Shown,
 ) -> RollOutPart:
     """Play recordings to a run's posterior, and add what comes of it to the run.
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-import bayesfric
-from bayesfric.config import Config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
+from bayesfric.problem.config import Config
 from bayesfric.report.files import write_beside
+from bayesfric.version import __version__
 
 # A few minutes to simulate and some hundred megabytes of text; more is a mistyped duration.
 _MOST_SAMPLES = 10_000_000
@@ -61,7 +61,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     linear = {"time": "s", "position": "m", "torque": "N"}
     truth: dict[str, Any] = {
         "simulated": True,
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "parameters": {p.name: {"value": values[p.name], "unit": p.unit} for p in chain.parameters},
         "simulation": options.model_dump(mode="json"),
         "columns": rotary if chain.motor_motion == "rotary" else linear,

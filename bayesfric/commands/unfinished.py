@@ -22,12 +22,12 @@ from types import FrameType
 
 from filelock import FileLock, Timeout
 
-import bayesfric
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.model import Model
 from bayesfric.report.files import parents_made
+from bayesfric.version import __version__
 
 # How a disk without locks tells it: better one run without than none at all.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
@@ -61,7 +61,7 @@ class Unfinished:
         tables = json.loads(model.config.tables.model_dump_json())
         facts = {
             "version": {
-                "bayesfric": bayesfric.__version__,
+                "bayesfric": __version__,
                 "python": ".".join(platform.python_version_tuple()[:2]),
                 **{name: version(name) for name in ("numpy", "scipy", "emcee", "numba")},
             },

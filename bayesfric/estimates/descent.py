@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.huber import shares
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
+from bayesfric.robust import shares
 
 Array = NDArray[np.float64]
 

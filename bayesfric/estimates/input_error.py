@@ -20,10 +20,10 @@ from bayesfric.estimates.shape_starts import at_tried_shapes
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
-from bayesfric.huber import HUBER, robust_sd
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
+from bayesfric.robust import HUBER, robust_sd
 
 Array = NDArray[np.float64]
 Bounds = NDArray[np.int_]

@@ -27,10 +27,10 @@ from bayesfric.estimates.shooting_fit import (
     settle_states,
 )  # fmt: skip
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.huber import HUBER, robust_sd
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
+from bayesfric.robust import HUBER, robust_sd
 
 Array = NDArray[np.float64]
 

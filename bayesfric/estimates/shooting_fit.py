@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.descent import bounded_step
 from bayesfric.estimates.shooting import Shooting
-from bayesfric.huber import losses, shares
 from bayesfric.mechanism.scaling import Scaling
+from bayesfric.robust import losses, shares
 
 Array = NDArray[np.float64]
 

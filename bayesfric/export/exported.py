@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-import bayesfric
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint, without_load_losses
 from bayesfric.export.carried import carried, law_lost, lost_terms
@@ -21,13 +20,14 @@ from bayesfric.export.figure import ExportPicture, export_figure
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of
 from bayesfric.export.law import unwritten
 from bayesfric.export.pendulum import pendulum
-from bayesfric.finished import Finished, finished
+from bayesfric.finished_run import Finished, finished
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
 from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.report.summary.reported import put_reported
 from bayesfric.results.reported import ORDER
+from bayesfric.version import __version__
 
 # Draws that intervals are told from.
 _DRAWS = 400
@@ -209,7 +209,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     numbers = {name: float(x[0]) for name, x in kept.values.items()}
     rotary = chain.load.motion == "rotary"
     record: dict[str, Any] = {
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "run": found.name,
         "format": form.name,
         "meaning": form.meaning,

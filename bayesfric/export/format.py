@@ -15,7 +15,7 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.export.at_joint import Array, Moved
 from bayesfric.export.central import Vectors
 from bayesfric.export.pendulum import Pendulum, pendulum
-from bayesfric.finished import Finished
+from bayesfric.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.templates import environment
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.complaints import complaint
+from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput
 from bayesfric.fleet.crew import check_engine, work_through
 from bayesfric.fleet.plan import (
@@ -27,8 +27,7 @@ from bayesfric.fleet.population import FleetPopulation, fleet_population
 from bayesfric.fleet.results import FAILED, Record, Results, failure
 from bayesfric.fleet.units import cells_of, read_units, units_of
 from bayesfric.fleet.work import Done, Task
-from bayesfric.inference.sampling.sampling import Progress
-from bayesfric.progress import progress_shown
+from bayesfric.progress import Progress, Shown, progress_shown
 from bayesfric.report.files import parents_made, write_beside
 
 if TYPE_CHECKING:
@@ -140,7 +139,7 @@ class Fleet:
         workers: int | None = None,
         scheduler: Any = None,
         resume: bool = False,
-        progress: bool | Callable[[Progress], None] = False,
+        progress: bool | Shown = False,
     ) -> FleetRun:
         """Fit every unit that is not done.
 
@@ -193,7 +192,7 @@ def _options(kind: type[Chosen], given: Mapping[str, Any], name: str) -> Chosen:
     try:
         return kind.model_validate(dict(given), strict=True)
     except ValidationError as error:
-        raise complaint(f"Fleet: {name}.", name, error, given, kind) from None
+        raise configuration_error(f"Fleet: {name}.", name, error, given, kind) from None
 
 
 def _check(folder: Path, *, resume: bool) -> None:
@@ -210,7 +209,7 @@ def _check(folder: Path, *, resume: bool) -> None:
 
 def _text(plan: Plan) -> str:
     """Keep what the fleet was made of."""
-    from bayesfric.config_text import document_text
+    from bayesfric.problem.config_text import document_text
 
     told = plan.runs.model_dump()
     units = {"count": len(plan.units), "joint": plan.joint, "over": plan.over}
@@ -220,7 +219,7 @@ def _text(plan: Plan) -> str:
 class _Course:
     """How far a fleet is."""
 
-    def __init__(self, plan: Plan, results: Results, tell: Callable[[Progress], None]) -> None:
+    def __init__(self, plan: Plan, results: Results, tell: Shown) -> None:
         self.plan, self.results, self._tell = plan, results, tell
         self.again, self.left = 0, dict[str, str]()
         self._began, self._cpu_seconds = time.monotonic(), -time.process_time()

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import bayesfric
 from bayesfric.fleet.figures import fleet_figures, shown
 from bayesfric.fleet.population import OUTLIER, FleetPopulation, sure
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
@@ -15,6 +14,7 @@ from bayesfric.fleet.units import Unit
 from bayesfric.report.figures.style import save
 from bayesfric.report.page.figures import PageFigure, inline_svg
 from bayesfric.report.page.rendering import render
+from bayesfric.version import __version__
 
 # Columns of the units that there is room for.
 _MOST = 6
@@ -67,7 +67,7 @@ def fleet_page(
         "outliers": [one for one in lines if (one.probability or 0.0) >= OUTLIER],
         "figures": figures,
         "sure": sure,
-        "version": bayesfric.__version__,
+        "version": __version__,
     }
     return render("fleet.html.j2", **told)
 

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.fleet.units import Unit, places_of
-from bayesfric.pooling.levels import Levels, levels
-from bayesfric.pooling.outliers import WithOutliers, with_outliers
+from bayesfric.population.levels import Levels, levels
+from bayesfric.population.outliers import WithOutliers, with_outliers
+from bayesfric.problem.config import chain_of
 from bayesfric.report.comparison.between_runs import Told, told_by_runs
-from bayesfric.report.comparison.run_draws import RunDraws, chain_of, read_draws
+from bayesfric.report.comparison.run_draws import RunDraws, read_draws
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.rows import PosteriorRow
 

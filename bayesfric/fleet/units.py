@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bayesfric.complaints import read_text
+from bayesfric.configuration_errors import read_text
 from bayesfric.errors import BadInput, nearest
 
 Value = str | float | int | bool | None

@@ -20,14 +20,14 @@ from typing import Any, TypedDict
 
 from filelock import FileLock
 
-import bayesfric
-from bayesfric.config import Config, parse_config
 from bayesfric.errors import BadInput
 from bayesfric.fleet.results import failure, record_of
 from bayesfric.model import Model
+from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.read import recorded_files
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.files import write_beside
+from bayesfric.version import __version__
 
 # What the machine, not the unit, is to blame for: it may go well the next time.
 _MACHINE = {
@@ -115,7 +115,7 @@ def _blaming_the_machine() -> Iterator[None]:
 def _facts(task: Task) -> tuple[Config | None, dict[str, Any], str]:
     """Say what a fit depends on; without a configuration, why there is none."""
     facts: dict[str, Any] = {
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "configuration": hashlib.sha256(task["text"].encode()).hexdigest(),
         "draws": task["draws"],
         "recordings": {},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,10 +26,11 @@ from bayesfric.inference.predictive import Prediction
 from bayesfric.inference.prior.defaults import default_prior
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
+from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
@@ -174,7 +175,7 @@ def fit(
     sampling: Sampling,
     *,
     estimates: Sequence[Estimate] = (),
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
     checkpoint: Checkpoint | None = None,
 ) -> Fit:
     """Estimate, climb to the mode, sample.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from bayesfric.complaints import complaint
+from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
@@ -73,7 +73,9 @@ class Joint(Chain):
         try:
             checked = Simulation.model_validate(given)
         except ValidationError as error:
-            raise complaint("simulation.", "simulation", error, given, Simulation) from None
+            raise configuration_error(
+                "simulation.", "simulation", error, given, Simulation
+            ) from None
         columns, _, _ = record(self, checked)
         return pd.DataFrame(columns)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from bayesfric.complaints import complaint
+from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput, nearest
 from bayesfric.notebook import html_table
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Source
@@ -203,4 +203,4 @@ def _checked(
     try:
         return kind.model_validate(document)
     except ValidationError as error:
-        raise complaint(f"{whose}: ", whose, error, document, kind) from None
+        raise configuration_error(f"{whose}: ", whose, error, document, kind) from None

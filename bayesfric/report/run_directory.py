@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import bayesfric
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import FILE, calculator_json
@@ -30,6 +29,7 @@ from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.version import __version__
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400
@@ -50,7 +50,7 @@ def write_run(
     draws: int | None = None,
     *,
     paper: bool = False,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
 ) -> None:
     """Write a run directory that :func:`check_free` let pass.
 
@@ -99,7 +99,7 @@ def draw(
     folder: Path,
     run: FinishedRun,
     kinds: Sequence[str],
-    progress: Callable[[Progress], None],
+    progress: Shown,
 ) -> list[Declared]:
     """Draw a run's figures into ``folder``, and give those that show anything."""
     folder.mkdir(exist_ok=True)
@@ -186,7 +186,7 @@ def _told_of_run(
 ) -> dict[str, str]:
     """Say what is needed to repeat a run."""
     return {
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "versions": json.dumps(
             {"python": platform.python_version()}
             | {name: version(name) for name in ("numpy", "scipy", "emcee", "arviz", "numba")}

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.config import Config, parse_config, read_config
-from bayesfric.config_text import config_of, document_text, recording_table
 from bayesfric.errors import BadInput
-from bayesfric.finished import Finished
-from bayesfric.model import Model
+from bayesfric.finished_run import Finished
+from bayesfric.problem.config import Config, parse_config, read_config
+from bayesfric.problem.config_text import config_of, document_text, recording_table
+from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
-from bayesfric.rollouts.rolled import Part
+from bayesfric.results.roll_out import Part
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def of_recordings(posterior: Finished, recordings: Sequence[Recording]) -> list[
 def _new(
     posterior: Finished, config: Config, recordings: Sequence[Recording] | None
 ) -> list[Recorded]:
-    made = Model.from_config(config, terms=posterior.joint.terms, recordings=recordings)
+    made = Problem.from_config(config, terms=posterior.joint.terms, recordings=recordings)
     parts = [*zip(made.recordings, made.observations, strict=True)]
     parts += [(one.recording, one.observation) for one in made.held_out]
     return [Recorded(m, o, _part(posterior, m)) for m, o in parts]

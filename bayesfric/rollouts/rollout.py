@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.finished import Finished, finished
-from bayesfric.inference.sampling.sampling import Progress
+from bayesfric.finished_run import Finished, finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.law import Law
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.recording import Recording
+from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut
 from bayesfric.rollouts.recordings import Recorded, of_config, of_recordings, own
-from bayesfric.rollouts.rolled import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut
 from bayesfric.rollouts.unexplained import played, unexplained
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def rollout(
     every: bool = False,
     draws: int = 100,
     seed: int | None = None,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
 ) -> RollOut:
     """Play recordings to the joint, as ``bayesfric rollout`` does, and compare its motion.
 

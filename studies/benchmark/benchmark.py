@@ -35,8 +35,9 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.prior.priors import read_prior
-from bayesfric.inference.sampling.sampling import Progress, Sampling
+from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
+from bayesfric.progress import Progress
 
 # any first moment: it sets the scale that no torque tells, and where the search begins
 KNOWLEDGE = Knowledge(fixed={"load.first_moment": problem.PRIOR_MEDIANS["load.first_moment"]})

@@ -40,7 +40,7 @@ def demo(folder: Path) -> None:
         ends[part] = time.time(), time.process_time()
 
     from bayesfric.commands.fit import demo_config, fit
-    from bayesfric.inference.sampling.sampling import Progress
+    from bayesfric.progress import Progress
 
     end("imports")
 

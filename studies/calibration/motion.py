@@ -31,10 +31,10 @@ from bayesfric import Model
 from bayesfric.errors import BadInput
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
+from bayesfric.problem.starting_point import starting_point
 from bayesfric.recordings.observation import with_motion
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.summary import summarise
-from bayesfric.whole_fit import begin
 
 HERE = Path(__file__).resolve().parent
 SEED = 37
@@ -79,7 +79,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
 
 def rows(model: Model, true: dict[str, float]) -> dict[str, Any]:
     """Sample, and give what is determined: error in sds, whether the interval holds, and sd."""
-    begun = begin(model)
+    begun = starting_point(model)
     sampling = model.config.tables.sampling.model_copy(update={"seed": 1, "min_ess": 1000.0})
     found = fit(begun.target, sampling, estimates=begun.estimates)
     summary = summarise(found, model.references(), begun.choice, groups(found))

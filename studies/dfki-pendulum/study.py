@@ -9,8 +9,8 @@ import json
 import time
 from pathlib import Path
 
-from bayesfric.config import parse_config
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 
 HERE = Path(__file__).resolve().parent
 RECORDINGS = ("ddp", "dircol", "ilqr", "es500", "sac", "es1kg")

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesfric.config import parse_config
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.inference.likelihood.autoregression import burg, ljung_box, whitened
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 
 CONFIG = Path(__file__).resolve().parent / "emps-white.toml"
 CHOICES = ((10, 100), (20, 100), (25, 100), (40, 100), (40, 25), (100, 100))

@@ -28,9 +28,9 @@ import numpy as np
 import psutil
 
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import parse_config
 from bayesfric.fleet.fleet import Fleet
 from bayesfric.fleet.population import fleet_population
+from bayesfric.problem.config import parse_config
 
 HERE = Path(__file__).resolve().parent
 SEED = 21

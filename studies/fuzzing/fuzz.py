@@ -22,8 +22,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 READERS = ("csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag", "db3", "config")
 _INSTRUMENTED = [
     "bayesfric.recordings",
-    "bayesfric.config",
-    "bayesfric.complaints",
+    "bayesfric.problem.config",
+    "bayesfric.configuration_errors",
     "bayesfric.errors",
     "json",
     "tomllib",
@@ -189,7 +189,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
 
 def _config_target(folder: Path) -> Callable[[bytes], None]:
     """Check a configuration, and everything in it that is read later."""
-    from bayesfric.config import read_config
+    from bayesfric.problem.config import read_config
 
     path = folder / "input" / "c.toml"
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from bayesfric.commands.keys import Key, key_tables
-from bayesfric.config_schema import Kind
+from bayesfric.commands.schema import Kind
 from bayesfric.diagnostics.candidates import BY_NAME
 from bayesfric.mechanism.quantities import CYCLES
 from bayesfric.report.words import words

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bayesfric as bf
-from bayesfric.pooling.population import Interval, likelihood, population
+from bayesfric.population.population import Interval, likelihood, population
 
 HERE = Path(__file__).resolve().parent
 SEED = 2032

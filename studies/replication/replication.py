@@ -122,7 +122,7 @@ def _arm_parts() -> dict[str, dict[str, str]]:
 def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
     """Fit one recording; gives each number with its sds."""
     from bayesfric import Model
-    from bayesfric.config import parse_config
+    from bayesfric.problem.config import parse_config
 
     case, run, folder, text = task
     text += "\n[self_check]\nrecordings = 0\n"

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from experiments import experiments
 
-from bayesfric.config import read_config
 from bayesfric.inference.fitting import Fit, fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.model import Model
+from bayesfric.problem.config import read_config
 from bayesfric.report.figures.ridge import ridge, ridge_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.summary.summary import summarise

@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayesfric.config import parse_config
 from bayesfric.inference.fitting import fit
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 from bayesfric.report.summary.validation import validation_record
 
 PATH = Path(__file__).with_name("xl330-held-out.toml")

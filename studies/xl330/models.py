@@ -13,11 +13,11 @@ import numpy as np
 from held_out import GAINS
 
 from bayesfric import Element, Joint
-from bayesfric.config import parse_config
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 
 PATH = Path(__file__).with_name("xl330-held-out.toml")
 FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True}

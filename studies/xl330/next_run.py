@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric import Model
-from bayesfric.config import parse_config
+from bayesfric.problem.config import parse_config
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.summary.record import Summary

@@ -16,8 +16,8 @@ from typing import Any
 from held_out import GAINS
 
 import bayesfric as bf
-from bayesfric.config import parse_config
-from bayesfric.config_text import document_text
+from bayesfric.problem.config import parse_config
+from bayesfric.problem.config_text import document_text
 from bayesfric.report.summary.rollout import rollout_part
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")

@@ -11,7 +11,7 @@ import pytest
 
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
+from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
 
 CONFIG = """\

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.config import read_config
+from bayesfric.problem.config import read_config
 
 from .bench import SAMPLED, has, simulated, without_figures
 from .test_fit import draws

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from bayesfric.config import read_config
-from bayesfric.config_text import with_settings
 from bayesfric.model import Model
+from bayesfric.problem.config import read_config
+from bayesfric.problem.config_text import with_settings
 
 from .bench import JOINT, recorded
 from .test_explain import BY_DIRECTION, swing  # noqa: F401  (a fixture)

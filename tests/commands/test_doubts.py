@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.checked import check
+from bayesfric.check_report import check
 from bayesfric.commands.fit import fit_text
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.mechanism.joint import Joint

@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from bayesfric.config import read_config
 from bayesfric.errors import BadInput
 from bayesfric.model import Model
+from bayesfric.problem.config import read_config
 
 from .bench import SMALL, cases, has
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.fit import demo_config, fit, fit_text
-from bayesfric.config import read_config
 from bayesfric.inference.archive import read_archive
 from bayesfric.model import Model
+from bayesfric.problem.config import read_config
 from bayesfric.progress import Spent
 
 from .bench import SMALL, simulated, without_figures

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.identify import identify_record, identify_text
-from bayesfric.config import read_config
 from bayesfric.model import Model
+from bayesfric.problem.config import read_config
 
 from ..conftest import DATA, REPOSITORY
 from .bench import SMALL, has, simulated

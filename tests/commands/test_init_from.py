@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayesfric.config import read_config
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import read_config
 from bayesfric.recordings.column_names import named
 from bayesfric.recordings.recognition import recognise
 from bayesfric.recordings.tables import Table, read_table

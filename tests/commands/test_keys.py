@@ -15,11 +15,11 @@ from pydantic import BaseModel
 import bayesfric
 from bayesfric.commands.init_fleet import PLAN
 from bayesfric.commands.keys import key_tables
-from bayesfric.config import Tables, parse_config
-from bayesfric.config_schema import schema_of
+from bayesfric.commands.schema import schema_of
 from bayesfric.errors import BadInput
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import Tables, parse_config
 from bayesfric.recordings.units import UNIT_KEYWORD
 from tests.conftest import REPOSITORY
 

@@ -18,10 +18,10 @@ import pytest
 from bayesfric.commands import unfinished as module
 from bayesfric.commands.fit import fit
 from bayesfric.commands.unfinished import alone_in
-from bayesfric.config import read_config
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.archive import read_archive
 from bayesfric.inference.sampling import checkpoint, step_file
+from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 
@@ -373,12 +373,12 @@ def test_handlers_are_put_back(here, number):
 
 
 def test_before_sampling_nothing_is_kept(here, monkeypatch):
-    from bayesfric import whole_fit
+    from bayesfric import fit as method
 
     def interrupted(*_, **__):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr(whole_fit, "begin", interrupted)
+    monkeypatch.setattr(method, "starting_point", interrupted)
     ended = here.run("fit", "few.toml", "-o", "run")
     assert (ended.code, ended.out) == (143, "")
     assert ended.err == "bayesfric: interrupted, nothing was written\n"

@@ -13,11 +13,11 @@ import typer
 
 from bayesfric import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import parse_config, read_config
+from bayesfric.conclusion import may_be_simulated
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import parse_config, read_config
 from bayesfric.recordings import Processing
-from bayesfric.whole_fit import _may_be_simulated
 from tests.conftest import REPOSITORY
 
 from .bench import CONFIG
@@ -157,10 +157,10 @@ def test_a_table_that_changes_nothing_is_no_other_mechanism(bench):
 def test_a_template_does_not_say_that_recordings_are_simulated(bench):
     (bench.folder / "c.toml").write_text(bench.run("init", "motor-axis").out, encoding="utf-8")
     config = read_config(bench.folder / "c.toml")
-    assert not _may_be_simulated(SimpleNamespace(config=config, recordings=()))
+    assert not may_be_simulated(SimpleNamespace(config=config, recordings=()))
     text = config.text + "\n[simulation]\namplitude = 1.0\n"
     config = parse_config(text, bench.folder / "c.toml")
-    assert _may_be_simulated(SimpleNamespace(config=config, recordings=()))
+    assert may_be_simulated(SimpleNamespace(config=config, recordings=()))
 
 
 def test_a_template_stays_one_with_another_preset(bench):

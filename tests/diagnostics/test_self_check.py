@@ -7,11 +7,11 @@ import pytest
 from numba import get_num_threads, set_num_threads
 
 import bayesfric as bf
-from bayesfric.config import Tables
 from bayesfric.diagnostics.self_check import SelfCheckOptions, self_check
 from bayesfric.errors import BadInput
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.model import Model
+from bayesfric.problem.config import Tables
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.self_check import self_check_part
 from bayesfric.report.terminal import fit_text

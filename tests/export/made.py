@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 import bayesfric as bf
-from bayesfric.finished import Finished
+from bayesfric.finished_run import Finished
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.joint import Joint

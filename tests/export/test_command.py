@@ -21,7 +21,7 @@ def fitted(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
         from bayesfric.commands.fit import fit
-        from bayesfric.config import read_config
+        from bayesfric.problem.config import read_config
 
         fit(read_config(folder / "c.toml"), folder / "c-run")
     return folder

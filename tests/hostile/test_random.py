@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bayesfric.config import parse_config
 from bayesfric.errors import BadInput
+from bayesfric.problem.config import parse_config
 from tests.hostile.cases import case
 from tests.hostile.good import LONG_CONFIG, config, content
 from tests.hostile.rule import broken_rule, check

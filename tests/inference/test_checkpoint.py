@@ -18,8 +18,8 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.sampling import checkpoint as module
 from bayesfric.inference.sampling import sampling, step_file
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.sampling import Progress
 from bayesfric.inference.sampling.step_file import StepFile, Steps
+from bayesfric.progress import Progress
 from tests.conftest import REPOSITORY
 from tests.inference.two_valleys import FACTS, SETTINGS, TwoValleys, run
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.fit import fit
-from bayesfric.config import parse_config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Summary

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import parse_config
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.prior.priors import fixed
 from bayesfric.inference.sampling.start import climb
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 

@@ -7,9 +7,9 @@ import pytest
 
 from bayesfric.commands.fit import fit
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
+from bayesfric.problem.config import read_config
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 

@@ -17,10 +17,10 @@ import bayesfric
 from bayesfric.commands.fit import fit
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
-from bayesfric.config import parse_config, read_config
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.files import check_free

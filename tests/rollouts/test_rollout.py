@@ -11,7 +11,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.commands.rollout import rollout_text
-from bayesfric.finished import finished
+from bayesfric.finished_run import finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.law import Law
@@ -59,7 +59,7 @@ position = {{ column = "q", unit = "rad" }}
 
 @pytest.fixture(scope="module")
 def joint():
-    from bayesfric.config_text import config_of
+    from bayesfric.problem.config_text import config_of
 
     return config_of({"mechanism": {"preset": "motor-axis", "load": {"first_moment": True}}}
                      ).tables.mechanism.joint()  # fmt: skip

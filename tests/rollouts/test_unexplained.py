@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.rollouts.rolled import LEVEL
+from bayesfric.results.roll_out import LEVEL
 from bayesfric.rollouts.rollout import moving_share
 from bayesfric.rollouts.unexplained import Series, memory, played
 

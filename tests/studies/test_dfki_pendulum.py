@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from bayesfric.config import parse_config
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config
 from tests.conftest import REPOSITORY, imported
 
 FOLDER = REPOSITORY / "studies" / "dfki-pendulum"

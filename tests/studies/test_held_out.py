@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.config import read_config
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.model import Model
+from bayesfric.problem.config import read_config
 from bayesfric.report.summary.validation import validation_record
 from tests.conftest import DATA, REPOSITORY
 

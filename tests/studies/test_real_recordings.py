@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from bayesfric.config import parse_config, read_config
 from bayesfric.inference.fitting import fit
 from bayesfric.model import Model
+from bayesfric.problem.config import parse_config, read_config
 from tests.conftest import REPOSITORY
 
 pytestmark = pytest.mark.usefixtures("real_data")

@@ -65,8 +65,10 @@ class Choice:
 
     order: int
     tried: tuple[Evidence, ...]
-    memory: tuple[float, ...] = ()  # partial autocorrelations of the residuals, as many as the order
-    sd: float = 0.0  # to which they are known
+    memory: tuple[
+        float, ...
+    ] = ()  # partial autocorrelations of the residuals, as many as the order
+    sd: float = 0.0  # to which the residuals tell them
 
     def told(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
         """Give priors in which the memory is that of these residuals.

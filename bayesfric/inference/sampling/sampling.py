@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
@@ -30,8 +30,9 @@ from bayesfric.inference.sampling.moves import (
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.sampling.surrogate import Surrogate
-from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, complaint
+from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, undefined_warning
 from bayesfric.inference.target import Target
+from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.units import in_unit
 
 Array = NDArray[np.float64]
@@ -98,22 +99,12 @@ class Sampling(BaseModel):
     )
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far sampling has come, for a progress bar; diagnostics of the worst parameter."""
-
-    phase: str
-    steps: int = 0
-    ess: float = math.nan
-    rhat: float = math.nan
-
-
 def sample(
     target: Target,
     start: Start,
     settings: Sampling,
     *,
-    progress: Callable[[Progress], None] = lambda _: None,
+    progress: Shown = silent,
     checkpoint: Checkpoint | None = None,
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
@@ -190,7 +181,7 @@ def sample(
         batch = settings.ensembles * walkers
         places = beside_posterior(target, frozen.proposal, settings.seed, batch)
         share = float(places[:, -1].mean())
-        warnings += filter(None, [complaint(target.names, places)])
+        warnings += filter(None, [undefined_warning(target.names, places)])
     return Posterior(
         names=target.names,
         priors=target.priors,
@@ -231,7 +222,7 @@ def _warm_up(
     straight: LearningMove | None,
     settings: Sampling,
     rng: np.random.Generator,
-    progress: Callable[[Progress], None],
+    progress: Shown,
 ) -> tuple[Array, bool]:
     """Walk and learn; give the second half of the steps, and whether they had settled."""
     block, most = _block(warm.target, settings), settings.max_steps // 4
@@ -270,9 +261,7 @@ class _Look:
         return "tentative" if usable and self.ess.min() > 100.0 else "unusable"
 
 
-def _walk(
-    main: _Ensembles, settings: Sampling, most: int, progress: Callable[[Progress], None]
-) -> _Look:
+def _walk(main: _Ensembles, settings: Sampling, most: int, progress: Shown) -> _Look:
     """Walk until every criterion is met, the steps are used up or it is hopeless."""
     block, seen, enough = _block(main.target, settings), [], math.inf
     while True:

@@ -39,7 +39,7 @@ def beside_posterior(target: Target, proposal: Proposal, seed: int, batch: int) 
     return np.column_stack([parameters, np.concatenate(bad)])
 
 
-def complaint(names: tuple[str, ...], places: Array) -> str | None:
+def undefined_warning(names: tuple[str, ...], places: Array) -> str | None:
     """Say what share of these places has no likelihood, where they are and what to do.
 
     Nothing where the share is too small to matter.

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.complaints import read_text
+from bayesfric.configuration_errors import read_text
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.quantities import Motion
 from bayesfric.report.summary.part import NotNegative, Pair, Part

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.pooling.population import (
+from bayesfric.population.population import (
     Interval,
     Likelihood,
     Population,

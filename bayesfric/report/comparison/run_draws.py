@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.record import Summary
@@ -54,16 +53,6 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
     sampled = {name: x for name, x in found.items() if name in summary.parameters}
     found = _derived(rebuild(config), sampled, summary) | found
     return RunDraws({name: x for name, x in found.items() if np.isfinite(x).any()}, prior)
-
-
-def chain_of(config: str) -> Joint | None:
-    """Rebuild a run's chain from its configuration, where this version still reads that."""
-    from bayesfric.config import parse_config
-
-    try:
-        return parse_config(config, Path("config.toml")).tables.mechanism.joint()
-    except BadInput:
-        return None
 
 
 def _flat(stored: Any) -> Array:

@@ -10,7 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesfric.pooling.population import Interval
+from bayesfric.population.population import Interval
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparedRuns, ComparisonFigure

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import Declared
 from bayesfric.report.figures.style import few_ticks, legend_above, paper_figure, shortened
-from bayesfric.rollouts.rolled import Rolled, RollOut
+from bayesfric.results.roll_out import Rolled, RollOut
 
 # Recordings that are drawn, and the height of each in inches.
 _MOST = 3

@@ -14,7 +14,6 @@ from importlib.metadata import version
 from importlib.resources import files
 from typing import NamedTuple
 
-import bayesfric
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
@@ -29,6 +28,7 @@ from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.self_check import biased, seldom_held_sentence
 from bayesfric.report.text_templates import filled
+from bayesfric.version import __version__
 
 _ENTRY = re.compile(r"^% ([^\n]+)\n(@\w+\{(\w+),\n.*?^\}\n)", re.MULTILINE | re.DOTALL)
 
@@ -42,7 +42,7 @@ class Entry(NamedTuple):
 
 # this package's own entry names its version
 _BIB = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
-_BIB = _BIB.replace("VERSION", bayesfric.__version__)
+_BIB = _BIB.replace("VERSION", __version__)
 ENTRIES = {key: Entry(short, entry) for short, entry, key in _ENTRY.findall(_BIB)}
 
 
@@ -183,7 +183,7 @@ def _sentences(fit: Fit, summary: Summary) -> str:
         seldom_held=seldom_held_sentence(summary, list(summary.rows)),
         rounded=text_rounded,
         python=platform.python_version(),
-        bayesfric=bayesfric.__version__,
+        bayesfric=__version__,
         versions={name: version(name) for name in _VERSIONS},
     )
     paragraphs = (" ".join(part.split()) for part in re.split(r"\n\s*\n", text))

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from bayesfric.complaints import complaint
+from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput
 
 # JSON has lists only; a pair is one with a low and a high end.
@@ -36,7 +36,7 @@ class Part(BaseModel):
         try:
             return cls.model_validate(found)
         except ValidationError as error:
-            said = complaint(f"{where}: ", "configuration", error, found, cls)
+            said = configuration_error(f"{where}: ", "configuration", error, found, cls)
             mend = "name a run that 'bayesfric fit' wrote, or fit it again"
             raise BadInput(said.where, said.what, mend) from None
 

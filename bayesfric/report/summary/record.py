@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.complaints import read_text
+from bayesfric.configuration_errors import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE

@@ -7,8 +7,8 @@ from typing import Any, Literal
 from pydantic import FiniteFloat
 
 from bayesfric.report.summary.part import Name, NotNegative, Part, Share
-from bayesfric.rollouts.rolled import Input, RollOut, tells_nothing
-from bayesfric.rollouts.rolled import Part as Which
+from bayesfric.results.roll_out import Input, RollOut, tells_nothing
+from bayesfric.results.roll_out import Part as Which
 
 # Share inside 90 % bands below which they are called too narrow. Positions within a second of each
 # other are nearly one, so that few recordings may well leave their bands for a tenth of the time.

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import bayesfric
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driven
@@ -39,6 +38,7 @@ from bayesfric.report.summary.record import of_noise
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation import validation_record
 from bayesfric.report.words import line_of
+from bayesfric.version import __version__
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def summarise(
     outputs = fit.target.likelihood.outputs
     lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
     found = {
-        "bayesfric": bayesfric.__version__,
+        "bayesfric": __version__,
         "parameters": _parameters(fit, local),
         "fixed": {
             p.name: {**described_as(p), "value": float(value)}

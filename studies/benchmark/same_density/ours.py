@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
+from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.target import Target
+from bayesfric.progress import Progress
 
 Array = NDArray[np.float64]
 

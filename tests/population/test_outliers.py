@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.pooling.levels import levels
-from bayesfric.pooling.outliers import with_outliers
-from bayesfric.pooling.population import likelihood, normal
+from bayesfric.population.levels import levels
+from bayesfric.population.outliers import with_outliers
+from bayesfric.population.population import likelihood, normal
 
 
 def brute_force(y, s):

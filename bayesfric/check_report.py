@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.config_text import toml_value
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.noise import SCALES
-from bayesfric.model import Model
+from bayesfric.problem.config_text import toml_value
+from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.numbers import TEXT, in_tenths
@@ -26,7 +26,7 @@ _MANY = 5
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckReport:
     """What was read, and what looks wrong."""
 
     found: Mapping[str, Any]
@@ -47,7 +47,7 @@ class Checked:
         return (*said, *map(doubt_text, self.found["doubts"]))
 
 
-def check(model: Model | Path | str) -> Checked:
+def check(model: Problem | Path | str) -> CheckReport:
     """Say what is measured, its quality and its problems, before anything is fitted.
 
     Parameters
@@ -60,11 +60,11 @@ def check(model: Model | Path | str) -> Checked:
     BadInput
         For anything that cannot be used.
     """
-    model = model if isinstance(model, Model) else Model.from_config(model)
-    return Checked(_found(model))
+    model = model if isinstance(model, Problem) else Problem.from_config(model)
+    return CheckReport(_found(model))
 
 
-def _found(model: Model) -> dict[str, Any]:
+def _found(model: Problem) -> dict[str, Any]:
     explained, auto = model.explain(), model.config.tables.mechanism.auto
     # what a fit begins to put in is no doubt; what is left then, it asks anew
     taken = [one for one in explained.findings if auto and one.hint]
@@ -116,7 +116,7 @@ def _found(model: Model) -> dict[str, Any]:
     }
 
 
-def _parts(model: Model) -> Iterator[tuple[Measurement, Observation, str | None]]:
+def _parts(model: Problem) -> Iterator[tuple[Measurement, Observation, str | None]]:
     """Everything read, with which part of a recording is held out where one is."""
     for recording, observation in zip(model.recordings, model.observations, strict=True):
         yield recording, observation, None

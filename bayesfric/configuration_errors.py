@@ -53,7 +53,7 @@ def read_text(path: Path, largest: int, kind: str, mend: str, mend_text: str) ->
         raise BadInput(str(path), f"is not UTF-8 (byte {error.start})", mend_text) from None
 
 
-def complaint(
+def configuration_error(
     prefix: str, whole: str, error: ValidationError, document: Any, model: Any
 ) -> BadInput:
     """Word the first thing wrong with a configuration or another document, or a part of one.

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bayesfric.config import Config, NoiseOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
 from bayesfric.estimates.delay import own_delay
@@ -24,6 +23,7 @@ from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
+from bayesfric.problem.config import Config, NoiseOptions
 from bayesfric.recordings.held_out import Divided, HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation

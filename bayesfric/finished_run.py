@@ -16,7 +16,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
-from bayesfric.model import Model
+from bayesfric.problem.problem import Problem
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.result import Result, result_of
 
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 class Finished:
     """What was fitted, and draws that allow for the model's error where recordings show any."""
 
-    model: Model
+    model: Problem
     summary: Summary
     names: tuple[str, ...]  # of what was sampled, noise scales last
     draws: Array  # (n, len(names)), in SI units
@@ -128,10 +128,10 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     return found, summary
 
 
-def _read(run: Path) -> tuple[Summary, Model, dict[str, dict[str, Array]]]:
+def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
     """Read summary, configuration with its recordings, and draws."""
     summary = Summary.read(read_summary_file(run), str(run))
-    model = Model.from_config(run / "config.toml")
+    model = Problem.from_config(run / "config.toml")
     path = run / "posterior.nc"
     groups: dict[str, dict[str, Array]] = {}
     try:

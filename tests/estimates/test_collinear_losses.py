@@ -6,7 +6,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
-from bayesfric.estimates.alike_losses import alike_losses
+from bayesfric.estimates.collinear_losses import collinear_losses
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 
 TWO = bf.Joint(
@@ -30,16 +30,16 @@ def estimate(motor, gearbox):
 def test_losses_of_which_none_is_told_are_alike():
     both = ("motor.load", "gearbox.load")
     # measured, UR10e: 0.008 with an sd of 0.062, and 0 on a limit, which has none
-    assert alike_losses(TWO, estimate((0.008, 0.062), (0.0, math.nan)), ()) == both
-    assert alike_losses(TWO, estimate((0.1, math.inf), (0.1, math.inf)), ()) == both
-    assert alike_losses(TWO, estimate((0.1, 0.3), (0.1, 0.3)), ()) == both
+    assert collinear_losses(TWO, estimate((0.008, 0.062), (0.0, math.nan)), ()) == both
+    assert collinear_losses(TWO, estimate((0.1, math.inf), (0.1, math.inf)), ()) == both
+    assert collinear_losses(TWO, estimate((0.1, 0.3), (0.1, 0.3)), ()) == both
 
 
 def test_losses_that_are_told_or_known_are_not():
-    assert alike_losses(TWO, estimate((0.1, 0.02), (0.2, 0.02)), ()) == ()
-    assert alike_losses(TWO, estimate((0.1, 0.3), (0.1, 0.3)), ("motor.load",)) == ()
+    assert collinear_losses(TWO, estimate((0.1, 0.02), (0.2, 0.02)), ()) == ()
+    assert collinear_losses(TWO, estimate((0.1, 0.3), (0.1, 0.3)), ("motor.load",)) == ()
     one = bf.Joint.preset("servo-pendulum")
-    assert alike_losses(one, estimate((0.0, math.nan), (0.0, math.nan)), ()) == ()
+    assert collinear_losses(one, estimate((0.0, math.nan), (0.0, math.nan)), ()) == ()
 
 
 def test_they_are_refused_before_anything_is_sampled():

@@ -3,8 +3,8 @@ r"""A population with outliers among it: its mean and spread without them, and w
 Runs' true values are ``theta_r ~ (1 - e) N(mu, tau^2) + e Out``. The outliers' distribution is
 wide whatever they are: normals about ``mu`` of 3, 10 and 30 times ``sqrt(tau^2 + s^2)``, one third
 each, with ``s`` the median of the runs' own sds. A run enters as in
-:mod:`bayesfric.pooling.population`, as a mixture of normals, so that its integrals are closed. The
-posterior is on a grid of ``mu``, ``tau`` and ``e``: ``mu`` flat, ``tau`` with the same reference
+:mod:`bayesfric.population.population`, as a mixture of normals, so that its integrals are closed.
+The posterior is on a grid of ``mu``, ``tau`` and ``e``: ``mu`` flat, ``tau`` with that reference
 prior, the share ``e`` Beta(1, 19), one in twenty before anything was seen. What is told of a run is
 the posterior probability that it is of the second kind. Far outliers then widen neither the spread
 nor its interval, as they would those of one normal population.
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.pooling.population import Interval, Likelihood, interval
+from bayesfric.population.population import Interval, Likelihood, interval
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.pooling.population import Interval, interval
+from bayesfric.population.population import Interval, interval
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from bayesfric.config import Config, parse_config
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Source
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from bayesfric.pooling.population import likelihood, normal, population
+from bayesfric.population.population import likelihood, normal, population
 
 
 def exact(y, s):

@@ -6,18 +6,19 @@ that were each fitted alone. Where they agree, the second will do for many runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from bayesfric.check_report import check
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Posterior, Status
-from bayesfric.inference.sampling.sampling import Progress, Sampling, sample
-from bayesfric.pooling.joint_runs import JointTarget, varying_parts
-from bayesfric.pooling.population import (
+from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.population.joint_runs import JointTarget, varying_parts
+from bayesfric.population.population import (
     Interval,
     Population,
     Varying,
@@ -25,11 +26,10 @@ from bayesfric.pooling.population import (
     likelihood,
     population,
 )
-from bayesfric.preparation import residual_noise
-from bayesfric.progress import Spent
-
-if TYPE_CHECKING:
-    from bayesfric.model import Model
+from bayesfric.problem.preparation import residual_noise
+from bayesfric.problem.problem import Problem
+from bayesfric.problem.starting_point import starting_point
+from bayesfric.progress import Progress, Shown, Spent
 
 LEVEL = 0.9
 # Runs that a joint posterior has room for, and draws of priors that posteriors are divided by.
@@ -74,7 +74,7 @@ class Pooled:
         return asdict(self)
 
 
-def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None]) -> Pooled:
+def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     """Fit every recording alone, then all together, as a model's configuration says.
 
     ``seed`` replaces the configuration's.
@@ -83,21 +83,19 @@ def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None])
     not have or that are known, and an output-error likelihood.
     """
     spent = Spent()
-    tables = model.config.tables
+    tables = problem.config.tables
     settings, vary = tables.sampling, list(tables.pooling.vary)
     if seed is not None:
         settings = settings.model_copy(update={"seed": seed})
-    _check(model, vary)
-    from bayesfric.checked import check  # both ask the model
-    from bayesfric.whole_fit import begin
-
-    choice = begin(model, progress=progress).choice
+    _check(problem, vary)
+    choice = starting_point(problem, progress=progress).choice
     noise = residual_noise(tables.noise, choice.order if choice else 0)
+    priors = choice.told(problem.priors) if choice else problem.priors
     targets, alone = [], []
-    for k, observation in enumerate(model.observations):
+    for k, observation in enumerate(problem.observations):
         progress(Progress(f"recording {observation.name}"))
-        target = make_target(model.chain, [observation], model.priors, "shared", noise)
-        with model.config.named():
+        target = make_target(problem.chain, [observation], priors, "shared", noise)
+        with problem.config.named():
             found = fit(target, settings.model_copy(update={"seed": settings.seed + k}))
         if found.posterior.diagnostics.status == "unusable":
             raise BadInput(
@@ -107,11 +105,11 @@ def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None])
             )
         targets.append(found.target)
         alone.append(found.posterior)
-    names = [o.name for o in model.observations]
+    names = [o.name for o in problem.observations]
     progress(Progress("all recordings together"))
     together = JointTarget(targets, names, vary, alone, settings.seed)
     posterior = sample(together, together.start, settings)  # type: ignore[arg-type]
-    units = {p.name: p.unit for p in model.chain.parameters}
+    units = {p.name: p.unit for p in problem.chain.parameters}
     jointly = varying_parts(posterior, names, vary, LEVEL)
     flat = posterior.flat()
     return Pooled(
@@ -128,7 +126,7 @@ def pooled(model: Model, seed: int | None, progress: Callable[[Progress], None])
         level=LEVEL,
         status=posterior.diagnostics.status,
         problems=posterior.diagnostics.problems,
-        warnings=check(model).warnings,
+        warnings=check(problem).warnings,
         seconds=spent.seconds,
         cpu_seconds=spent.cpu_seconds,
     )
@@ -144,8 +142,8 @@ def _reweighted(alone: Sequence[Posterior], name: str, settings: Sampling) -> Po
     return population(runs, LEVEL, settings.seed)
 
 
-def _check(model: Model, vary: Sequence[str]) -> None:
-    names = model.chain.names
+def _check(problem: Problem, vary: Sequence[str]) -> None:
+    names = problem.chain.names
     if not vary:
         what = "names no parameter that varies"
         raise BadInput("pooling.vary", what, 'write for example { "motor.viscous" = "recording" }')
@@ -154,18 +152,18 @@ def _check(model: Model, vary: Sequence[str]) -> None:
             raise BadInput(
                 f"pooling.vary.{name}", "the mechanism has no such parameter", nearest(name, names)
             )
-        if model.priors[name].fixed:
+        if problem.priors[name].fixed:
             raise BadInput(f"pooling.vary.{name}", "is fixed", "give it a prior")
-    if all(name in vary for name in names if not model.priors[name].fixed):
+    if all(name in vary for name in names if not problem.priors[name].fixed):
         raise BadInput(
             "pooling.vary",
             "names every parameter, and nothing is shared",
             "fit each recording alone, and 'bayesfric compare' the runs",
         )
-    if model.config.tables.likelihood.method != "input-error":
+    if problem.config.tables.likelihood.method != "input-error":
         what = "recordings are pooled by their torque"
         raise BadInput("likelihood.method", what, 'take "input-error"')
-    count = len(model.observations)
+    count = len(problem.observations)
     if count < 2:
         raise BadInput("recordings", "one alone is no population", "add another")
     if count > _MOST:

@@ -11,7 +11,7 @@ from bayesfric.mechanism.joint import Joint
 _TOLD = 0.5
 
 
-def alike_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tuple[str, ...]:
+def collinear_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tuple[str, ...]:
     """Name the load losses of several elements of which the recordings tell none by itself.
 
     The torque that leaves one is that which enters the next but for what stands between: a motion

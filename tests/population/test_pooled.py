@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
-from bayesfric.pooling.joint_runs import JointTarget
+from bayesfric.population.joint_runs import JointTarget
 from tests.axis import AXIS, VALUES, swing
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

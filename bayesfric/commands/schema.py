@@ -8,10 +8,10 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from bayesfric.config import Tables
 from bayesfric.estimates.estimation import Reference
 from bayesfric.fleet.plan import FleetTables
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import Tables
 
 Kind = Literal["configuration", "fleet"]
 _KINDS: dict[Kind, tuple[type[BaseModel], str]] = {

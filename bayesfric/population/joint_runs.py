@@ -3,7 +3,7 @@
 Parameters that vary are each run's own, ``theta_r ~ N(mu, tau^2)``; all others are shared, and only
 noise scales are each run's besides. ``mu`` has a flat prior and is integrated in closed form: what
 is left of the population is ``-(R - 1) log tau - sum (theta_r - mean)^2 / (2 tau^2)``. ``tau`` has
-the prior of :mod:`bayesfric.pooling.population`, by the sds that runs fitted alone have, so that
+the prior of :mod:`bayesfric.population.population`, by the sds that runs fitted alone have, so that
 both ways answer one question. This way the shared parameters are told by all runs together; it
 takes a sampling of many dimensions, and is for few runs.
 """
@@ -22,7 +22,7 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
-from bayesfric.pooling.population import Varying, interval
+from bayesfric.population.population import Varying, interval
 
 Array = NDArray[np.float64]
 

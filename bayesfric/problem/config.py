@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bayesfric.complaints import complaint, read_text
+from bayesfric.configuration_errors import configuration_error, read_text
 from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
@@ -27,7 +27,8 @@ from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
-from bayesfric.pooling.options import PoolingOptions
+from bayesfric.mechanism.joint import Joint
+from bayesfric.population.options import PoolingOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
@@ -213,7 +214,7 @@ class Config(BaseModel):
             try:
                 found[name] = Reference.model_validate(given, strict=True)
             except ValidationError as error:
-                raise complaint(f"{where}.", "value", error, given, Reference) from None
+                raise configuration_error(f"{where}.", "value", error, given, Reference) from None
         return found
 
     @contextmanager
@@ -283,6 +284,14 @@ def parse_config(text: str, path: Path) -> Config:
     return Config(path=path, text=text, tables=tables)
 
 
+def chain_of(config: str) -> Joint | None:
+    """Rebuild a run's chain from its configuration, where this version still reads that."""
+    try:
+        return parse_config(config, Path(RUN_CONFIG)).tables.mechanism.joint()
+    except BadInput:
+        return None
+
+
 def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
     """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
     if found := _LONG_KEY.search(text):
@@ -303,7 +312,7 @@ def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Chec
         if error.errors(include_url=False)[0]["type"] == "json_invalid":
             what = f"is nested too deep for a {kind}"
             raise BadInput(str(path), what, "correct the file") from None
-        raise complaint(f"{path}: ", kind, error, document, model) from None
+        raise configuration_error(f"{path}: ", kind, error, document, model) from None
 
 
 def _no_toml(path: Path, text: str, message: str) -> BadInput:

@@ -1,0 +1,1 @@
+"""What is asked: a configuration, and all that it names, read and prepared."""

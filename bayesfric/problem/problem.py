@@ -1,0 +1,282 @@
+"""A joint, what was measured of it and what is believed beforehand: all that is asked about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from bayesfric.diagnostics.explanation import Explanation, explain, unasked
+from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.policy import MOST
+from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.least_squares import TotalsProjection
+from bayesfric.estimates.methods import Given, estimate_by
+from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
+from bayesfric.inference.fitting import make_target, target_of
+from bayesfric.inference.likelihood.likelihood import Likelihood
+from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
+from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.noise import NOISE_MODELS
+from bayesfric.inference.prior.as_knowledge import as_knowledge
+from bayesfric.inference.target import Target
+from bayesfric.mechanism.derived import derive
+from bayesfric.mechanism.own_term import Term
+from bayesfric.problem.config import Config, read_config
+from bayesfric.problem.config_text import with_settings, with_terms
+from bayesfric.problem.preparation import prepare, residual_noise
+from bayesfric.progress import Progress, Shown, by_method, silent
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.trajectory import Trajectory, trajectory
+
+
+class Problem:
+    """What a configuration asks of recordings; :class:`bayesfric.Model` has its attributes."""
+
+    @classmethod
+    def from_config(
+        cls,
+        config: Config | Path | str,
+        *,
+        terms: Sequence[Term] = (),
+        recordings: Sequence[Recording] | None = None,
+    ) -> Self:
+        """Read what a configuration names; a finished run's ``config.toml`` is one.
+
+        Terms of one's own are functions, which no file holds: where it names some, give them.
+        ``recordings`` stand for those that it names, where not all are in files.
+        """
+        problem = cls.__new__(cls)
+        read = config if isinstance(config, Config) else read_config(Path(config))
+        problem._read(read, recordings, terms)
+        return problem
+
+    def with_term(self, term: Term) -> Self:
+        """Give the same with one more term of one's own; nothing is read from its result.
+
+        It goes through estimates, identification, sampling and report like any other.
+
+        Raises
+        ------
+        BadInput
+            If the joint has no such element.
+        """
+        kept = [one for one in self.chain.terms if one.name != term.name]
+        terms = [*kept, term]
+        named = with_terms(self.config, [one.name for one in terms])
+        return type(self).from_config(named, terms=terms, recordings=self.given or None)
+
+    def _read(
+        self,
+        config: Config,
+        recordings: Sequence[Recording] | None = None,
+        terms: Sequence[Term] = (),
+    ) -> None:
+        self.config, self.given = config, recordings or ()
+        found = prepare(config, recordings, terms)
+        self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
+        self.recordings, self.observations = found.recordings, found.observations
+        self.encoder = found.encoder
+        self.references()  # refuses what they cannot be of
+
+    def references(self) -> dict[str, dict[str, Any]]:
+        """Values to compare with, by name of what they are of.
+
+        Raises
+        ------
+        BadInput
+            If one is of something that no result of this mechanism is.
+        """
+        units = {p.name: p.unit for p in self.chain.parameters}
+        middle = np.ones((1, len(self.chain.names)))
+        units |= {q.name: q.unit for q in derive(self.chain, middle, 1.0)}
+        projection = TotalsProjection(self.chain, self.observations)
+        for name, label in zip(projection.names, projection.labels, strict=True):
+            units[label] = projection.describe(name)[0]
+        found, aliases = {}, projection.aliases()
+        for told, reference in self.config.references.items():
+            name = told if told in units else aliases.get(told, told)
+            if name not in units or (name != told and name in self.config.references):
+                raise BadInput(
+                    f"{self.config.path}: references.{told}",
+                    "no result of this mechanism has that name",
+                    nearest(told, units),
+                )
+            found[name] = {**reference.model_dump(), "unit": units[name]}
+        return found
+
+    def estimates(
+        self, methods: Sequence[Method] = METHODS, *, progress: Shown = silent
+    ) -> list[Estimate]:
+        """Estimate the parameters by one or more of the paper's methods.
+
+        Parameters
+        ----------
+        methods
+            Which; the output error starts from the input error's result.
+        progress
+            Called before each method begins.
+
+        Raises
+        ------
+        BadInput
+            If there is no such method, or one cannot be used with these recordings.
+        """
+        with self.config.named():
+            found = estimate_by(methods, self.evidence, progress=by_method(progress))
+        return list(found.values())
+
+    @property
+    def evidence(self) -> Given:
+        """What point estimates are made from."""
+        return Given(
+            self.chain,
+            self.observations,
+            as_knowledge(self.chain, self.priors),
+            self.config.tables.estimation,
+            self.trajectories,
+        )
+
+    def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
+        """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
+        pairs = zip(self.recordings, self.observations, strict=True)
+        return [trajectory(recording, observation, segment) for recording, observation in pairs]
+
+    def explain(
+        self,
+        estimates: Sequence[Estimate] = (),
+        *,
+        seed: int | None = None,
+        progress: Shown = silent,
+    ) -> Explanation:
+        """Ask what else explains the torque, judged by simulated twins of these recordings.
+
+        It begins at the first of the ``estimates`` that has all parameters, or at one of the input
+        error; ``seed`` replaces that of the table ``sampling``.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        if reason := unasked(self.chain, self.recordings, self.observations):
+            return Explanation(reason=reason)
+        point = self._point(estimates, progress)
+        progress(Progress("what else explains the torque"))
+        return explain(
+            self.chain,
+            self.recordings,
+            self.observations,
+            self.config.tables.processing,
+            point,
+            sorted(self.evidence.knowledge.fixed),
+            self.config.tables.sampling.seed if seed is None else seed,
+        )
+
+    def _point(self, estimates: Sequence[Estimate], progress: Shown) -> dict[str, float]:
+        """Give the first of the estimates that has all parameters, or one of the input error."""
+        found = next((dict(one.point) for one in estimates if one.point), None)
+        return found or dict(self.estimates(["input-error"], progress=progress)[0].point)
+
+    def completed(
+        self, *, progress: Shown = silent
+    ) -> tuple[Self, tuple[Finding, ...], Explanation]:
+        """Put in what else explains the torque, one term after the other, until nothing is left.
+
+        That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
+
+        Returns
+        -------
+        model
+            With all that was put in; its ``config`` says so.
+        taken
+            What was put in, in the order of the ranking.
+        left
+            What else explains the torque of that model, and no key puts in.
+
+        Raises
+        ------
+        BadInput
+            If nothing can be estimated from these recordings.
+        """
+        model, taken = self, list[Finding]()
+        while True:
+            left = model.explain(progress=progress)
+            tried = {"", *(one.hint for one in taken)}
+            wanted = [one for one in left.findings if one.hint not in tried]
+            better = next(filter(None, map(model._with, wanted[: MOST - len(taken)])), None)
+            if better is None:
+                return model, tuple(taken), left
+            one, model = better
+            taken.append(one)
+
+    def _with(self, one: Finding) -> tuple[Finding, Self] | None:
+        """Put in a finding; nothing where the configuration names what it would replace."""
+        lines = [one.hint]
+        if self.config.tables.mechanism.auto:  # what was found is written now
+            lines.append('mechanism.terms = "as written"')
+        with suppress(BadInput):
+            config, given = with_settings(self.config, lines), self.given or None
+            return one, type(self).from_config(config, terms=self.chain.terms, recordings=given)
+        return None
+
+    def target(
+        self, point: Mapping[str, float] | None = None, choice: Choice | None = None
+    ) -> Target:
+        """Log-posterior, in the coordinates that the sampler sees.
+
+        Parameters
+        ----------
+        point
+            Values near the mode, where the output-error likelihood takes its derivatives,
+            and whose residuals say which noise there is.
+        choice
+            What :meth:`noise_choice` gives at the point, where it was asked already.
+
+        Raises
+        ------
+        ValueError
+            Where there is something to take or to choose at the point, and none is given.
+        """
+        tables = self.config.tables
+        if tables.likelihood.method == "input-error":
+            if point is None and choice is None and self._chooses_noise:
+                raise ValueError(
+                    "which noise there is, the residuals of a point estimate say: give one, or "
+                    "take white_target() for white noise"
+                )
+            choice = choice or self.noise_choice(point)
+            noise = residual_noise(tables.noise, choice.order if choice else 0)
+            likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
+        elif point is None:
+            raise ValueError("the output-error likelihood needs a point estimate")
+        else:
+            whole = self.trajectories(tables.likelihood.segment)
+            with self.config.named():
+                likelihood = PositionLikelihood(
+                    self.chain, whole, self.observations, self.chain.vector(point)
+                )
+        priors = choice.told(self.priors) if choice else self.priors
+        return target_of(likelihood, priors, tables.noise.scale).uncut_at(point or {})
+
+    def white_target(self) -> Target:
+        """Log-posterior of the torque with white noise, whatever the configuration asks for."""
+        scale = self.config.tables.noise.scale
+        return make_target(self.chain, self.observations, self.priors, scale)
+
+    def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
+        """Choose the noise that the torque residuals of a point ask for, if it is not told."""
+        if point is None or not self._chooses_noise:
+            return None
+        apart = self.config.tables.noise.scale == "per-recording"
+        return choice_at(self.chain, self.observations, self.priors, point, per_recording=apart)
+
+    @property
+    def _chooses_noise(self) -> bool:
+        tables = self.config.tables
+        wanted = NOISE_MODELS[tables.noise.model].chooses(tables.noise.order)
+        return wanted and tables.likelihood.method == "input-error"
