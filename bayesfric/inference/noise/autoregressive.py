@@ -43,7 +43,6 @@ def _pacf(lag: int) -> Scale:
         unit="",
         shared=True,
         chosen=True,
-        at_bound="memory bound",
         remark="Its coefficients are told by partial autocorrelations [@barndorff1973].",
     )
 

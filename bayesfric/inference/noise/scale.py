@@ -31,10 +31,8 @@ class Scale:
     # whether all recordings have the same in any case: how noise is shaped, its memory or its
     # tails, comes from one bench
     shared: bool = False
-    chosen: bool = False  # whether the residuals of an estimate say if the noise has it
-    # sentence on a posterior that a bound holds, where no wider prior would mend it; see
-    # bayesfric.report.summary.bounds
-    at_bound: str = ""
+    # whether the residuals of an estimate say if the noise has it, and how much
+    chosen: bool = False
     remark: str = ""  # a sentence for the methods paragraph, with the reference it rests on
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:

@@ -55,26 +55,27 @@ def held(row: PosteriorRow) -> bool:
 def bound_mend(name: str, row: PosteriorRow) -> str:
     """Say what to do about the bound that holds a number; nothing where none does.
 
-    Runs of older versions do not tell where the bound is.
+    Nor where the bound is the residuals' own, a memory's. Runs of older versions do not tell where
+    the bound is.
     """
-    if not held(row) or row.bound is None:
+    if not held(row) or row.bound is None or _of_residuals(name):
         return ""
     bound = f"{row.bound:.4g} {row.unit}".strip()
     kind = "physical bound" if row.bound_physical else "set bound"
-    if of_noise(name) and (scale := SCALES.get(name.split(".")[1])) and scale.at_bound:
-        kind = scale.at_bound
     return line_of(kind, {"name": name, "bound": bound})
 
 
-def noise_cut(name: str, row: PosteriorRow) -> bool:
-    """Whether a prior keeps noise smaller than the data have it: intervals are then too narrow.
+def _of_residuals(name: str) -> bool:
+    """Whether it is of the noise, and the residuals of an estimate choose it."""
+    scale = SCALES.get(name.split(".")[1]) if of_noise(name) else None
+    return scale is not None and scale.chosen
 
-    Of noise that remembers, a bound keeps the model's own effects.
-    """
+
+def noise_cut(name: str, row: PosteriorRow) -> bool:
+    """Whether a prior keeps noise smaller than the data have it: intervals are then too narrow."""
     if not of_noise(name) or row.at_bound != "upper" or row.bound_physical or not held(row):
         return False
-    scale = SCALES.get(name.split(".")[1])
-    return scale is not None and not scale.at_bound and row.bound is not None
+    return name.split(".")[1] in SCALES and not _of_residuals(name) and row.bound is not None
 
 
 def bound_warning(name: str, row: PosteriorRow) -> str | None:
