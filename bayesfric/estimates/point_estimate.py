@@ -61,6 +61,19 @@ class Estimate:
     point: tuple[tuple[str, float], ...] = ()  # every chain parameter; empty for least squares
     converged: bool = True  # at a minimum; values have no sds where it is not
 
+    def betters(self, smaller: Estimate) -> bool:
+        """Whether what this model has beside a ``smaller`` one is worth it, and stands beside it.
+
+        By the Bayesian information criterion; and no number may come to stand on a bound, as what
+        is new has then taken its place.
+        """
+        held = {v.name for v in self.values if v.at_bound} - {
+            v.name for v in smaller.values if v.at_bound
+        }
+        more, n = len(self.point) - len(smaller.point), self.n_outputs
+        gain = 2.0 * n * math.log(smaller.residual_rms / self.residual_rms)
+        return not held and gain > more * math.log(n)
+
     def __getitem__(self, name: str) -> EstimatedValue:
         for value in self.values:
             if value.name == name:

@@ -187,6 +187,9 @@ class Problem:
     ) -> tuple[Self, tuple[Finding, ...], Explanation]:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
+        A term stays where the fit with it is the better one, see
+        :meth:`bayesfric.estimates.point_estimate.Estimate.betters`; else there is room for it.
+
         That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
 
         Returns
@@ -204,24 +207,29 @@ class Problem:
             If nothing can be estimated from these recordings.
         """
         model, taken = self, list[Finding]()
+        found = model.estimates(["input-error"], progress=progress)
         while True:
-            left = model.explain(progress=progress)
+            left = model.explain(found, progress=progress)
             tried = {"", *(one.hint for one in taken)}
             wanted = [one for one in left.findings if one.hint not in tried]
-            better = next(filter(None, map(model._with, wanted[: MOST - len(taken)])), None)
-            if better is None:
+            for one in wanted[: MOST - len(taken)]:
+                trial = model._with(one)
+                made = trial.estimates(["input-error"], progress=progress) if trial else found
+                if trial and made[0].betters(found[0]):
+                    model, found = trial, made
+                    taken.append(one)
+                    break
+            else:
                 return model, tuple(taken), left
-            one, model = better
-            taken.append(one)
 
-    def _with(self, one: Finding) -> tuple[Finding, Self] | None:
+    def _with(self, one: Finding) -> Self | None:
         """Put in a finding; nothing where the configuration names what it would replace."""
         lines = [one.hint]
         if self.config.tables.mechanism.auto:  # what was found is written now
             lines.append('mechanism.terms = "as written"')
         with suppress(BadInput):
             config, given = with_settings(self.config, lines), self.given or None
-            return one, type(self).from_config(config, terms=self.chain.terms, recordings=given)
+            return type(self).from_config(config, terms=self.chain.terms, recordings=given)
         return None
 
     def target(
