@@ -58,6 +58,7 @@ class Scales:
     cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
     push: float  # width of one, s
     names: tuple[str, ...]  # of the recordings
+    others: tuple[str, ...]  # further columns of any of them
     inertia: float  # motor torque an acceleration of the joint
     need: float  # rms of the load's acceleration by the motor
     band: float  # Hz
@@ -91,6 +92,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         cycles=cycles,
         push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
         names=tuple(o.name for o in observations),
+        others=tuple(dict.fromkeys(name for o in observations for name in o.inputs.others)),
         inertia=inertia,
         need=_rms(carried) / inertia,
         band=max(float(o.settings["band"]) for o in observations)
@@ -339,6 +341,15 @@ def _temperature(a: Along) -> Sets:
     return {"": [a.direction * warm, a.o.qd * warm]}
 
 
+def _another_signal(a: Along) -> Sets:
+    found = {}
+    for name in a.scales.others:
+        signal = a.o.inputs.others.get(name)
+        x = np.zeros_like(a.o.q) if signal is None else a.smooth(signal.at(a.o.stamps))
+        found[name] = [x, a.rate(x), a.rate(a.rate(x))]
+    return found
+
+
 KINDS: tuple[Kind, ...] = (
     Kind(
         "delay",
@@ -430,5 +441,6 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind("temperature", _temperature, option="temperature", choice="both"),
     Kind("load_torque", _load_torque),
+    Kind("another_signal", _another_signal),
 )
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}

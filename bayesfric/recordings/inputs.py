@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +41,8 @@ class Inputs:
 
     # that acts on the load from outside, as measured, N m or N
     load_torque: Signal | None = field(default=None, compare=False)
+    # further columns by name, which no model has
+    others: Mapping[str, Signal] = field(default_factory=dict, compare=False)
 
     @property
     def known_load(self) -> bool:

@@ -143,6 +143,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         if any(one.side == "motor" for one in source.load_torques):
             how += f"; what acts on the motor times {drive.ratio:g}"
         steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
+    others = {str(one): Signal(grid.time, grid.linear(table.column(one))) for one in source.others}
     excluded = _excluded(source, grid.time, warnings)
     left_out = [*_cut(time, *chosen), *_spans(excluded, grid.time, "exclude")]
     law = law if source.target is None else aims.law.on(grid)
@@ -166,7 +167,13 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
-        inputs=Inputs(source.added_mass, source.radius, temperature=warmth, load_torque=pushed),
+        inputs=Inputs(
+            source.added_mass,
+            source.radius,
+            temperature=warmth,
+            load_torque=pushed,
+            others=others,
+        ),
         steps=tuple(steps),
         warnings=tuple(warnings),
         # a mean over the sample has no bend to miss

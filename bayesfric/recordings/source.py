@@ -219,6 +219,11 @@ class Columns(Options):
         None,
         description="The joint's temperature, in 'degC' or 'K', for losses that depend on it.",
     )
+    others: tuple[str | int, ...] = Field(
+        (),
+        description="Further columns, such as another joint's position, speed or torque, that are "
+        "asked whether they explain the torque.",
+    )
     start: Seconds | None = Field(
         None, description="Leave out what lies before, in seconds from the first stamp."
     )
@@ -292,6 +297,7 @@ class Columns(Options):
         """Every column that is read."""
         channels = self.channels.values()
         found = [c for one in channels for c in (one.column, one.times) if c is not None]
+        found += self.others
         return found if self.valid is None else [*found, self.valid]
 
 

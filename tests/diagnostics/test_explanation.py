@@ -199,3 +199,21 @@ def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, alike, named, h
     found = finding(axis(), step)
     assert (found.kind, found.hint) == (named, hint)
     assert found.rivals == ((kind, "power") if named != kind else ())
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+def test_another_joints_acceleration_is_named_where_it_takes_torque(coupled):
+    """SIMULATED: a second joint swings beside; the column is asked, and another is not found."""
+    made = table().copy()
+    time = made["time"].to_numpy()
+    for name, hertz in (("q2", (0.31, 0.53, 0.83, 1.09, 1.37)), ("q3", (0.23, 0.61, 0.97, 1.51))):
+        made[name] = sum(np.sin(2.0 * np.pi * f * time + 9.0 * f) / f**2 for f in hertz)
+    pull = np.gradient(np.gradient(made["q2"], time), time)
+    size = 0.1 * made["torque"].std() / pull.std()
+    made["torque"] += coupled * size * pull
+    source = bf.Recording.from_dataframe(
+        made, time="time", position="position", torque="torque", side="motor", others=("q2", "q3")
+    )
+    found = Model(axis(), source).explain()
+    assert "another_signal" in found.kinds
+    assert [(f.kind, f.shape) for f in found.findings] == [("another_signal", "q2")] * coupled
