@@ -6,11 +6,20 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from bayesfric.mechanism.quantities import QUANTITIES
+
 # In the order of every list; those that others start from come before them.
 Method = Literal["least-squares", "input-error", "output-error"]
 METHODS: tuple[Method, ...] = get_args(Method)
 Kind = Literal["total", "derived", "parameter"]
 Bound = Literal["lower", "upper"]
+
+
+# Half a 90 % interval, in standard deviations.
+_HALF = 1.645
+# Quantities that shape others, and those that cannot be negative.
+_SHAPES = {name for name, row in QUANTITIES.items() if row.role == "form"}
+_POSITIVE = {name for name, row in QUANTITIES.items() if row.lower == 0.0}
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,16 @@ class EstimatedValue:
         return max((sd for sd in (self.sd, self.sd_robust) if not math.isnan(sd)), default=0.0)
 
     @property
+    def quantity(self) -> str:
+        """What it is, without whose."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def known(self) -> bool:
+        """Whether its 90 % interval leaves out zero."""
+        return self.at_bound is None and abs(self.value) > _HALF * self.larger_sd
+
+    @property
     def determined(self) -> bool:
         """Whether the data, or what is known besides, determine the number."""
         return math.isfinite(self.sd)
@@ -62,17 +81,30 @@ class Estimate:
     converged: bool = True  # at a minimum; values have no sds where it is not
 
     def betters(self, smaller: Estimate) -> bool:
-        """Whether what this model has beside a ``smaller`` one is worth it, and stands beside it.
+        """Whether what this model has beside a ``smaller`` one is worth it, known, and beside it.
 
-        By the Bayesian information criterion; and no number may come to stand on a bound, as what
-        is new has then taken its place.
+        By the Bayesian information criterion. Of what shapes it, and of its size, 90 % intervals
+        leave out zero; and no loss or inertia that was known comes to reach zero, as what is new
+        has then taken its place.
         """
-        held = {v.name for v in self.values if v.at_bound} - {
-            v.name for v in smaller.values if v.at_bound
-        }
+        here, before = ({v.name: v for v in one.parameters} for one in (self, smaller))
+        replaced = [
+            name
+            for name in here.keys() & before.keys()
+            if before[name].quantity in _POSITIVE and before[name].known and not here[name].known
+        ]
+        new = [v for name, v in here.items() if name not in before]
+        shapes = [v.known for v in new if v.quantity in _SHAPES]
+        sizes = [v.known for v in new if v.quantity not in _SHAPES]
         more, n = len(self.point) - len(smaller.point), self.n_outputs
         gain = 2.0 * n * math.log(smaller.residual_rms / self.residual_rms)
-        return not held and gain > more * math.log(n)
+        known = all(shapes) and (any(sizes) or not sizes)
+        return known and not replaced and gain > more * math.log(n)
+
+    @property
+    def parameters(self) -> list[EstimatedValue]:
+        """Those of the chain's own."""
+        return [v for v in self.values if v.kind == "parameter"]
 
     def __getitem__(self, name: str) -> EstimatedValue:
         for value in self.values:
