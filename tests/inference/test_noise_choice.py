@@ -5,6 +5,7 @@ import pytest
 
 from bayesfric.inference.likelihood.autoregression import simulated
 from bayesfric.inference.likelihood.noise_choice import choose_order
+from bayesfric.inference.prior.priors import read_prior
 
 FOLLOWS = np.ones(2999, dtype=bool)
 FOLLOWS[[500, 501, 1700]] = False
@@ -24,6 +25,22 @@ def test_the_order_is_found_again(partial, own):
     assert found.tried[0].bic == 0.0
     if partial:
         assert found.tried[0].p_value < 1e-6
+
+
+def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_another():
+    """Whose partial autocorrelations are known to one over the root of their number."""
+    rng = np.random.default_rng(4)
+    truth = np.array([0.8, -0.5])
+    n = FOLLOWS.size + 1
+    found = choose_order([simulated(truth, FOLLOWS, 1, rng)[0]], [FOLLOWS], True)
+    assert np.abs(np.array(found.memory) - truth).max() < 3.3 / np.sqrt(n)
+    free = read_prior("noise.pacf_1", [-0.95, 0.95], lower=-1.0, upper=1.0, default=True)
+    own = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
+    told = found.told({"noise.pacf_1": free, "noise.pacf_2": own})
+    assert told["noise.pacf_2"] is own
+    low, high = told["noise.pacf_1"].limits
+    assert low < found.memory[0] < high
+    assert high - low == pytest.approx(2.0 / np.sqrt(n))
 
 
 def test_residuals_of_nothing_are_white():
