@@ -29,10 +29,6 @@ def committed():
     return {name: read(name) for name in ("replication", "wrong_models", "fleets")}
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="the UR10e's halves and the XL330's trajectories scatter by 3 and 5: issue 41",
-)
 def test_measured_pairs_scatter_by_about_one(committed):
     every = committed["replication"]["cases"]["all"]
     assert every["told"]["n"] > 40
