@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from bayesfric.mechanism.quantities import QUANTITIES
-
 # In the order of every list; those that others start from come before them.
 Method = Literal["least-squares", "input-error", "output-error"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -17,9 +15,6 @@ Bound = Literal["lower", "upper"]
 
 # Half a 90 % interval, in standard deviations.
 _HALF = 1.645
-# Quantities that shape others, and those that cannot be negative.
-_SHAPES = {name for name, row in QUANTITIES.items() if row.role == "form"}
-_POSITIVE = {name for name, row in QUANTITIES.items() if row.lower == 0.0}
 
 
 @dataclass(frozen=True)
@@ -79,27 +74,6 @@ class Estimate:
     notes: tuple[str, ...] = ()  # what a user should know of how it came about, one sentence each
     point: tuple[tuple[str, float], ...] = ()  # every chain parameter; empty for least squares
     converged: bool = True  # at a minimum; values have no sds where it is not
-
-    def betters(self, smaller: Estimate) -> bool:
-        """Whether what this model has beside a ``smaller`` one is worth it, known, and beside it.
-
-        By the Bayesian information criterion. Of what shapes it, and of its size, 90 % intervals
-        leave out zero; and no loss or inertia that was known comes to reach zero, as what is new
-        has then taken its place.
-        """
-        here, before = ({v.name: v for v in one.parameters} for one in (self, smaller))
-        replaced = [
-            name
-            for name in here.keys() & before.keys()
-            if before[name].quantity in _POSITIVE and before[name].known and not here[name].known
-        ]
-        new = [v for name, v in here.items() if name not in before]
-        shapes = [v.known for v in new if v.quantity in _SHAPES]
-        sizes = [v.known for v in new if v.quantity not in _SHAPES]
-        more, n = len(self.point) - len(smaller.point), self.n_outputs
-        gain = 2.0 * n * math.log(smaller.residual_rms / self.residual_rms)
-        known = all(shapes) and (any(sizes) or not sizes)
-        return known and not replaced and gain > more * math.log(n)
 
     @property
     def parameters(self) -> list[EstimatedValue]:

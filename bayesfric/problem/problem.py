@@ -13,6 +13,7 @@ from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
+from bayesfric.estimates.larger_model import better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import Given, estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
@@ -188,7 +189,7 @@ class Problem:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
         A term stays where the fit with it is the better one, see
-        :meth:`bayesfric.estimates.point_estimate.Estimate.betters`; else there is room for it.
+        :func:`bayesfric.estimates.larger_model.better`; else there is room for it.
 
         That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
 
@@ -215,7 +216,7 @@ class Problem:
             for one in wanted[: MOST - len(taken)]:
                 trial = model._with(one)
                 made = trial.estimates(["input-error"], progress=progress) if trial else found
-                if trial and made[0].betters(found[0]):
+                if trial and better(made[0], found[0]):
                     model, found = trial, made
                     taken.append(one)
                     break

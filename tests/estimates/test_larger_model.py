@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from bayesfric.estimates.larger_model import better
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 
 N = 400
@@ -27,7 +28,7 @@ SMALL = {"inertia": (0.1, 0.01), "coulomb": (0.3, 0.01), "offset": (0.05, 0.01)}
 def test_a_term_is_worth_what_the_information_criterion_says(share, worth):
     rms = math.exp(-share * math.log(N) / (2.0 * N))
     larger = estimate(rms, **SMALL, quadratic=(0.02, 0.002))
-    assert larger.betters(estimate(1.0, **SMALL)) == worth
+    assert better(larger, estimate(1.0, **SMALL)) == worth
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,7 @@ def test_a_term_is_worth_what_the_information_criterion_says(share, worth):
     ],
 )
 def test_a_term_has_to_be_known(new, worth):
-    assert estimate(0.5, **SMALL, **new).betters(estimate(1.0, **SMALL)) == worth
+    assert better(estimate(0.5, **SMALL, **new), estimate(1.0, **SMALL)) == worth
 
 
 @pytest.mark.parametrize(
@@ -50,4 +51,4 @@ def test_a_term_leaves_known_what_cannot_be_negative(quantity, worth):
     """An offset may come to be nothing; a loss that does was replaced."""
     changed = SMALL | {quantity: (0.001, 0.01)}
     larger = estimate(0.5, **changed, power=(0.3, 0.01))
-    assert larger.betters(estimate(1.0, **SMALL)) == worth
+    assert better(larger, estimate(1.0, **SMALL)) == worth
