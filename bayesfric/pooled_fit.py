@@ -26,7 +26,6 @@ from bayesfric.population.population import (
     likelihood,
     population,
 )
-from bayesfric.problem.preparation import residual_noise
 from bayesfric.problem.problem import Problem
 from bayesfric.problem.starting_point import starting_point
 from bayesfric.progress import Progress, Shown, Spent
@@ -89,8 +88,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
         settings = settings.model_copy(update={"seed": seed})
     _check(problem, vary)
     choice = starting_point(problem, progress=progress).choice
-    noise = residual_noise(tables.noise, choice.order if choice else 0)
-    priors = choice.told(problem.priors) if choice else problem.priors
+    noise, priors = problem.remembering(choice)
     targets, alone = [], []
     for k, observation in enumerate(problem.observations):
         progress(Progress(f"recording {observation.name}"))

@@ -3,6 +3,8 @@
 ``studies/diagnostics`` says what they give.
 """
 
+from bayesfric.estimates.point_estimate import HALF
+
 # Of recordings whose model is right, the share in which anything is said to be missing.
 FALSE_ALARMS = 0.05
 # Twins that tell what chance does, and samples of recordings that are asked at most, as a fit and a
@@ -15,7 +17,7 @@ LEAST_OUTPUTS = 20
 TESTABLE = 0.015
 # Standard deviations that a certain effect must move a reported number by for that to be doubted:
 # half the width of its 90 % interval.
-MOVES = 1.645
+MOVES = HALF
 # Most effects that are looked for one after the other.
 MOST = 4
 # Cosine from which two candidates are one group: this motion does not tell them apart; and the

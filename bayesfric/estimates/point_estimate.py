@@ -13,8 +13,8 @@ Kind = Literal["total", "derived", "parameter"]
 Bound = Literal["lower", "upper"]
 
 
-# Half a 90 % interval, in standard deviations.
-_HALF = 1.645
+# Half a 90 % interval of a normal distribution, in standard deviations.
+HALF = 1.645
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class EstimatedValue:
     @property
     def known(self) -> bool:
         """Whether its 90 % interval leaves out zero."""
-        return self.at_bound is None and abs(self.value) > _HALF * self.larger_sd
+        return self.at_bound is None and abs(self.value) > HALF * self.larger_sd
 
     @property
     def determined(self) -> bool:

@@ -13,6 +13,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fleet.population import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.report.figures import style
 
@@ -23,7 +24,7 @@ _ACROSS, _MOST, _HIGH = 2, 8, 1.5
 # More points than this are a picture inside the drawing.
 _VECTOR = 300
 # Share of the population between the lines.
-_CENTRAL, _REACH = "90 %", 1.645
+_CENTRAL, _REACH = "90 %", HALF
 
 
 def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:

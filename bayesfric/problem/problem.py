@@ -23,7 +23,9 @@ from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import NOISE_MODELS
+from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.as_knowledge import as_knowledge
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.own_term import Term
@@ -208,15 +210,17 @@ class Problem:
             If nothing can be estimated from these recordings.
         """
         model, taken = self, list[Finding]()
-        found = model.estimates(["input-error"], progress=progress)
+        asked = not unasked(self.chain, self.recordings, self.observations)
+        found = model.estimates(["input-error"], progress=progress) if asked else []
         while True:
             left = model.explain(found, progress=progress)
             tried = {"", *(one.hint for one in taken)}
             wanted = [one for one in left.findings if one.hint not in tried]
             for one in wanted[: MOST - len(taken)]:
-                trial = model._with(one)
-                made = trial.estimates(["input-error"], progress=progress) if trial else found
-                if trial and better(made[0], found[0]):
+                if (trial := model._with(one)) is None:
+                    continue
+                made = trial.estimates(["input-error"], progress=progress)
+                if better(made[0], found[0]):
                     model, found = trial, made
                     taken.append(one)
                     break
@@ -251,7 +255,7 @@ class Problem:
         ValueError
             Where there is something to take or to choose at the point, and none is given.
         """
-        tables = self.config.tables
+        tables, priors = self.config.tables, self.priors
         if tables.likelihood.method == "input-error":
             if point is None and choice is None and self._chooses_noise:
                 raise ValueError(
@@ -259,7 +263,7 @@ class Problem:
                     "take white_target() for white noise"
                 )
             choice = choice or self.noise_choice(point)
-            noise = residual_noise(tables.noise, choice.order if choice else 0)
+            noise, priors = self.remembering(choice)
             likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
         elif point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
@@ -269,8 +273,12 @@ class Problem:
                 likelihood = PositionLikelihood(
                     self.chain, whole, self.observations, self.chain.vector(point)
                 )
-        priors = choice.told(self.priors) if choice else self.priors
         return target_of(likelihood, priors, tables.noise.scale).uncut_at(point or {})
+
+    def remembering(self, choice: Choice | None) -> tuple[ResidualNoise, dict[str, Prior]]:
+        """Give the torque's noise of a choice, and priors in which it remembers as that says."""
+        noise = residual_noise(self.config.tables.noise, choice.order if choice else 0)
+        return noise, choice.priors(self.priors) if choice else self.priors
 
     def white_target(self) -> Target:
         """Log-posterior of the torque with white noise, whatever the configuration asks for."""

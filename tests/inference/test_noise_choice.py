@@ -36,7 +36,7 @@ def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_anoth
     assert np.abs(np.array(found.memory) - truth).max() < 3.3 / np.sqrt(n)
     free = read_prior("noise.pacf_1", [-0.95, 0.95], lower=-1.0, upper=1.0, default=True)
     own = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
-    told = found.told({"noise.pacf_1": free, "noise.pacf_2": own})
+    told = found.priors({"noise.pacf_1": free, "noise.pacf_2": own})
     assert told["noise.pacf_2"] is own
     low, high = told["noise.pacf_1"].limits
     assert low < found.memory[0] < high

@@ -70,7 +70,7 @@ class Choice:
     ] = ()  # partial autocorrelations of the residuals, as many as the order
     sd: float = 0.0  # to which the residuals tell them
 
-    def told(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
+    def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
         """Give priors in which the memory is that of these residuals.
 
         Sampled freely it may leave where it is harmless: with a longer one any fit is a good one.
@@ -158,8 +158,9 @@ def choose_order(
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
     if best.bic >= -EVIDENCE:
         return Choice(0, tuple(tried))
-    memory = np.clip(ar.burg(scaled, follows, best.order), -MEMORY, MEMORY)
-    return Choice(best.order, tuple(tried), tuple(memory.tolist()), 1.0 / math.sqrt(n))
+    # of fewer predecessors Burg's are the first of these
+    memory = tuple(partial[: best.order].tolist())
+    return Choice(best.order, tuple(tried), memory, 1.0 / math.sqrt(n))
 
 
 class _Plain:

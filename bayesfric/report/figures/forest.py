@@ -11,13 +11,13 @@ from matplotlib.legend_handler import HandlerLine2D
 from matplotlib.lines import Line2D
 
 from bayesfric.errors import BadInput
+from bayesfric.estimates.point_estimate import HALF
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
 from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_colour, shortened
 from bayesfric.report.summary.derived_quantities import LEVEL
-from bayesfric.report.summary.rows import HALF
 
 # Up to so many panels stand below each other in one column of a paper.
 _FEW = 4

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.estimates.point_estimate import Kind
+from bayesfric.estimates.point_estimate import HALF, Kind
 from bayesfric.identifiability.local import Verdict
 from bayesfric.report.summary.part import (
     Bound,
@@ -23,8 +23,6 @@ from bayesfric.results.reported import Reported
 
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
-# Half width of a 90 % interval of a normal distribution, in standard deviations.
-HALF = 1.645
 
 
 def is_skewed(middle: float, low: float, high: float) -> bool:
