@@ -34,6 +34,11 @@ class Coordinates(Protocol):
         """Whether there are others, in which a posterior that is bent here is straight."""
         ...
 
+    @property
+    def apart(self) -> tuple[slice, BoundedCoordinates]:
+        """Coordinates of parameters that go each by itself, and how."""
+        ...
+
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """Map ``(n, d)`` to those, with the log Jacobian of that ``(n,)``."""
         ...
@@ -113,6 +118,22 @@ class BoundedCoordinates:
             return np.where(self._between, ndtri(share), u)
 
     bends = False
+
+    @property
+    def apart(self) -> tuple[slice, BoundedCoordinates]:
+        """See :class:`Coordinates`: these are all."""
+        return slice(0, self.lower.size), self
+
+    def unbounded(self, u: Array) -> Array:
+        """Give values ``(n, d)`` that a bound cuts off, instead of bending towards it.
+
+        Those between two bounds that are near stay quantiles.
+        """
+        return np.where(self._between, u, self.to_parameters(u)[0])
+
+    def from_unbounded(self, x: Array) -> Array:
+        """Undo :meth:`unbounded`; not finite beyond a bound."""
+        return np.where(self._between, x, self.from_parameters(x))
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`: these are straight."""

@@ -34,6 +34,7 @@ from scipy.special import expit, logsumexp
 
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]
@@ -41,8 +42,8 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# How often a move to where nothing can be is halved.
-_HALVINGS = 12
+# How often a move to where nothing can be is drawn anew.
+_TRIES = 12
 # Scales of a candidate, as shares of the torque's rms.
 _GRID = np.geomspace(3e-5, 0.5, 24)
 # Scale of the half-Cauchy of the scale that all others are around.
@@ -90,10 +91,12 @@ class Missing:
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """How far the model may be off, in straight coordinates of the target."""
+    """How far the model may be off, in a target's unbounded coordinates."""
 
     chance: float  # that something is missing
-    moves: Array  # (n, d) draws of how far the numbers then are off
+    moves: Array  # (n, k) draws of how far the numbers of the model then are off
+    shift: Array  # (k,) from the mean of the posterior to what the data say without bounds
+    covariance: Array  # (k, k) of that
 
     @property
     def shown(self) -> bool:
@@ -106,30 +109,49 @@ class Discrepancy:
         return _TAKEN * self.chance
 
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
-        """Move draws of the posterior ``(n, d)`` by as much as the model may be off."""
+        """Move draws of the posterior ``(n, d)`` by as much as the model may be off.
+
+        What the data say is moved, and bounds cut it afterwards: a draw that ends beyond one is
+        moved anew. What stays beyond is where the bound holds it, and the others go with it.
+        """
         if not self.shown:
             return parameters
-        u, _ = target.straighten(target.from_parameters(parameters))
-        step = self.moves[rng.integers(len(self.moves), size=len(u))]
-        found, left = parameters.copy(), np.flatnonzero(rng.uniform(size=len(u)) < self.chance)
-        for _ in range(_HALVINGS):
-            if not left.size:
-                break
-            moved, slope = target.to_parameters(target.bend(u[left] + step[left]))
-            possible = np.isfinite(slope) & np.isfinite(moved).all(axis=1)
-            # not every coordinate ends where a prior does
-            possible[possible] = np.isfinite(target.log_prior(moved[possible]))
-            found[left[possible]] = moved[possible]
-            left = left[~possible]
-            step[left] *= 0.5
-        # so far out that it has no counterpart: stays where it was
+        v, found, k = target.unbounded(parameters), parameters.copy(), len(self.shift)
+        left = np.flatnonzero(rng.uniform(size=len(v)) < self.chance)
+        moved = v[left]
+        for _ in range(_TRIES):
+            moved = v[left]
+            moved[:, :k] += self.shift + self.moves[rng.integers(len(self.moves), size=len(left))]
+            possible = _put(target, found, left, moved)
+            left, moved = left[~possible], moved[~possible]
+        held = self._held(v[left, :k], moved[:, :k], target.beyond(moved)[:, :k])
+        _put(target, found, left, np.concatenate([held, moved[:, k:]], axis=1))
         return found
+
+    def _held(self, before: Array, moved: Array, beyond: NDArray[np.bool_]) -> Array:
+        """Leave where it was what ends ``beyond`` bounds; the others follow, ``(n, k)`` each."""
+        out = moved.copy()
+        for case in np.unique(beyond, axis=0):
+            here, on = np.flatnonzero((beyond == case).all(axis=1)), np.flatnonzero(case)
+            cross, own = self.covariance[:, on], self.covariance[np.ix_(on, on)]
+            back = before[np.ix_(here, on)] - moved[np.ix_(here, on)]
+            out[here] += back @ np.linalg.solve(own, cross.T)
+            out[np.ix_(here, on)] = before[np.ix_(here, on)]
+        return out
+
+
+def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.bool_]:
+    """Put what is possible into the rows of ``found``, and say what that is."""
+    parameters = target.from_unbounded(moved)
+    possible = np.isfinite(parameters).all(axis=1)
+    found[rows[possible]] = parameters[possible]
+    return np.asarray(possible)
 
 
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
     """Marginalise what may be missing; nothing is where nobody could ask."""
-    d = len(target.names)
-    none = Discrepancy(0.0, np.zeros((1, d)))
+    k = len(target.free)
+    none = Discrepancy(0.0, np.zeros((1, k)), np.zeros(k), np.eye(k))
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":
         return none
@@ -139,12 +161,11 @@ def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -
     around = _Around.of(target, posterior)
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13,)))
     off = -Sizes(missing).drawn(rng) @ around.follows(missing.columns).T
-    k, mean = off.shape[1], off.mean(axis=0)
+    mean = off.mean(axis=0)
     # the mean is taken in part, and for the rest may be there or not, to either side
     spread = (1.0 - _TAKEN) * rng.standard_normal((len(off), 1)) * mean
-    moves = np.zeros((len(off), d))
-    moves[:, :k] = (off - (1.0 - _TAKEN) * mean + spread) @ around.root.T
-    return Discrepancy(chance, moves)
+    moves = off - (1.0 - _TAKEN) * mean + spread
+    return Discrepancy(chance, moves, around.shift, around.covariance)
 
 
 def chance_missing(missing: Missing) -> float:
@@ -292,36 +313,68 @@ def _drawn(log_weights: Array, rng: np.random.Generator) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Around:
-    """The fit as a linear regression in unit noise and unit posterior."""
+    """The fit as a linear regression in unit noise, as if no bound held anything.
+
+    Posterior draws tell the covariance, of likelihood and prior together. Of what a bound holds
+    they do not; but what follows from it they do, as a normal that is cut keeps its conditionals.
+    So of that alone the information is the likelihood's, along what follows, and the prior's.
+    """
 
     likelihood: TorqueLikelihood
     scales: Array
-    rows: Array  # (n, k) what outputs change by for one posterior sd, in orthogonal directions
-    root: Array  # (k, k) from those directions to straight coordinates
+    rows: Array  # (n, k) what outputs change by for changes of one
+    covariance: Array  # (k, k)
+    shift: Array  # (k,) from the posterior's mean to the estimate without bounds
 
     @classmethod
     def of(cls, target: Target, posterior: Posterior) -> _Around:
         k, likelihood = len(target.free), target.likelihood
         assert isinstance(likelihood, TorqueLikelihood)
-        u, _ = target.straighten(target.from_parameters(posterior.flat(_DRAWS)))
-        u = u[np.isfinite(u).all(axis=1)]
-        root = np.linalg.cholesky(np.atleast_2d(np.cov(u[:, :k].T)))
+        draws = posterior.flat(_DRAWS)
+        v = target.unbounded(draws)
+        v = v[np.isfinite(v).all(axis=1)]
+        middle, covariance = v.mean(axis=0), np.atleast_2d(np.cov(v[:, :k].T))
+        root = np.linalg.cholesky(covariance)
         # central differences over a sizeable step: what a kink does to a draw counts, not its slope
-        steps = np.zeros((2 * k + 1, u.shape[1]))
+        steps = np.zeros((2 * k + 1, v.shape[1]))
         steps[:k, :k], steps[k : 2 * k, :k] = _STEP * root.T, -_STEP * root.T
-        parameters, _ = target.to_parameters(target.bend(u.mean(axis=0) + steps))
+        parameters = target.from_unbounded(middle + steps)
         predicted = likelihood.predict(target.chain_values(parameters))
         scales = target.noise.scales(parameters[-1:, k:])[0]
         changes = [(p[:k] - p[k : 2 * k]) / (2.0 * _STEP) for p in predicted]
-        rows = np.concatenate(likelihood.innovations(changes, scales), axis=1).T
-        return cls(likelihood, scales, rows, root)
+        unit = np.concatenate(likelihood.innovations(changes, scales), axis=1)
+        rows = np.linalg.solve(root.T, unit).T
+        left = [o.measured - p[-1] for o, p in zip(likelihood.outputs, predicted, strict=True)]
+        white = np.concatenate(likelihood.innovations(left, scales))
+        pull = np.zeros(k)  # of the priors, on what a bound holds
+        for i, prior in enumerate(target.priors[:k]):
+            if side := bound_of(draws[:, i], *prior.limits):
+                low, high = prior.limits
+                pull[i] = (high if side == "upper" else low) - middle[i]
+        known = np.array([prior.sd() for prior in target.priors[:k]]) ** -2.0
+        return cls(likelihood, scales, rows, *_without_bounds(covariance, rows, white, pull, known))
 
     def follows(self, columns: Array) -> Array:
-        """Give what the estimate moves by for columns ``(n, m)`` of outputs: ``(k, m)``.
-
-        In posterior sds, in which the precision of likelihood and prior together is one.
-        """
+        """Give what the estimate moves by for columns ``(n, m)`` of outputs: ``(k, m)``."""
         ends = np.cumsum([o.measured.size for o in self.likelihood.outputs])[:-1]
         parts = [part.T for part in np.split(columns, ends)]
         white = np.concatenate(self.likelihood.innovations(parts, self.scales), axis=1).T
-        return np.asarray(self.rows.T @ white)
+        return np.asarray(self.covariance @ (self.rows.T @ white))
+
+
+def _without_bounds(
+    covariance: Array, rows: Array, left: Array, pull: Array, known: Array
+) -> tuple[Array, Array]:
+    """Give covariance ``(k, k)`` and shift of the mean ``(k,)`` without bounds.
+
+    ``pull`` ``(k,)`` is the way to the bound that holds a number, else zero, and ``known`` the
+    information of its prior there.
+    """
+    on = np.flatnonzero(pull)
+    # what the others do when a held one changes by one, and what is left of their covariance
+    follow = np.linalg.solve(covariance[np.ix_(on, on)], covariance[on]).T
+    rest = covariance - follow @ covariance[on]
+    along = rows @ follow
+    own = np.linalg.inv(along.T @ along + np.diag(known[on]))
+    shift = own @ (along.T @ left + known[on] * pull[on])
+    return rest + follow @ own @ follow.T, follow @ shift

@@ -151,6 +151,11 @@ class GearboxCoordinates:
         """Whether :meth:`straighten` does anything."""
         return self._scale not in ("known", "one", "known drive", "known back")
 
+    @property
+    def apart(self) -> tuple[slice, BoundedCoordinates]:
+        """See :class:`Coordinates`."""
+        return slice(int(self._ends[3]), int(self._ends[4])), self._bounded
+
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """Map to coordinates in which the torque is linear, and ``log|d straight / d u|``.
 

@@ -166,6 +166,35 @@ class Target(LogPosterior):
         k = len(self.free)
         return np.concatenate([self.coordinates.bend(v[:, :k]), v[:, k:]], axis=1)
 
+    def unbounded(self, parameters: Array) -> Array:
+        """Map parameters ``(n, d)`` to straight coordinates in which bounds cut and do not bend."""
+        u = self.from_parameters(parameters)
+        v, (here, bounded) = self.straighten(u)[0].copy(), self.coordinates.apart
+        v[:, here] = bounded.unbounded(u[:, here])
+        return v
+
+    def from_unbounded(self, v: Array) -> Array:
+        """Undo :meth:`unbounded`; rows that are impossible are not finite."""
+        here, bounded = self.coordinates.apart
+        u, out = v.copy(), np.full(v.shape, np.nan)
+        u[:, here] = bounded.from_unbounded(v[:, here])
+        u = self.bend(u)
+        possible = np.isfinite(u).all(axis=1)
+        parameters, slope = self.to_parameters(u[possible])
+        told = np.isfinite(slope) & np.isfinite(parameters).all(axis=1)
+        # not every coordinate ends where a prior does
+        told[told] = np.isfinite(self.log_prior(parameters[told]))
+        possible[possible] = told
+        out[possible] = parameters[told]
+        return out
+
+    def beyond(self, v: Array) -> NDArray[np.bool_]:
+        """Say which of unbounded coordinates ``(n, d)`` lie beyond a bound."""
+        here, bounded = self.coordinates.apart
+        out = np.zeros(v.shape, dtype=np.bool_)
+        out[:, here] = ~np.isfinite(bounded.from_unbounded(v[:, here]))
+        return out
+
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of physical parameters ``(n, d)``."""
         return self._joint_prior.log_density(parameters)

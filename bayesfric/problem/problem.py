@@ -13,7 +13,7 @@ from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.errors import BadInput, nearest
-from bayesfric.estimates.larger_model import better
+from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import Given, estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
@@ -190,7 +190,7 @@ class Problem:
     ) -> tuple[Self, tuple[Finding, ...], Explanation]:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
-        A term stays where the fit with it is the better one, see
+        A term stays where the model with it tells more of what it has not seen, see
         :func:`bayesfric.estimates.larger_model.better`; else there is room for it.
 
         That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
@@ -210,22 +210,25 @@ class Problem:
             If nothing can be estimated from these recordings.
         """
         model, taken = self, list[Finding]()
-        asked = not unasked(self.chain, self.recordings, self.observations)
-        found = model.estimates(["input-error"], progress=progress) if asked else []
+        if unasked(self.chain, self.recordings, self.observations):
+            return self, (), self.explain()
+        found = self._candidate(progress)
         while True:
-            left = model.explain(found, progress=progress)
+            left = model.explain([found.estimate], progress=progress)
             tried = {"", *(one.hint for one in taken)}
             wanted = [one for one in left.findings if one.hint not in tried]
             for one in wanted[: MOST - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue
-                made = trial.estimates(["input-error"], progress=progress)
-                if better(made[0], found[0]):
+                if better(made := trial._candidate(progress), found):
                     model, found = trial, made
                     taken.append(one)
                     break
             else:
                 return model, tuple(taken), left
+
+    def _candidate(self, progress: Shown) -> Candidate:
+        return Candidate(self.evidence, self.estimates(["input-error"], progress=progress)[0])
 
     def _with(self, one: Finding) -> Self | None:
         """Put in a finding; nothing where the configuration names what it would replace."""

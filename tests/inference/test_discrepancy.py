@@ -6,12 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.special import logsumexp
+from scipy.stats import kstest, truncnorm
 
 import bayesfric as bf
 from bayesfric.inference.discrepancy import (
     Discrepancy,
     Missing,
     Sizes,
+    _without_bounds,
     chance_missing,
     discrepancy,
 )
@@ -134,17 +136,70 @@ def test_where_nobody_could_ask_nothing_is_missing(right):
     np.testing.assert_array_equal(none.widened(right.fit.target, draws, rng), draws)
 
 
-def test_draws_are_moved_by_the_shift_alone_where_nothing_is_spread(right):
-    """In straight coordinates, where priors and bounds allow it."""
-    target, draws = right.fit.target, right.fit.posterior.flat(200)
-    straight = target.straighten(target.from_parameters(draws))[0]
-    d = draws.shape[1]
-    shift = np.zeros(d)
-    shift[0] = 2.0 * straight[:, 0].std()
-    room = Discrepancy(1.0, shift[None])
+def moving(right, name, by, sd, n=4000):
+    """Draws of one number, moved by normal steps of a room of their own, and those before."""
+    target, draws = right.fit.target, right.fit.posterior.flat(n)
+    i, k = target.names.index(name), len(target.free)
+    moves, rng = np.zeros((n, k)), np.random.default_rng(3)
+    moves[:, i] = by + sd * rng.standard_normal(n)
+    room = Discrepancy(1.0, moves, np.zeros(k), np.cov(draws[:, :k].T))
+    return room.widened(target, draws, np.random.default_rng(4)), draws, i
+
+
+def test_draws_are_moved_by_the_steps_where_no_bound_is_near(right):
+    moved, draws, i = moving(right, "offset", by=0.2, sd=0.0)
+    draws[:, i] += 0.2
+    np.testing.assert_allclose(moved, draws, rtol=1e-9, atol=1e-12)
+
+
+def test_a_bound_cuts_what_was_moved(right):
+    """A normal step that leaves much of viscous friction below zero gives a cut normal."""
+    moved, draws, i = moving(right, "motor.viscous", by=-0.15, sd=0.1)
+    mean, sd = draws[:, i].mean() - 0.15, np.hypot(draws[:, i].std(), 0.1)
+    cut = truncnorm(-mean / sd, np.inf, mean, sd)
+    # of two samples with as many; some hundred are left where they were, twelve steps below zero
+    assert kstest(moved[:, i], cut.cdf).statistic < 0.05
+
+
+def test_what_a_bound_holds_draws_the_others_along(right):
+    """Far beyond zero viscous friction stays, and Coulomb friction goes as regression says."""
+    target, draws = right.fit.target, right.fit.posterior.flat(500)
+    k = len(target.free)
+    i, j = (target.names.index(f"motor.{n}") for n in ("viscous", "coulomb"))
+    covariance = np.eye(k)
+    covariance[i, j] = covariance[j, i] = -0.5
+    shift = np.zeros(k)
+    shift[i], shift[j] = -1.0, 0.7
+    room = Discrepancy(1.0, np.zeros((1, k)), shift, covariance)
     moved = room.widened(target, draws, np.random.default_rng(0))
-    after = target.straighten(target.from_parameters(moved))[0]
-    np.testing.assert_allclose(after, straight + shift, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(moved[:, i], draws[:, i])
+    np.testing.assert_allclose(moved[:, j], draws[:, j] + 0.7 - 0.5 * 1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_its_bound_a_cut_normal_is_whole(seed):
+    """What regression says, from draws that a bound has cut: a third of a per cent of them."""
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((400, 3)) @ np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.3], [0, 0, 1]])
+    covariance = np.linalg.inv(rows.T @ rows)
+    estimate = np.array([-2.5 * np.sqrt(covariance[0, 0]), 0.4, -0.2])
+    y = rows @ estimate
+    # exact draws of the first, then of the others given it
+    sd = np.sqrt(covariance[0, 0])
+    first = truncnorm(2.5, np.inf, estimate[0], sd).rvs(40_000, random_state=rng)
+    rest = covariance[1:, 1:] - np.outer(covariance[1:, 0], covariance[0, 1:]) / sd**2
+    others = estimate[1:] + np.outer(first - estimate[0], covariance[0, 1:] / sd**2)
+    others += rng.multivariate_normal(np.zeros(2), rest, size=first.size)
+    draws = np.column_stack([first, others])
+    mean = draws.mean(axis=0)
+    pull = np.array([0.0 - mean[0], 0.0, 0.0])
+    whole, shift = _without_bounds(np.cov(draws.T), rows, y - rows @ mean, pull, np.zeros(3))
+    sds = np.sqrt(np.diag(covariance))
+    # slopes are known to 1 in sqrt(40,000) on a third of an sd, and reach 2.8: 4 % of an sd
+    np.testing.assert_allclose(mean + shift, estimate, atol=0.15 * sds.max())
+    np.testing.assert_allclose(
+        whole / np.outer(sds, sds), covariance / np.outer(sds, sds), atol=0.05
+    )
 
 
 def test_what_no_candidate_moves_stays(right):
@@ -159,6 +214,6 @@ def test_what_no_candidate_moves_stays(right):
     assert room.chance > 0.99
     # by chance each direction of unit noise is moved by size times the rms over the noise
     most = 0.3 * np.sqrt(np.mean(o.measured**2)) / fit.posterior["noise.sigma"].mean()
-    straight = fit.target.straighten(fit.target.from_parameters(fit.posterior.flat(500)))[0]
-    steps = np.abs(room.moves.mean(axis=0)[:-1]) / straight[:, :-1].std(axis=0)
+    straight = fit.target.unbounded(fit.posterior.flat(500))
+    steps = np.abs(room.moves.mean(axis=0)) / straight[:, :-1].std(axis=0)
     assert steps.max() < 4.0 * most * np.sqrt(steps.size)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,18 @@ _TURN_TYPED = 0.02
 _LEAST_MASS = 1e-6
 # Sd over value of a told prior that is there because the value is known.
 KNOWN = 0.2
+
+
+Side = Literal["lower", "upper"]
+
+
+def bound_of(x: Array, low: float, high: float) -> Side | None:
+    """Say which end a sample ``(n,)`` leans on: 5 % of it lie within a fifth of its sd."""
+    first, last = np.quantile(x, [0.05, 0.95])
+    near = 0.2 * x.std()
+    if first - low < near:
+        return "lower"
+    return "upper" if high - last < near else None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.noise import SCALES
+from bayesfric.inference.prior.priors import bound_of
 from bayesfric.report.summary.part import Bound
 from bayesfric.report.summary.record import Own, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
@@ -28,17 +29,16 @@ _SAME = 1e-9
 def leaning(
     x: NDArray[np.float64], prior: tuple[float, float], possible: tuple[float, float]
 ) -> dict[str, Any]:
-    """Say on which bound a posterior leans: 5 % of it within a fifth of an sd of the bound.
-
-    A bound of the prior is physical where the parameter can go no further.
-    """
-    low, high = np.quantile(x, [0.05, 0.95])
-    near = 0.2 * x.std()
-    if not (low - prior[0] < near or prior[1] - high < near):
+    """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
+    side = bound_of(x, *prior)
+    if side is None:
         return {"at_bound": None}
-    side = 0 if low - prior[0] < near else 1
-    bound = {"at_bound": ("lower", "upper")[side], "bound": prior[side]}
-    return bound | {"bound_physical": prior[side] == possible[side]}
+    end = 0 if side == "lower" else 1
+    return {
+        "at_bound": side,
+        "bound": prior[end],
+        "bound_physical": prior[end] == possible[end],
+    }
 
 
 def told_by_data(row: PosteriorRow) -> bool:

@@ -59,7 +59,6 @@ def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
         # before what else may be wrong: it may all come of this
         *_strange_velocity(fit.observations),
         *_missing(summary, resting),
-        *_squeezed(summary),
         *_unexplained(fit, summary),
         *doubts_before(fit.estimates[0], fit.observations),
         *_cut(summary),
@@ -101,20 +100,6 @@ def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any
             told = one.model_dump() | {"kind": "missing", "what": one.kind}
             told["of"] = of or list(resting)
             yield {key: x for key, x in told.items() if key != "parameters"}
-
-
-def _squeezed(summary: Summary) -> Iterator[dict[str, Any]]:
-    """Doubt what a bound holds where the model lacks something: it may be far from there.
-
-    No room for what is missing reaches a number that cannot move.
-    """
-    names = [
-        name
-        for name, row in summary.joint.items()
-        if held(row) and min(abs(end - (row.bound or 0.0)) for end in row.interval) < row.sd
-    ]
-    if summary.widened and summary.findings and names:
-        yield {"kind": "squeezed", "names": names, "of": names}
 
 
 def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
