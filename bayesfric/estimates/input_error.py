@@ -36,6 +36,8 @@ _SAME = 0.01
 _MINIMA = 3
 # Share of the lowest criterion of all by which what is known may raise it, and none is lower.
 _REACHED = 1e-6
+# Share of the torque that counts as a change of one, at least.
+_SHOWN = 1e-3
 # How often the sds behind weights and Huber's loss are taken anew, and when they stand still.
 _ROUNDS = 8
 _SETTLED = 1e-3
@@ -252,11 +254,15 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
         residual = np.clip(residual, -terms.bend, terms.bend) / straight
         inflation += x.size / residual.size * (1.0 - straight) / straight
     rows, _ = problem.knowledge.rows(problem.chain)
+    jacobian = terms.weights[:, None] * problem.jacobian(x)
+    # of what is zero, as on a bound: what shows in the torque
+    shown = np.linalg.norm(jacobian, axis=0)
+    least = _SHOWN * np.linalg.norm(problem.measured) / np.where(shown > 0.0, shown, np.inf)
     units = fitted.units_of(problem.chain, problem.free, problem.vector(x))
     return Information(
-        terms.weights[:, None] * problem.jacobian(x),
+        jacobian,
         residual,
-        np.maximum(units, 0.1 * problem.typical[problem.columns]),
+        np.maximum(units, least),
         places=places(problem.observations),
         known=rows,
         known_null=fitted.open_directions(

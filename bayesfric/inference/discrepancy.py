@@ -42,8 +42,8 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# How often a move to where nothing can be is drawn anew.
-_TRIES = 12
+# How often a move to where nothing can be is halved.
+_HALVINGS = 12
 # Scales of a candidate, as shares of the torque's rms.
 _GRID = np.geomspace(3e-5, 0.5, 24)
 # Scale of the half-Cauchy of the scale that all others are around.
@@ -96,7 +96,6 @@ class Discrepancy:
     chance: float  # that something is missing
     moves: Array  # (n, k) draws of how far the numbers of the model then are off
     shift: Array  # (k,) from the mean of the posterior to what the data say without bounds
-    covariance: Array  # (k, k) of that
 
     @property
     def shown(self) -> bool:
@@ -111,33 +110,21 @@ class Discrepancy:
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
         """Move draws of the posterior ``(n, d)`` by as much as the model may be off.
 
-        What the data say is moved, and bounds cut it afterwards: a draw that ends beyond one is
-        moved anew. What stays beyond is where the bound holds it, and the others go with it.
+        What the data say is moved, be it beyond a bound. Of a step that ends beyond one as much is
+        taken, by halves, as is possible: of what is missing no more than the numbers allow.
         """
         if not self.shown:
             return parameters
         v, found, k = target.unbounded(parameters), parameters.copy(), len(self.shift)
         left = np.flatnonzero(rng.uniform(size=len(v)) < self.chance)
-        moved = v[left]
-        for _ in range(_TRIES):
+        step = self.shift + self.moves[rng.integers(len(self.moves), size=len(left))]
+        for _ in range(_HALVINGS):
             moved = v[left]
-            moved[:, :k] += self.shift + self.moves[rng.integers(len(self.moves), size=len(left))]
-            possible = _put(target, found, left, moved)
-            left, moved = left[~possible], moved[~possible]
-        held = self._held(v[left, :k], moved[:, :k], target.beyond(moved)[:, :k])
-        _put(target, found, left, np.concatenate([held, moved[:, k:]], axis=1))
+            moved[:, :k] += step
+            beyond = ~_put(target, found, left, moved)
+            left, step = left[beyond], 0.5 * step[beyond]
+        # so far out that it has no counterpart: stays where it was
         return found
-
-    def _held(self, before: Array, moved: Array, beyond: NDArray[np.bool_]) -> Array:
-        """Leave where it was what ends ``beyond`` bounds; the others follow, ``(n, k)`` each."""
-        out = moved.copy()
-        for case in np.unique(beyond, axis=0):
-            here, on = np.flatnonzero((beyond == case).all(axis=1)), np.flatnonzero(case)
-            cross, own = self.covariance[:, on], self.covariance[np.ix_(on, on)]
-            back = before[np.ix_(here, on)] - moved[np.ix_(here, on)]
-            out[here] += back @ np.linalg.solve(own, cross.T)
-            out[np.ix_(here, on)] = before[np.ix_(here, on)]
-        return out
 
 
 def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.bool_]:
@@ -151,7 +138,7 @@ def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
     """Marginalise what may be missing; nothing is where nobody could ask."""
     k = len(target.free)
-    none = Discrepancy(0.0, np.zeros((1, k)), np.zeros(k), np.eye(k))
+    none = Discrepancy(0.0, np.zeros((1, k)), np.zeros(k))
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":
         return none
@@ -165,7 +152,7 @@ def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -
     # the mean is taken in part, and for the rest may be there or not, to either side
     spread = (1.0 - _TAKEN) * rng.standard_normal((len(off), 1)) * mean
     moves = off - (1.0 - _TAKEN) * mean + spread
-    return Discrepancy(chance, moves, around.shift, around.covariance)
+    return Discrepancy(chance, moves, around.shift)
 
 
 def chance_missing(missing: Missing) -> float:

@@ -181,18 +181,12 @@ class Target(LogPosterior):
         u = self.bend(u)
         possible = np.isfinite(u).all(axis=1)
         parameters, slope = self.to_parameters(u[possible])
-        told = np.isfinite(slope) & np.isfinite(parameters).all(axis=1)
+        parameters[~np.isfinite(slope)] = np.nan
+        told = np.flatnonzero(np.isfinite(parameters).all(axis=1))
         # not every coordinate ends where a prior does
-        told[told] = np.isfinite(self.log_prior(parameters[told]))
-        possible[possible] = told
-        out[possible] = parameters[told]
-        return out
-
-    def beyond(self, v: Array) -> NDArray[np.bool_]:
-        """Say which of unbounded coordinates ``(n, d)`` lie beyond a bound."""
-        here, bounded = self.coordinates.apart
-        out = np.zeros(v.shape, dtype=np.bool_)
-        out[:, here] = ~np.isfinite(bounded.from_unbounded(v[:, here]))
+        outside = told[~np.isfinite(self.log_prior(parameters[told]))]
+        parameters[outside] = np.nan
+        out[possible] = parameters
         return out
 
     def log_prior(self, parameters: Array) -> Array:
