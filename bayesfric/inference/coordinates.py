@@ -135,6 +135,11 @@ class BoundedCoordinates:
         """Undo :meth:`unbounded`; not finite beyond a bound."""
         return np.where(self._between, x, self.from_parameters(x))
 
+    def ends(self) -> tuple[Array, Array]:
+        """Give the bounds of unbounded values, ``(d,)`` each."""
+        between = self._between
+        return np.where(between, -np.inf, self.lower), np.where(between, np.inf, self.upper)
+
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`: these are straight."""
         return u, np.zeros(len(u))

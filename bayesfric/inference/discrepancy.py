@@ -21,6 +21,8 @@ References
 .. [1] C. M. Carvalho, N. G. Polson, J. G. Scott, "The horseshoe estimator for sparse signals",
    Biometrika 97 (2010) 465-480; J. Brynjarsdóttir, A. O'Hagan, "Learning about physical
    parameters: the importance of model discrepancy", Inverse Problems 30 (2014) 114007.
+.. [2] J. Geweke, "Efficient simulation from the multivariate normal and Student-t distributions
+   subject to linear constraints", Computing Science and Statistics 23 (1991) 571-578.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logsumexp
+from scipy.special import expit, logsumexp, ndtr, ndtri
 
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
@@ -42,8 +44,10 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# How often a move to where nothing can be is halved.
-_HALVINGS = 12
+# How often a move to where nothing can be is drawn anew.
+_TRIES = 12
+# Rounds of the Gibbs sampler of a normal that bounds cut.
+_ROUNDS = 20
 # Scales of a candidate, as shares of the torque's rms.
 _GRID = np.geomspace(3e-5, 0.5, 24)
 # Scale of the half-Cauchy of the scale that all others are around.
@@ -96,6 +100,7 @@ class Discrepancy:
     chance: float  # that something is missing
     moves: Array  # (n, k) draws of how far the numbers of the model then are off
     shift: Array  # (k,) from the mean of the posterior to what the data say without bounds
+    covariance: Array  # (k, k) of that
 
     @property
     def shown(self) -> bool:
@@ -110,21 +115,49 @@ class Discrepancy:
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
         """Move draws of the posterior ``(n, d)`` by as much as the model may be off.
 
-        What the data say is moved, be it beyond a bound. Of a step that ends beyond one as much is
-        taken, by halves, as is possible: of what is missing no more than the numbers allow.
+        What the data say is moved, and bounds cut it afterwards: a draw that ends beyond one is
+        moved anew. Where hardly a move ends inside, all that data and moves say together is taken
+        for a normal that bounds cut.
         """
         if not self.shown:
             return parameters
         v, found, k = target.unbounded(parameters), parameters.copy(), len(self.shift)
         left = np.flatnonzero(rng.uniform(size=len(v)) < self.chance)
-        step = self.shift + self.moves[rng.integers(len(self.moves), size=len(left))]
-        for _ in range(_HALVINGS):
+        for _ in range(_TRIES):
             moved = v[left]
-            moved[:, :k] += step
-            beyond = ~_put(target, found, left, moved)
-            left, step = left[beyond], 0.5 * step[beyond]
-        # so far out that it has no counterpart: stays where it was
+            moved[:, :k] += self.shift + self.moves[rng.integers(len(self.moves), size=len(left))]
+            left = left[~_put(target, found, left, moved)]
+        moved, whole = v[left], self.covariance + np.atleast_2d(np.cov(self.moves.T, bias=True))
+        mean = v[:, :k].mean(axis=0) + self.shift + self.moves.mean(axis=0)
+        moved[:, :k] = cut_normal(mean, whole, target.limits(), moved[:, :k], rng)
+        _put(target, found, left, moved)
         return found
+
+
+def cut_normal(
+    mean: Array,
+    covariance: Array,
+    limits: tuple[Array, Array],
+    start: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Draw from a normal ``(k,)`` that bounds cut, one from each start inside them ``(n, k)``.
+
+    By Gibbs sampling, one number given the others after the other [2]_.
+    """
+    x, precision, (low, high) = start.copy(), np.linalg.inv(covariance), limits
+    sds = np.diagonal(precision) ** -0.5
+    for _ in range(_ROUNDS):
+        for j, sd in enumerate(sds):
+            middle = x[:, j] - (x - mean) @ precision[j] * sd**2
+            ends = (np.array([[low[j]], [high[j]]]) - middle) / sd
+            # in the lower tail, which rounding leaves as it is
+            upper = ends[0] > 0.0
+            ends = np.where(upper, -ends[::-1], ends)
+            below, inside = ndtr(ends[0]), ndtr(ends[1]) - ndtr(ends[0])
+            drawn = ndtri(below + rng.uniform(size=len(x)) * inside)
+            x[:, j] = np.clip(middle + sd * np.where(upper, -drawn, drawn), low[j], high[j])
+    return x
 
 
 def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.bool_]:
@@ -138,7 +171,7 @@ def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
     """Marginalise what may be missing; nothing is where nobody could ask."""
     k = len(target.free)
-    none = Discrepancy(0.0, np.zeros((1, k)), np.zeros(k))
+    none = Discrepancy(0.0, np.zeros((1, k)), np.zeros(k), np.eye(k))
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":
         return none
@@ -152,7 +185,7 @@ def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -
     # the mean is taken in part, and for the rest may be there or not, to either side
     spread = (1.0 - _TAKEN) * rng.standard_normal((len(off), 1)) * mean
     moves = off - (1.0 - _TAKEN) * mean + spread
-    return Discrepancy(chance, moves, around.shift)
+    return Discrepancy(chance, moves, around.shift, around.covariance)
 
 
 def chance_missing(missing: Missing) -> float:

@@ -189,6 +189,13 @@ class Target(LogPosterior):
         out[possible] = parameters
         return out
 
+    def limits(self) -> tuple[Array, Array]:
+        """Bounds of the model's unbounded coordinates, ``(k,)`` each."""
+        low, high = np.full(len(self.free), -np.inf), np.full(len(self.free), np.inf)
+        here, bounded = self.coordinates.apart
+        low[here], high[here] = bounded.ends()
+        return low, high
+
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of physical parameters ``(n, d)``."""
         return self._joint_prior.log_density(parameters)

@@ -80,6 +80,7 @@ class Problem:
         terms: Sequence[Term] = (),
     ) -> None:
         self.config, self.given = config, recordings or ()
+        self._estimates: dict[Method, Estimate] = {}  # those that were made
         found = prepare(config, recordings, terms)
         self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
         self.recordings, self.observations = found.recordings, found.observations
@@ -130,7 +131,9 @@ class Problem:
             If there is no such method, or one cannot be used with these recordings.
         """
         with self.config.named():
-            found = estimate_by(methods, self.evidence, progress=by_method(progress))
+            shown = by_method(progress)
+            found = estimate_by(methods, self.evidence, self._estimates, progress=shown)
+        self._estimates |= found
         return list(found.values())
 
     @property

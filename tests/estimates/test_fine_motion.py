@@ -5,6 +5,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.estimates.fine_motion import fine_motion
+from bayesfric.estimates.least_squares import least_squares
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
@@ -120,8 +121,7 @@ def test_the_inertia_is_where_it_belongs():
         columns = time[::FINE], counts * 2 * np.pi / COUNTS, torque[::FINE] + noise
         model = bf.Model(AXIS, bf.Recording.from_arrays(*columns, name=f"bench-{seed}"))
         for name, observations in (("encoder", model.encoder), ("fine", model.observations)):
-            model.observations = observations
-            (found,) = model.estimates(["least-squares"])
+            found = least_squares(AXIS, observations)
             z[name].append((found["motor.inertia"].value - 0.05) / found["motor.inertia"].sd)
     assert np.mean(z["encoder"]) > 1.5
     # the mean of eight standard normals has an sd of 0.35

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.special import logsumexp
-from scipy.stats import truncnorm
+from scipy.stats import kstest, norm, truncnorm
 
 import bayesfric as bf
 from bayesfric.inference.discrepancy import (
@@ -15,6 +15,7 @@ from bayesfric.inference.discrepancy import (
     Sizes,
     _without_bounds,
     chance_missing,
+    cut_normal,
     discrepancy,
 )
 from tests.axis import AXIS, VALUES, swing
@@ -136,40 +137,50 @@ def test_where_nobody_could_ask_nothing_is_missing(right):
     np.testing.assert_array_equal(none.widened(right.fit.target, draws, rng), draws)
 
 
-def moving(right, by, *, shift=None):
-    """Move draws by one step of named numbers; gives them, those before, and where those are."""
-    target, draws = right.fit.target, right.fit.posterior.flat(500)
-    at, moves = [target.names.index(name) for name in by], np.zeros((1, len(target.free)))
-    moves[0, at] = list(by.values())
-    room = Discrepancy(1.0, moves, np.zeros(moves.size) if shift is None else shift)
-    return room.widened(target, draws, np.random.default_rng(4)), draws, at
+def moving(right, name, by, sd, n=4000):
+    """Draws of one number, moved by normal steps of a room of their own, and those before."""
+    target, draws = right.fit.target, right.fit.posterior.flat(n)
+    i, k = target.names.index(name), len(target.free)
+    moves, rng = np.zeros((n, k)), np.random.default_rng(3)
+    moves[:, i] = by + sd * rng.standard_normal(n)
+    room = Discrepancy(1.0, moves, np.zeros(k), np.cov(draws[:, :k].T))
+    return room.widened(target, draws, np.random.default_rng(4)), draws, i
 
 
 def test_draws_are_moved_by_the_steps_where_no_bound_is_near(right):
-    moved, draws, at = moving(right, {"offset": 0.2, "motor.coulomb": -0.1})
-    draws[:, at] += [0.2, -0.1]
+    moved, draws, i = moving(right, "offset", by=0.2, sd=0.0)
+    draws[:, i] += 0.2
     np.testing.assert_allclose(moved, draws, rtol=1e-9, atol=1e-12)
 
 
-def test_of_a_step_beyond_a_bound_as_much_is_taken_as_is_possible(right):
-    """All numbers go by the same share of it: what is missing is less, not another thing."""
-    moved, draws, at = moving(right, {"motor.viscous": -0.15, "motor.coulomb": 0.3})
-    shares = (moved - draws)[:, at] / [-0.15, 0.3]
-    np.testing.assert_allclose(shares, 0.5, rtol=1e-6)  # viscous friction is 0.1
+@pytest.mark.parametrize("by", [-0.15, -0.6])
+def test_a_bound_cuts_what_was_moved(right, by):
+    """A normal step that leaves much, or hardly any, of viscous friction above zero."""
+    moved, draws, i = moving(right, "motor.viscous", by=by, sd=0.1)
+    mean, sd = draws[:, i].mean() + by, np.hypot(draws[:, i].std(), 0.1)
+    cut = truncnorm(-mean / sd, np.inf, mean, sd)
+    # the steps are a sample of 4000, and draws of 4000 among them
+    assert kstest(moved[:, i], cut.cdf).statistic < 0.05
 
 
-def test_what_a_bound_holds_moves_from_beyond_it(right):
-    """From -1 viscous friction cannot come back with 0.9, and does with 1.1."""
-    k = len(right.fit.target.free)
-    at = right.fit.target.names.index("motor.viscous")
-    shift = np.zeros(k)
-    shift[at] = -1.1
-    for by, left in ((1.1, 0.0), (1.3, 0.2)):
-        moved, draws, _ = moving(right, {"motor.viscous": by}, shift=shift)
-        np.testing.assert_allclose((moved - draws)[:, at], left, atol=1e-9)
-    moved, draws, _ = moving(right, {"motor.viscous": 0.5}, shift=shift)
-    assert ((moved - draws)[:, at] < 0.0).all()
-    assert (moved[:, at] >= 0.0).all()
+@pytest.mark.parametrize("beyond", [0.5, 3.0, 12.0])
+def test_a_normal_is_cut_by_gibbs_sampling(beyond):
+    """One number far beyond its bound; the other follows it as regression says, as they are two."""
+    covariance = np.array([[1.0, 0.6], [0.6, 1.0]])
+    mean, n = np.array([-beyond, 0.0]), 4000
+    limits = np.array([0.0, -np.inf]), np.full(2, np.inf)
+    drawn = cut_normal(mean, covariance, limits, np.ones((n, 2)), np.random.default_rng(5))
+    assert kstest(drawn[:, 0], truncnorm(beyond, np.inf, -beyond, 1.0).cdf).pvalue > 1e-3
+    rest = drawn[:, 1] - 0.6 * (drawn[:, 0] + beyond)
+    assert kstest(rest, norm(0.0, 0.8).cdf).pvalue > 1e-3
+
+
+def test_between_two_bounds_and_below_one():
+    limits = np.array([2.0, -np.inf]), np.array([3.0, -4.0])
+    start = np.tile([2.5, -5.0], (2000, 1))
+    drawn = cut_normal(np.zeros(2), np.eye(2), limits, start, np.random.default_rng(6))
+    assert kstest(drawn[:, 0], truncnorm(2.0, 3.0).cdf).pvalue > 1e-3
+    assert kstest(drawn[:, 1], truncnorm(-np.inf, -4.0).cdf).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -148,7 +148,7 @@ def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):
     k = len(fit.target.free)
     moves = np.zeros((4000, k))
     moves[:, at] = 3.0 * prior * np.random.default_rng(7).standard_normal(4000)
-    room = Discrepancy(1.0, moves, np.zeros(k))
+    room = Discrepancy(1.0, moves, np.zeros(k), np.eye(k))
     fit = replace(fit, discrepancy=room)
     found = add_model_error(plain, fit, groups(fit))
     assert found.parameters["motor.coulomb"].verdict == "weak"
