@@ -129,7 +129,7 @@ class Model(Problem):
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
-        frame.loc[~frame["determined"], ["value", "sd", "sd_robust"]] = np.nan
+        frame.loc[np.isinf(frame["sd"]), ["value", "sd", "sd_robust"]] = np.nan
         first = ["value", "sd", "sd_robust", "unit"]
         frame = frame[[*first, *(name for name in frame.columns if name not in first)]]
         return frame.droplevel("method") if len(methods) == 1 else frame
