@@ -40,8 +40,15 @@ def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
     """
     chain, pairs = given.chain, list(zip(recordings, given.observations, strict=True))
     if any(p.row.bends for p in chain.parameters):
-        known = given.knowledge, given.options
-        return found_delay(pairs, lambda there: input_error(chain, there, *known), chain)
+        point: dict[str, float] | None = None
+
+        def estimate(there: Sequence[Observation]) -> Estimate:
+            nonlocal point  # the next round begins where this one ends
+            found = input_error(chain, there, given.knowledge, given.options, point)
+            point = dict(found.point)
+            return found
+
+        return found_delay(pairs, estimate, chain)
     return found_delay(pairs, lambda there: least_squares(chain, there), chain)
 
 
