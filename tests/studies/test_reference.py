@@ -1,5 +1,8 @@
 """The committed reference says what the code says."""
 
+import ast
+import re
+
 import pytest
 
 from bayesfric.commands.keys import key_tables
@@ -31,3 +34,18 @@ def test_every_key_is_there(texts):
 def test_every_kind_is_there(texts):
     for kind, one in words().items():
         assert f"|`{kind}`|{one.what}|" in texts["warnings.md"], kind
+
+
+def test_every_equation_names_a_function_and_a_test_that_are_there():
+    text = (FOLDER / "equations.md").read_text(encoding="utf-8")
+    pairs = re.findall(r"`([\w/]+\.py)` `(\w+)`", text)
+    assert len(pairs) == 2 * len(re.findall(r"^\| (?:\(|section)", text, re.M))
+    for path, name in pairs:
+        tree = ast.parse((REPOSITORY / path).read_text(encoding="utf-8"))
+        assert name in {getattr(node, "name", None) for node in tree.body}, (path, name)
+
+
+def test_what_contributing_names_is_there():
+    text = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for path in re.findall(r"`((?:bayesfric|tests|studies)/[\w./]+)`", text):
+        assert (REPOSITORY / path).exists(), path
