@@ -291,12 +291,10 @@ def _gap(a: Along) -> Sets:
 
 
 def _elastic(a: Along) -> Sets:
-    found = {"far above the band": [a.rate(a.rate(a.smooth(a.carried)))]}
-    r = a.recording
-    for times in _ANTIRESONANCES:
-        hertz = times * a.scales.band
-        found[f"{hertz:.3g} Hz"] = [resonating(a.carried, r.segments, r.period, hertz)]
-    return found
+    hertz, r = [times * a.scales.band for times in _ANTIRESONANCES], a.recording
+    rows = resonating(a.carried, r.segments, r.period, hertz)
+    found = {f"{f:.3g} Hz": [row] for f, row in zip(hertz, rows, strict=True)}
+    return {"far above the band": [a.rate(a.rate(a.smooth(a.carried)))]} | found
 
 
 def _bristles(a: Along) -> Sets:

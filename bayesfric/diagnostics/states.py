@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import fft
 
 from bayesfric.recordings.arrays import Segments
 
@@ -72,15 +74,19 @@ def in_gap(need, period, half, begins):  # type: ignore[no-untyped-def]
     return out
 
 
-def resonating(x: Array, segments: Segments, period: float, hertz: float) -> Array:
-    """Give what an elastic transmission adds to a load's torque ``(N,)`` of its own frequency."""
-    out = np.zeros_like(x)
+def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[float]) -> Array:
+    """Give what elastic transmissions add to a load's torque ``(N,)`` of their own frequencies.
+
+    One row a frequency, ``(k, N)``.
+    """
+    out = np.zeros((len(hertz), x.size))
     for a, b in segments:
         if b - a <= _FEW:
             continue
         # without its trend a part joins its own beginning
         part = x[a:b] - np.linspace(x[a], x[b - 1], b - a)
-        f = np.fft.rfftfreq(2 * (b - a), period) / hertz
+        size = fft.next_fast_len(2 * (b - a), real=True)
+        f = fft.rfftfreq(size, period) / np.asarray(hertz)[:, None]
         more = 1.0 / (1.0 - f**2 + 2j * _DAMPING * f) - 1.0
-        out[a:b] = np.fft.irfft(more * np.fft.rfft(part, 2 * (b - a)), 2 * (b - a))[: b - a]
+        out[:, a:b] = fft.irfft(more * fft.rfft(part, size), size)[:, : b - a]
     return out

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Literal
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Segments
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # A cut-off this small a share of the sampling rate leaves nothing but rounding.
 _LOWEST_CUTOFF = 1e-6
@@ -30,8 +33,6 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Neighbours on either side that a derivative is made of: at least, and at most.
 _REACH = (4, 24)
-# Numbers of windows held at once.
-_WINDOWED = 500_000
 # Samples on either side that a value between two is made of.
 _BESIDE = 4
 
@@ -222,16 +223,20 @@ class ParallelFilter:
         x = np.asarray(x, dtype=np.float64)
         if len(self.taps) == 1:
             return np.asarray(x[..., self.starts] * (self.taps[0] * self.gains))
-        if self.n_outputs == 0:
-            return np.empty((*x.shape[:-1], 0))
-        rows = (x * self.used).reshape(-1, x.shape[-1])
-        out = np.empty((len(rows), self.n_outputs))
-        # a few signals at a time: the windows of one are len(taps)/factor times its size
-        some = max(1, _WINDOWED // (self.n_outputs * len(self.taps)))
-        for first in range(0, len(rows), some):
-            part = slice(first, first + some)
-            out[part] = _windowed(rows[part], self.taps, self.starts) * self.gains
+        rows = x.reshape(-1, x.shape[-1]).T
+        out = np.ascontiguousarray((self._matrix @ rows).T)
         return out.reshape(*x.shape[:-1], self.n_outputs)
+
+    @cached_property
+    def _matrix(self) -> csr_array:
+        """From samples to outputs, ``(M, N)``."""
+        from scipy.sparse import csr_array
+
+        n, length = self.n_outputs, len(self.taps)
+        samples = self.starts[:, None] + np.arange(length)
+        weights = self.gains[:, None] * self.taps * self.used[samples]
+        ends = np.arange(0, n * length + 1, length)
+        return csr_array((weights.ravel(), samples.ravel(), ends), (n, self.used.size))
 
 
 def _windowed(x: Array, taps: Array, starts: NDArray[np.int64]) -> Array:

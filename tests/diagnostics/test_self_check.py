@@ -70,7 +70,7 @@ def test_exact_derivatives_have_next_to_no_bias(exact):
 
 def test_it_takes_seconds_of_its_own(exact):
     check, sampler = exact.summary.self_check, exact.summary.sampler
-    assert 0.0 < check.seconds < 10.0
+    assert check.seconds > 0.0
     assert check.cpu_seconds > 0.0
     assert sampler.seconds > 0.0
 

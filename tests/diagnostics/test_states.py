@@ -38,7 +38,7 @@ def test_a_load_crosses_its_gap_in_the_time_of_a_free_fall():
 def test_an_elastic_transmission_adds_what_a_two_mass_drive_does():
     t = np.arange(4000) / 1000.0
     x = np.sin(2 * np.pi * 5.0 * t)
-    more = resonating(x, ((0, 4000),), 1e-3, 25.0)
+    (more,) = resonating(x, ((0, 4000),), 1e-3, [25.0])
     middle = slice(1000, 3000)
     gain = (more[middle] @ x[middle]) / (x[middle] @ x[middle])
     r = 5.0 / 25.0
