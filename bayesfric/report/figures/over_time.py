@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures.style import BAND, MEASURED, Array
+from bayesfric.results.roll_out import Rolled
 
 # Lines of more points are drawn as pixels; as paths they would make a slow and huge PDF.
 _MOST_POINTS = 5000
 
 
-def as_pixels(o: Outputs | Observation) -> bool:
+def as_pixels(o: Outputs | Observation | Rolled) -> bool:
     """Whether there are too many outputs to draw them as paths."""
     return o.time.size > _MOST_POINTS
 

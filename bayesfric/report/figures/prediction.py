@@ -145,14 +145,9 @@ def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
     time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
     named: Look = {"marker": ".", "markevery": _dots(residual, most_dots), "gid": "residual"}
     draw_measured(ax, time, residual, linewidth=0.4, pixels=as_pixels(o), **named)
-    look: Look = {
-        "color": style.PALETTE[1],
-        "linewidth": 0.8,
-        "linestyle": style.DASHED,
-        "gid": "sigma",
-    }
-    ax.plot(time, -2.0 * sigma, **look)
-    ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", **look)
+    look: Look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED}
+    ax.plot(time, -2.0 * sigma, gid="sigma", **look)
+    ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", gid="sigma", **look)
 
 
 def _dots(broken: Array, most: float) -> list[int]:

@@ -40,8 +40,6 @@ MEASURED = "#3a3a3a"
 BAND = "#a9d3ec"
 PRIOR = PALETTE[2]
 POSTERIOR = PALETTE[1]
-# One run has the same colour in every figure of a comparison.
-RUN_COLOURS = (POSTERIOR, PALETTE[0], PALETTE[3])
 # What the data leave open is hatched, never a plain band; the other way where two cross.
 OPEN_HATCH, OPEN_HATCH_BACK = "//////", "\\\\\\\\\\\\"
 DASHED: LineStyle = (0, (4.0, 1.5))
@@ -123,11 +121,6 @@ def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KIN
     with paper_style():
         for kind in kinds:
             figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
-
-
-def run_colour(k: int) -> str:
-    """Colour of the ``k``-th of several runs; orange is a reference's."""
-    return RUN_COLOURS[k % len(RUN_COLOURS)]
 
 
 def power_of_ten(low: float, high: float) -> int:
@@ -220,9 +213,8 @@ def legend_above(figure: Figure, handles: Sequence[Artist], columns: int | None 
 
 
 def remark_below(figure: Figure, words: str) -> None:
-    """Say below the panels what a figure leaves out; nothing if there are no words."""
-    if words:
-        figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
+    """Say below the panels what a figure leaves out."""
+    figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
 class _InnerLocator(MaxNLocator):
