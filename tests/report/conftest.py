@@ -98,14 +98,9 @@ def build(
         tau=np.where(np.ptp(draws.reshape(-1, d), axis=0) > 0, 2.5, np.inf),
         ess=np.full(d, 4000.0),
         acceptance=np.full((ensembles, 16), 0.5),
-        ensembles=ensembles,
-        walkers=16,
-        warmup=100,
-        steps=40 * thin,
-        thin=thin,
-        not_finite=0,
-        seconds=1.0,
-    )
+        ensembles=ensembles, walkers=16, warmup=100, steps=40 * thin, thin=thin,
+        not_finite=0, seconds=1.0,
+    )  # fmt: skip
     posterior = Posterior(
         names=target.names,
         priors=target.priors,

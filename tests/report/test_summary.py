@@ -187,10 +187,16 @@ def test_prior_sds_are_those_of_the_distributions(case):
     assert seen
 
 
-def test_a_given_prior_is_told(emps):
+def test_a_given_prior_and_a_known_value_are_told(emps, lossless):
     row = emps[1]["parameters"]["motor.viscous"]
     assert row["prior_default"] is False
     assert row["prior_sd"] == pytest.approx(1000 / math.sqrt(12), rel=1e-6)
+    _, summary = lossless
+    (offset,) = summary["fixed"].values()
+    assert (offset["unit"], offset["value"]) == ("N m", 0.02)
+    assert offset["symbol"]
+    assert offset["meaning"]
+    assert "offset" not in summary["parameters"]
 
 
 def test_residual_rms_is_of_measured_minus_predicted(case):
@@ -277,15 +283,6 @@ def test_a_loss_that_is_zero_leans_on_its_bound(lossless):
     assert summary["parameters"]["motor.viscous"]["at_bound"] == "lower"
     for name in ("motor.inertia", "motor.coulomb", "noise.sigma"):
         assert summary["parameters"][name]["at_bound"] is None, name
-
-
-def test_a_fixed_parameter_is_told_apart(lossless):
-    _, summary = lossless
-    (offset,) = summary["fixed"].values()
-    assert (offset["unit"], offset["value"]) == ("N m", 0.02)
-    assert offset["symbol"]
-    assert offset["meaning"]
-    assert "offset" not in summary["parameters"]
 
 
 def test_derived_quantities_follow_from_each_draw(knee_alone):

@@ -40,6 +40,8 @@ def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **nam
     ax.fill_between(time, low, high, color=BAND, linewidth=0.0, rasterized=as_pixels(o), **named)
 
 
-def draw_measured(ax: Axes, time: Array, values: Array, *, pixels: bool, **named: Any) -> None:
+def draw_measured(
+    ax: Axes, o: Outputs | Observation, time: Array, values: Array, **named: Any
+) -> None:
     """Draw what was measured, broken already; ``named`` is its marks, width, label and name."""
-    ax.plot(time, values, color=MEASURED, markersize=1.5, rasterized=pixels, **named)
+    ax.plot(time, values, color=MEASURED, markersize=1.5, rasterized=as_pixels(o), **named)

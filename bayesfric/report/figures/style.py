@@ -45,6 +45,9 @@ OPEN_HATCH, OPEN_HATCH_BACK = "//////", "\\\\\\\\\\\\"
 DASHED: LineStyle = (0, (4.0, 1.5))
 DOTTED: LineStyle = (0, (1.0, 1.2))
 
+_TICKS = {
+    "labelsize": SMALL, "direction": "in", "major.width": 0.5, "major.size": 2.5, "major.pad": 2.5,
+}  # fmt: skip
 # Matplotlib 3.11 types the keys, earlier ones do not.
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -56,16 +59,7 @@ _STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.5,
     "axes.labelpad": 2.0,
     "axes.unicode_minus": True,
-    "xtick.labelsize": SMALL,
-    "ytick.labelsize": SMALL,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.major.pad": 2.5,
-    "ytick.major.pad": 2.5,
+    **{f"{axis}tick.{key}": value for axis in "xy" for key, value in _TICKS.items()},
     "legend.fontsize": SMALL,
     "legend.frameon": False,
     "legend.borderaxespad": 0.2,
