@@ -42,10 +42,10 @@ def disturbed(fit, change):
     return replace(fit, target=target)
 
 
-def memory(partial, size=1.0):
-    """Add a first-order autoregression."""
+def memory(partial):
+    """Add a first-order autoregression, to every recording another."""
     rng = np.random.default_rng(3)
-    return lambda o, _: size * lfilter([1.0], [1.0, -partial], rng.standard_normal(o.time.size))
+    return lambda o, _: lfilter([1.0], [1.0, -partial], rng.standard_normal(o.time.size))
 
 
 def test_white_residuals_stay_in_the_band(knee):
