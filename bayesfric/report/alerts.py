@@ -40,10 +40,10 @@ def roll_out_alerts(found: RollOutPart) -> dict[str, dict[str, Any]]:
     return told
 
 
-def alerts_of(summary: Readable, where: str = "run") -> tuple[Alert, ...]:
-    """Gather what a summary of the run ``where`` warns of."""
-    read = Summary.read(summary, where)
-    return alerts(read, comparison({where: read}).contested)
+def alerts_of(summary: Readable) -> tuple[Alert, ...]:
+    """Gather what a summary warns of."""
+    read = Summary.read(summary)
+    return alerts(read, comparison({"run": read}).contested)
 
 
 def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:

@@ -19,7 +19,7 @@ def parents_made(path: Path) -> Iterator[None]:
     ``OSError`` where they cannot be made.
     """
     missing: list[Path] = []
-    folder = Path(os.path.abspath(path)).parent  # noqa: PTH100  (".." must get a name, links stay)
+    folder = _target(path).parent
     while not folder.exists():
         missing.append(folder)
         folder = folder.parent

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
 from bayesfric.progress import Progress, Shown, silent
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.answers.calculator import calculator
 from bayesfric.report.answers.record import FILE, calculator_json
@@ -37,7 +37,6 @@ _POINTWISE_DRAWS = 400
 _TOLD_DRAWS = 4000
 
 FIGURES = run_figures()
-Array = NDArray[np.float64]
 
 
 def write_run(

@@ -25,6 +25,23 @@ SLIDE = Joint(
     elements=(Element("slide", inertia=True, coulomb="symmetric", motion="linear", subscript="s"),),
     load=Load(motion="linear"),
 )
+# Every optional term at once: what has a slot of the kernels, what is carried by its column.
+EVERYTHING = Joint(
+    elements=(
+        Element(
+            "motor", inertia=True, coulomb="by-direction", viscous="by-direction", quadratic=True,
+            stribeck="either", stribeck_exponent=True, cogging=(6,), load_loss="one",
+        ),
+        Element(
+            "gearbox", ratio=30.0, load_loss="two", load_direction="quadrants", load_speed=True,
+            load_square=True, coulomb="symmetric", stribeck="apart", periodic_friction=(1,),
+        ),
+        Element("bearing", power=True, viscous=True, temperature="both", warming="viscous"),
+    ),
+    load=Load(inertia=True, first_moment=True, gravity_angle=True, spring="stiffening"),
+    offset=True,
+    gain=True,
+)  # fmt: skip
 
 
 def recording(chain, values, name, samples, seed):
@@ -81,14 +98,9 @@ def build(
         tau=np.where(np.ptp(draws.reshape(-1, d), axis=0) > 0, 2.5, np.inf),
         ess=np.full(d, 4000.0),
         acceptance=np.full((ensembles, 16), 0.5),
-        ensembles=ensembles,
-        walkers=16,
-        warmup=100,
-        steps=40 * thin,
-        thin=thin,
-        not_finite=0,
-        seconds=1.0,
-    )
+        ensembles=ensembles, walkers=16, warmup=100, steps=40 * thin, thin=thin,
+        not_finite=0, seconds=1.0,
+    )  # fmt: skip
     posterior = Posterior(
         names=target.names,
         priors=target.priors,
@@ -99,6 +111,12 @@ def build(
         seed=5,
     )
     return Fit(target, posterior, (least_squares(chain, observations),))
+
+
+def by_gid(ax, gid):
+    """Return the one artist of that name."""
+    (artist,) = [a for a in ax.get_children() if a.get_gid() == gid]
+    return artist
 
 
 def draw_fast(figure):

@@ -33,6 +33,11 @@ LEG = {
     "load.inertia": ("kg m²", "J_{c}", 0.24, (0.18, 0.34)),
     "load.first_moment": ("kg m", "ml", 0.42, (0.30, 0.57)),
 }
+# What estimates say that compare torques.
+TORQUE = {
+    "residual_unit": "N m",
+    "assumption": "sd: uncorrelated residuals; sd_robust: correlated ones (HAC)",
+}
 # What else explains a torque, as a run tells it.
 FOUND = {
     **{"kind": "spring", "severity": "doubt", "parameters": ["motor.viscous"], "p": 1 / 61},
@@ -42,37 +47,15 @@ FOUND = {
 
 
 def posterior_row(unit, mean, sd, *, gauge_free=None, verdict="data", **more):
-    row = {
-        "unit": unit,
-        "meaning": "made up",
-        "mean": mean,
-        "sd": sd,
-        "median": mean,
-        "interval": [mean - 1.645 * sd, mean + 1.645 * sd],
-        "level": 0.9,
-        "verdict": verdict,
-        **more,
-    }
-    if gauge_free is not None:
-        row["gauge_free"] = gauge_free
-    return row
+    row = {"unit": unit, "meaning": "made up", "mean": mean, "sd": sd, "median": mean}
+    row |= {"interval": [mean - 1.645 * sd, mean + 1.645 * sd], "level": 0.9, "verdict": verdict}
+    return row | more | ({} if gauge_free is None else {"gauge_free": gauge_free})
 
 
 def estimated(unit, symbol, value, sd, robust, kind, **more):
-    return {
-        "unit": unit,
-        "symbol": symbol,
-        "meaning": "made up",
-        "value": value,
-        "sd": sd,
-        "sd_robust": robust,
-        "kind": kind,
-        "gauge_free": True,
-        "determined": True,
-        "at_bound": None,
-        "span": None,
-        **more,
-    }
+    row = {"unit": unit, "symbol": symbol, "meaning": "made up", "value": value, "sd": sd}
+    row |= {"sd_robust": robust, "kind": kind, "gauge_free": True, "determined": True}
+    return row | {"at_bound": None, "span": None, **more}
 
 
 def left_open(name, **more):
@@ -121,8 +104,7 @@ def knee():
             "input-error": {
                 "parameters": method(-0.6),
                 "residual_rms": 6.3e-3,
-                "residual_unit": "N m",
-                "assumption": "sd: uncorrelated residuals; sd_robust: correlated ones (HAC)",
+                **TORQUE,
             },
             "least-squares": {
                 "parameters": {
@@ -130,8 +112,7 @@ def knee():
                     for name, (unit, symbol, value, sd, robust) in TOTALS.items()
                 },
                 "residual_rms": 7.1e-3,
-                "residual_unit": "N m",
-                "assumption": "sd: uncorrelated residuals; sd_robust: correlated ones (HAC)",
+                **TORQUE,
             },
         },
         "references": {

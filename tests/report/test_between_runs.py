@@ -24,6 +24,13 @@ def checked(**summaries):
     return {name: Summary.read(summary, name) for name, summary in summaries.items()}
 
 
+def beside(**changes):
+    """Pool two runs, of which the second says something else of the viscous loss."""
+    runs = checked(a=knee(), b=loaded())
+    runs["b"] = runs["b"].with_rows({"motor.viscous": changes})
+    return {one.name: one for one in between_runs(runs)}
+
+
 def test_only_what_the_data_of_two_runs_determine_is_pooled():
     other = copy.deepcopy(loaded())
     other["parameters"]["motor.viscous"]["verdict"] = "weak"
@@ -71,44 +78,29 @@ def test_a_run_whose_prior_has_a_say_counts_by_its_draws_only():
 
 
 def test_what_is_doubted_is_pooled_and_said_to_be():
-    runs = checked(a=knee(), b=loaded())
-    changes = {"motor.viscous": {"verdict": "weak", "doubted": ["delay"]}}
-    runs["b"] = runs["b"].with_rows(changes)
-    (viscous,) = (one for one in between_runs(runs) if one.name == "motor.viscous")
-    assert viscous.doubted == 1
+    doubted = {"verdict": "weak", "doubted": ["delay"]}
+    assert beside(**doubted)["motor.viscous"].doubted == 1
     # what a prior helped to settle is not the data's because somebody pushed, too
-    changes["motor.viscous"] |= {"undoubted": "weak"}
-    runs["b"] = runs["b"].with_rows(changes)
-    assert "motor.viscous" not in {one.name for one in between_runs(runs)}
+    assert "motor.viscous" not in beside(**doubted, undoubted="weak")
 
 
 def test_room_for_the_models_error_is_pooled_too():
-    runs = checked(a=knee(), b=loaded())
-    plain = {one.name: one for one in between_runs(runs)}["motor.viscous"]
-    row = runs["b"].parameters["motor.viscous"]
-    changes = {"motor.viscous": {"model_error_sd": 10.0 * row.sd, "model_error_interval": [0, 1]}}
-    runs["b"] = runs["b"].with_rows(changes)
-    wide = {one.name: one for one in between_runs(runs)}["motor.viscous"]
-    ends = [one.pool.runs[1] for one in (plain, wide)]
-    assert ends[1].high - ends[1].low > 1.2 * (ends[0].high - ends[0].low)
+    sd = 10.0 * loaded()["parameters"]["motor.viscous"]["sd"]
+    room = {"model_error_sd": sd, "model_error_interval": [0, 1]}
+    plain, wide = (one["motor.viscous"].pool.runs[1] for one in (beside(), beside(**room)))
+    assert wide.high - wide.low > 1.2 * (plain.high - plain.low)
 
 
 def test_a_limit_is_no_value_to_pool():
-    runs = checked(a=knee(), b=loaded())
-    limit = {"motor.viscous": {"at_bound": "lower", "bound": 0.0}}
-    runs["b"] = runs["b"].with_rows(limit)
-    assert "motor.viscous" not in {one.name for one in between_runs(runs)}
+    assert "motor.viscous" not in beside(at_bound="lower", bound=0.0)
 
 
 def test_a_population_ends_where_its_quantity_does():
     """Two runs far apart leave a normal population room below zero, where no loss is."""
-    runs = checked(a=knee(), b=loaded())
-    row = runs["b"].parameters["motor.viscous"]
-    far = {"mean": 9.0 * row.mean, "median": 9.0 * row.middle}
-    runs["b"] = runs["b"].with_rows({"motor.viscous": far})
-    (pooled,) = (one for one in between_runs(runs) if one.name == "motor.viscous")
-    assert (pooled.pool.mean.low, pooled.pool.following.low) == (0.0, 0.0)
-    assert pooled.pool.following.high > 9.0 * row.mean
+    far = 9.0 * loaded()["parameters"]["motor.viscous"]["mean"]
+    pool = beside(mean=far, median=far)["motor.viscous"].pool
+    assert (pool.mean.low, pool.following.low) == (0.0, 0.0)
+    assert pool.following.high > far
 
 
 def test_a_page_counts_what_it_tells_a_limit_of_as_one():

@@ -179,35 +179,26 @@ def test_the_page_and_the_table_tell_it_beside_the_number(tmp_path, verdict):
     assert "widen" not in run_page(tmp_path, told, "knee")
 
 
-def test_an_unusable_run_prints_no_interval(summaries):
-    summary = copy.deepcopy(summaries["wide"])
-
-    def shown(text):
-        return [line for line in text if "[" in line or "at most" in line or "±" in line]
-
-    assert shown(fit_text(summary))
-    problem = "the ensembles disagree on motor.inertia: raise sampling.max_steps"
-    summary["sampler"]["problems"] = [problem]
-    told = failed(summary)
-    assert not shown(fit_text(told))
-    assert any(line.startswith("Not converged:") for line in fit_text(told))
-    assert f"! {problem}" in list(fit_text(told, verbose=True))
-
-
-@pytest.mark.parametrize("status", ["tentative", "unusable"])
-def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, tmp_path, status):
-    summary = failed(summaries["wide"], "motor.inertia")
-    summary["sampler"]["status"] = status
-    names = [*summary["parameters"], *summary["derived"]]
+@pytest.mark.parametrize(
+    ("status", "sound"), [("tentative", ["motor.inertia"]), ("unusable", ["motor.inertia"]),
+                          ("unusable", [])]
+)  # fmt: skip
+def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, tmp_path, status, sound):
+    summary = failed(summaries["wide"], *sound)
+    problem = "the ensembles disagree on motor.viscous: raise sampling.max_steps"
+    summary["sampler"] |= {"status": status, "problems": [problem]}
+    names = {*summary["parameters"], *summary["derived"]}
     text = list(fit_text(summary))
-    starts = [line.split()[0] for line in text if "[" in line]
-    assert starts == ["motor.inertia"]
-    told = brief(summary).lost
-    assert {"motor.viscous", "motor.coulomb"} <= set(told) <= set(names) - {"motor.inertia"}
+    assert [line.split()[0] for line in text if "[" in line] == sound
+    assert sound or not [line for line in text if "at most" in line or "±" in line]
+    assert any(line.startswith("Not converged:") for line in text)
+    assert f"! {problem}" in list(fit_text(summary, verbose=True))
+    lost = set(brief(summary).lost)
+    assert {"motor.viscous", "motor.coulomb"} <= lost <= names - set(sound)
     for row in parameter_table(summary).rows:
-        assert row.cell.converged == (row.name == "motor.inertia")
-    cells = posterior_cells(summary)
-    assert cells["motor.inertia"].interval is not None
-    assert cells["motor.viscous"].interval is None
+        assert row.cell.converged == (row.name in sound)
+    for name, cell in posterior_cells(summary).items():
+        assert (cell.interval is not None) == (name in sound)
     (first,) = read_page(run_page(tmp_path, summary, "run")).all("section", id="findings")
-    assert "Not converged: motor.viscous" in first.text
+    assert "Not converged:" in first.text
+    assert not sound or "Not converged: motor.viscous" in first.text

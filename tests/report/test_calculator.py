@@ -22,7 +22,7 @@ from bayesfric.report.figures.curve_band import friction_torque
 from bayesfric.report.page.run_page import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until
-from .conftest import build
+from .conftest import EVERYTHING, build
 from .made_summaries import knee
 
 pytest.importorskip("selenium", reason="selenium is not installed")
@@ -31,23 +31,6 @@ from selenium.webdriver.common.keys import Keys
 
 pytestmark = needs_browser
 
-# Every optional term at once: what has a slot of the kernels, what is carried by its column.
-EVERYTHING = Joint(
-    elements=(
-        Element(
-            "motor", inertia=True, coulomb="by-direction", viscous="by-direction", quadratic=True,
-            stribeck="either", stribeck_exponent=True, cogging=(6,),
-        ),
-        Element(
-            "gearbox", ratio=30.0, load_loss="two", load_direction="quadrants", load_speed=True,
-            load_square=True, coulomb="symmetric", stribeck="apart", periodic_friction=(1,),
-        ),
-        Element("bearing", power=True, viscous=True, temperature="both", warming="viscous"),
-    ),
-    load=Load(inertia=True, first_moment=True, gravity_angle=True, spring="stiffening"),
-    offset=True,
-    gain=True,
-)  # fmt: skip
 SLIDE = Joint(
     elements=(Element("slide", inertia=True, coulomb="symmetric", viscous=True, motion="linear"),),
     load=Load(motion="linear", inertia=True),

@@ -8,7 +8,7 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
-from .conftest import draw_fast
+from .conftest import by_gid, draw_fast
 from .made_summaries import failed
 
 
@@ -19,11 +19,6 @@ def panels(figure):
         place = ax.get_subplotspec()
         found[place.rowspan.start, place.colspan.start] = ax
     return found
-
-
-def by_gid(ax, gid):
-    (artist,) = [a for a in ax.get_children() if a.get_gid() == gid]
-    return artist
 
 
 def drawn(fit):
@@ -43,6 +38,8 @@ def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
     figure = corner_figure(knee, Summary.read(determined(knee)))
     for i, q in enumerate(shown):
         ax = panels(figure)[i, i]
+        # nothing is open: parameters as sampled
+        assert panels(figure)[7, i].get_xlabel().split("\n")[0] == q.symbol
         x, y = by_gid(ax, "prior").get_data()
         some = slice(5, None, 40)
         expected = np.exp(q.prior.log_density(x[some] * q.factor)) * q.factor
@@ -109,18 +106,16 @@ def test_ensembles_that_disagree_determine_nothing(knee):
     assert not any("interval" in text for text in words)
 
 
-def test_nothing_open_shows_the_parameters_as_sampled(knee):
-    figure = corner_figure(knee, Summary.read(determined(knee)))
-    symbols = [panels(figure)[7, j].get_xlabel().split("\n")[0] for j in range(8)]
-    assert symbols == [q.symbol for q in quantities(knee)[:8]]
-
-
 def test_scales_of_axes(knee):
     unit = {q.name: q.scaled_unit for q in quantities(knee)}
     assert unit["motor.inertia"] == "10$^{-4}$ kg m²"
     assert unit["gearbox.load_drive"] == "–"
     assert unit["joint.viscous"] == "N m s"
     assert unit["noise.sigma"] == "10$^{-2}$ N m"
+
+
+def test_all_draws_constant_but_the_noise(make_fit):
+    draw_fast(drawn(make_fit(spread=0.0)))
 
 
 @pytest.mark.parametrize("constant", [("motor.viscous",), ("motor.inertia", "joint.viscous")])
@@ -134,11 +129,6 @@ def test_constant_draws(make_fit, constant):
     ]
     q = quantities(fit)[j]
     assert line.get_xdata()[0] == pytest.approx(q.draws[0] / q.factor)
-
-
-def test_all_draws_constant_but_the_noise(make_fit):
-    fit = make_fit(spread=0.0)
-    draw_fast(drawn(fit))
 
 
 def test_contours_hold_the_stated_mass(make_fit):

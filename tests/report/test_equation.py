@@ -5,27 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.equation import latex_equations, plain_equations
 
-EVERYTHING = Joint(
-    elements=(
-        Element(
-            "motor", inertia=True, coulomb="by-direction", viscous="by-direction", quadratic=True,
-            stribeck="either", stribeck_exponent=True, cogging=(6,), load_loss="one",
-        ),
-        Element(
-            "gearbox", ratio=30.0, load_loss="two", load_direction="quadrants", load_speed=True,
-            load_square=True, coulomb="symmetric", stribeck="apart", periodic_friction=(1,),
-        ),
-        Element("bearing", power=True, viscous=True, warming="viscous"),
-    ),
-    load=Load(inertia=True, first_moment=True, gravity_angle=True, spring="stiffening"),
-    offset=True,
-    gain=True,
-)  # fmt: skip
+from .conftest import EVERYTHING
+
 CHAINS = {**{name: Joint.preset(name) for name in PRESETS}, "everything": EVERYTHING}
 FUNCTIONS = {name: getattr(np, name) for name in ("sin", "cos", "exp", "expm1", "sign")}
 FUNCTIONS |= {"abs": np.abs, "max": np.maximum, "min": np.minimum}
@@ -40,7 +25,7 @@ def test_it_is_the_model(name):
     t = np.abs(t)
     names = sorted(values, key=len, reverse=True)
     known = FUNCTIONS | {n.replace(".", "__"): x for n, x in values.items()}
-    known |= {"q": q, "qd": qd, "qdd": qdd, "t": t}
+    known |= {"q": q, "qd": qd, "qdd": qdd, "t": t, "temperature": 20.0}
     for line in reversed(plain_equations(joint)):
         left, right = line.split(" = ")
         for one in names:

@@ -8,11 +8,14 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
+from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.corner import corner_figure
 from bayesfric.report.figures.efficiency import efficiency_figure
+from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.prediction import prediction_figure
 from bayesfric.report.figures.residual import residual_figure
+from bayesfric.report.figures.ridge import ridge_figure
 from bayesfric.report.figures.style import (
     COLUMN,
     PAGE,
@@ -138,6 +141,8 @@ FOR_PAPERS = {
     "friction": lambda fit, _: friction_figure(fit),
     "efficiency": lambda fit, _: efficiency_figure(fit),
     "residual": lambda fit, _: residual_figure(fit),
+    "ridge": lambda fit, _: ridge_figure(fit),
+    "forest": lambda _, summary: forest_figure(comparison({"run": summary})),
 }
 
 
@@ -156,8 +161,10 @@ def test_figures_for_papers(stem, knee, tmp_path):
     fonts_embedded(tmp_path / f"{stem}.pdf", figure.get_figwidth())
     # what may differ from one drawing to the next differs in all formats; this is the fastest
     again = tmp_path / "again.svg"
+    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
+        drawn = FOR_PAPERS[stem](knee, summary)
     with paper_style():
-        FOR_PAPERS[stem](knee, summary).savefig(again, format="svg", metadata={"Date": None})
+        drawn.savefig(again, format="svg", metadata={"Date": None})
     assert again.read_bytes() == (tmp_path / f"{stem}.svg").read_bytes()
 
 

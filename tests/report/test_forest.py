@@ -3,7 +3,6 @@
 import copy
 import re
 
-import matplotlib
 import numpy as np
 import pytest
 from matplotlib.text import Annotation
@@ -11,10 +10,10 @@ from matplotlib.text import Annotation
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
-from bayesfric.report.figures.style import COLUMN, PAGE, save
+from bayesfric.report.figures.style import COLUMN, PAGE
 
 from .made_summaries import LEG, MOTOR, TOTALS, knee, loaded, old
-from .test_figures import fonts_embedded, nothing_cut_off
+from .test_figures import nothing_cut_off
 
 # 90 % of a normal distribution lie within so many sds
 HALF = 1.645
@@ -174,6 +173,10 @@ def test_width_of_a_paper_and_nothing_cut_off(runs):
     assert figure.get_figwidth() == (COLUMN if len(figure.axes) <= 4 else PAGE)
     assert figure.get_figheight() <= 9.2
     nothing_cut_off(figure, upright=False)
+    for ax in figure.axes:
+        assert re.search(r"\(.+\)$", ax.get_xlabel())
+        assert ax.get_title() == ""
+    assert len(figure.legends) == 1
 
 
 def test_many_quantities_say_what_is_left_out():
@@ -188,30 +191,6 @@ def test_many_quantities_say_what_is_left_out():
     (remark,) = [t.get_text() for t in figure.texts]
     total = len(comparison({"a": run}).rows)
     assert remark == f"{total - len(figure.axes)} more quantities are in the table only"
-
-
-@cases
-def test_axes_say_units_and_there_are_no_titles(runs):
-    figure = forest_figure(comparison(runs))
-    for ax in figure.axes:
-        assert re.search(r"\(.+\)$", ax.get_xlabel())
-        assert ax.get_title() == ""
-    assert len(figure.legends) == 1
-
-
-def test_fonts_are_embedded_truetype(tmp_path):
-    figure = forest_figure(comparison(CASES["methods"]))
-    save(figure, tmp_path, "forest")
-    fonts_embedded(tmp_path / "forest.pdf", PAGE)
-
-
-def test_same_summaries_same_bytes_whatever_the_readers_style(tmp_path):
-    save(forest_figure(comparison(CASES["few"])), tmp_path, "one")
-    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
-        save(forest_figure(comparison(CASES["few"])), tmp_path, "two")
-    for suffix in ("pdf", "png"):
-        one, two = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("one", "two"))
-        assert one == two
 
 
 def test_an_estimate_that_did_not_converge_says_so_and_takes_no_other_bar():

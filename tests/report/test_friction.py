@@ -165,14 +165,10 @@ def test_places_are_where_the_recordings_ran(knee, curves):
     assert {np.sign(c.load[0]) for c in curves.over_speed} == {-1.0, 0.0, 1.0}
 
 
-def test_near_means_near():
-    place = Covered(np.linspace(0, 10, 101), np.zeros(101))
-    near = place.near(np.array([5.0, 10.4, 14.0]), None)
-    assert near.tolist() == [True, True, False]
-
-
 def test_a_fast_output_alone_is_not_near_and_legend_and_caption_say_why(knee):
     """Two of 103 outputs are fast: recorded, yet too few to cover a place."""
+    place = Covered(np.linspace(0, 10, 101), np.zeros(101))
+    assert place.near(np.array([5.0, 10.4, 14.0]), None).tolist() == [True, True, False]
     place = Covered(np.r_[np.linspace(0, 4, 101), 9.0, 9.1], np.zeros(103))
     assert place.near(np.array([2.0, 9.0]), None).tolist() == [True, False]
     more = Covered(np.r_[place.speed, 9.05], np.zeros(104))

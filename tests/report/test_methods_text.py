@@ -19,9 +19,14 @@ from bayesfric.report.summary.summary import summarise
 from .made_summaries import FOUND
 
 
+@pytest.fixture
+def summary(knee):
+    return summarise(knee).as_dict()
+
+
 @pytest.fixture(scope="module")
 def said(knee):
-    return methods_text(knee, summarise(knee).as_dict())
+    return methods_text(knee, summarise(knee))
 
 
 def test_numbers_of_this_run(knee, said):
@@ -35,7 +40,7 @@ def test_numbers_of_this_run(knee, said):
         f"{out.measured.size} outputs",
         f"{d.ensembles} independent ensembles of {d.walkers} walkers, {d.warmup} steps of warm-up",
         f"{d.steps} steps, seed {knee.posterior.seed}",
-        f"bayesfric {bayesfric.__version__}",
+        f"bayesfric {bayesfric.__version__} (The bayesfric developers)",  # not named twice
         f"NumPy {version('numpy')}",
         "(input error)",
         "Velocities were measured, accelerations differentiated from them without a filter",
@@ -43,58 +48,63 @@ def test_numbers_of_this_run(knee, said):
         assert words in said.plain, words
 
 
-def test_a_velocity_that_was_not_measured_was_differentiated(knee):
-    """The made-up motions have a velocity; take it away, and the words must change."""
-    (o,) = knee.observations
-    assert o.settings["velocity"] == "measured"
-    summary = summarise(knee).as_dict()
-    o.settings["velocity"] = "differentiated"
-    try:
-        text = methods_text(knee, summary).plain
-    finally:
-        o.settings["velocity"] = "measured"
-    assert "Velocities and accelerations were differentiated from positions" in text
-    assert "measured, accel" not in text
+CURRENT = {"torque_constant": 0.32}
+VOLTAGE = {"motor_constant": "0.3 N m/A", "motor_resistance": "2 ohm"}
 
 
-def test_outputs_filtered_together_with_slow_samples_are_not_called_slow(knee):
-    """A window that holds a reversal is left out whole, and most of it may be fast."""
-    (o,) = knee.observations
-    kept = {key: o.settings[key] for key in ("dropped_dead_zone", "dead_zone")}
-    o.settings.update(dropped_dead_zone=24, dead_zone=0.0064)
-    try:
-        text = methods_text(knee, summarise(knee).as_dict()).plain
-    finally:
-        o.settings.update(kept)
-    (said,) = [one for one in text.split(". ") if "24 were left out" in one]
-    assert "below 0.0064 rad/s" in said
-    assert "or filtered together with such samples" in said
+@pytest.mark.parametrize(
+    ("which", "settings", "said"),
+    [
+        # the made-up motions have a velocity; take it away, and the words must change
+        (
+            "knee",
+            {"velocity": "differentiated"},
+            "Velocities and accelerations were differentiated from positions",
+        ),
+        # a window that holds a reversal is left out whole, and most of it may be fast
+        (
+            "knee",
+            {"dropped_dead_zone": 24, "dead_zone": 0.0064},
+            "24 were left out: [^.]*below 0.0064 rad/s[^.]* or filtered together with such samples",
+        ),
+        (
+            "knee",
+            {"interpolated_from": 1473},
+            "One recording of 1473 measured samples was used. They were stamped at irregular "
+            "times, and were interpolated to 1500 at even steps",
+        ),
+        ("knee", CURRENT, "The torque is a measured current times 0.32 N m/A, taken as exact"),
+        # a commanded voltage times a constant, and a motor's voltage less its back-EMF
+        (
+            "slide",
+            {"signal_unit": "V", "signal_constant": "35.15065188248547 N/V"},
+            "The force is a recorded signal in V, times 35.1507 N/V",
+        ),
+        ("knee", VOLTAGE, r"voltage, less its back-EMF \(kt = 0.3 N m/A, R = 2 ohm\)"),
+    ],
+)
+def test_how_a_recording_was_read_is_told(which, settings, said, request, monkeypatch):
+    fit = request.getfixturevalue(which)
+    summary = summarise(fit)
+    before = methods_text(fit, summary).plain
+    (o,) = fit.observations
+    for key, value in settings.items():
+        monkeypatch.setitem(o.settings, key, value)
+    after = methods_text(fit, summary).plain
+    assert re.search(said, after)
+    assert not re.search(said, before)
+    assert ("measured, accel" in after) == ("velocity" not in settings)
 
 
-def test_the_model_is_written_down(knee, slide):
-    said = methods_text(knee, summarise(knee).as_dict())
+def test_the_model_is_written_down(knee, slide, said):
     for line in plain_equations(knee.chain):
         assert line in said.plain
     assert latex_equations(knee.chain) in said.latex
     assert "is that at its element's input:\n\\begin{align*}" in said.latex
     assert "of the form psi Theta1 + sign(qd)|psi Theta2|" in said.plain
     assert r"$\psi\Theta_1 + \operatorname{sign}(\dot q)\,|\psi\Theta_2|$" in said.latex
-    said = methods_text(slide, summarise(slide).as_dict())
+    said = methods_text(slide, summarise(slide))
     assert "Theta" not in said.plain + said.latex
-
-
-def test_resampled_stamps_are_told_with_what_was_measured(knee):
-    (o,) = knee.observations
-    summary = summarise(knee).as_dict()
-    assert "irregular" not in methods_text(knee, summary).plain
-    o.settings["interpolated_from"] = o.settings["n_samples"] - 27
-    try:
-        text = methods_text(knee, summary).plain
-    finally:
-        del o.settings["interpolated_from"]
-    n = o.settings["n_samples"]
-    assert f"One recording of {n - 27} measured samples was used." in text
-    assert f"irregular times, and were interpolated to {n} at even steps" in text
 
 
 def test_what_was_left_out_by_hand_is_told_by_recording_and_in_all(many):
@@ -111,8 +121,7 @@ def test_what_was_left_out_by_hand_is_told_by_recording_and_in_all(many):
     )
     target, likelihood = copy.copy(many.target), copy.copy(many.target.likelihood)
     likelihood.observations, target.likelihood = seen, likelihood
-    fit = replace(many, target=target)
-    text = methods_text(fit, summary).plain
+    text = methods_text(replace(many, target=target), summary).plain
     assert (
         "Left out by hand were 1.3 s in all: of run 0 what lies before 0.25 s, 0.5 to 0.75 s, "
         "1 to 1.1 s and what lies after 1.4 s; of run 1 1 to 1.1 s." in text
@@ -120,24 +129,11 @@ def test_what_was_left_out_by_hand_is_told_by_recording_and_in_all(many):
     assert "Not compared were 0.03 s more in which a recording's own column says" in text
 
 
-def test_a_measured_current_is_told(knee):
-    (o,) = knee.observations
-    summary = summarise(knee).as_dict()
-    assert "measured current" not in methods_text(knee, summary).plain
-    o.settings["torque_constant"] = 0.32
-    try:
-        text = methods_text(knee, summary).plain
-    finally:
-        del o.settings["torque_constant"]
-    assert "The torque is a measured current times 0.32 N m/A, taken as exact." in text
-
-
-def test_what_every_torque_rests_on_is_said_unless_its_factor_is_fitted(knee):
+def test_what_every_torque_rests_on_is_said_unless_its_factor_is_fitted(summary):
     """0.32 N m/A were one number off, and every other would be."""
-    read = Summary.read(summarise(knee).as_dict())
+    read = Summary.read(summary)
     assert not read.rests_on  # a torque as measured
-    measured = read.fit.model_copy(update={"torque_constant": 0.32})
-    current = read.model_copy(update={"fit": measured})
+    current = read.model_copy(update={"fit": read.fit.model_copy(update=CURRENT)})
     told = "Torque is a current times 0.32 N m/A, taken as exact"
     assert any(told in note for note in parameter_table(current).notes())
     row = read.parameters["motor.inertia"]
@@ -145,28 +141,7 @@ def test_what_every_torque_rests_on_is_said_unless_its_factor_is_fitted(knee):
     assert not fitted.rests_on
 
 
-def test_what_a_torque_was_made_of_is_told(knee, slide):
-    """A commanded voltage times a constant, and a motor's voltage less its back-EMF."""
-    made = {"signal_unit": "V", "signal_constant": "35.15065188248547 N/V"}
-    motor = {"motor_constant": "0.3 N m/A", "motor_resistance": "2 ohm"}
-    for fit, settings, words in (
-        (slide, made, "The force is a recorded signal in V, times 35.1507 N/V."),
-        (knee, motor, "voltage, less its back-EMF (kt = 0.3 N m/A, R = 2 ohm)."),
-    ):
-        (o,) = fit.observations
-        summary = summarise(fit).as_dict()
-        assert words not in methods_text(fit, summary).plain
-        o.settings.update(settings)
-        try:
-            text = methods_text(fit, summary).plain
-        finally:
-            for key in settings:
-                del o.settings[key]
-        assert words in text
-
-
-def test_why_numbers_are_doubtful_is_said(knee):
-    summary = summarise(knee).as_dict()
+def test_why_numbers_are_doubtful_is_said(knee, summary):
     name = "motor.inertia"
     summary["doubts"] = [
         {"kind": "missing", "what": "torque_constant", "parameters": [name], "share": 0.123}
@@ -181,21 +156,16 @@ def test_why_numbers_are_doubtful_is_said(knee):
     assert f"d: doubtful, because {words}" in texts["tables/estimates.tex"]
 
 
-def test_the_noise_model_is_the_summarys(knee):
-    summary = summarise(knee).as_dict()
+def test_noise_and_simulation_are_the_summarys(knee, summary, said):
     summary["noise"]["model"] = "autoregressive of order 2, Student-t"
-    assert "Noise model: autoregressive of order 2, Student-t;" in methods_text(knee, summary).plain
-
-
-def test_a_paper_must_not_take_simulated_for_measured(knee):
-    summary = summarise(knee).as_dict()
-    assert "simulated, not measured" not in methods_text(knee, summary).plain
     told = methods_text(knee, summary | {"may_be_simulated": True}).plain
+    assert "Noise model: autoregressive of order 2, Student-t;" in told
+    # a paper must not take simulated for measured
     assert "they are simulated, not measured" in told
+    assert "simulated, not measured" not in said.plain
 
 
-def test_what_is_open_and_what_is_wrong_is_said(knee):
-    summary = summarise(knee).as_dict()
+def test_what_is_open_and_what_is_wrong_is_said(knee, summary):
     summary["noise"]["innovation_lag1"] = 0.67
     summary["warnings"] = ["run 0: something else"]
     text = methods_text(knee, summary).plain
@@ -219,23 +189,21 @@ def test_all_that_is_cited_is_listed_and_nothing_else(said):
     for key in listed:
         assert ENTRIES[key].short in said.plain
     assert "[@" not in said.plain + said.latex
+    for block in said.bibtex.split("\n\n"):
+        assert block.count("{") == block.count("}")
+    assert said.bibtex.isascii()
 
 
-def test_autoregressive_noise_cites_its_coordinates(knee):
+def test_what_another_noise_or_likelihood_rests_on_is_cited(knee, summary, said):
     noise = replace(knee.target.noise, quantities=("pacf_1",))
     target = object.__new__(type(knee.target))
     target.__dict__ |= knee.target.__dict__ | {"noise": noise}
-    found = methods_text(replace(knee, target=target), summarise(knee).as_dict())
+    found = methods_text(replace(knee, target=target), summary)
     assert "barndorff1973" in found.keys
     assert "juarez2010" not in found.keys
-
-
-def test_a_simulating_likelihood_cites_its_surrogate(knee):
-    summary = summarise(knee).as_dict()
-    found = methods_text(knee, summary)
-    assert "mixture of normals" in found.plain
-    simulated = summary | {"likelihood": summary["likelihood"] | {"method": "output-error"}}
-    assert "christen2005" in methods_text(knee, simulated).keys
+    assert "mixture of normals" in said.plain
+    summary["likelihood"]["method"] = "output-error"
+    assert "christen2005" in methods_text(knee, summary).keys
 
 
 def test_the_paper_is_named_as_its_proceedings_name_it(said):
@@ -260,22 +228,16 @@ _WANTED = {
 
 
 @pytest.mark.parametrize("key", ENTRIES)
-def test_an_entry_is_complete(key):
+def test_an_entry_is_complete_and_bibtex_warns_of_none(key):
     kind = re.match(r"@(\w+)", ENTRIES[key].text)[1]
-    assert set(re.findall(r"^  (\w+) = ", ENTRIES[key].text, re.MULTILINE)) >= _WANTED[kind]
-
-
-@pytest.mark.parametrize("key", ENTRIES)
-def test_an_entry_has_no_fields_that_bibtex_warns_of_together(key):
-    """Standard styles take one of volume and number, of a paper in proceedings."""
     fields = set(re.findall(r"^  (\w+) = ", ENTRIES[key].text, re.MULTILINE))
-    if ENTRIES[key].text.startswith("@inproceedings"):
-        assert not fields >= {"volume", "number"}
+    assert fields >= _WANTED[kind]
+    # standard styles take one of volume and number, of a paper in proceedings
+    assert kind != "inproceedings" or not fields >= {"volume", "number"}
 
 
-def test_signs_and_numbers_below_zero_are_math(knee):
+def test_signs_and_numbers_below_zero_are_math(knee, summary):
     """Text fonts print ``<``, ``>`` and ``|`` as other characters, and a hyphen for a minus."""
-    summary = summarise(knee).as_dict()
     summary["noise"]["residual_lag1"] = -0.61
     row = next(iter(summary["parameters"].values()))
     row["prior_default"], row["prior"] = False, "norm(loc=-1.5, scale=2e-05) cut to [-2, 3]"
@@ -283,13 +245,15 @@ def test_signs_and_numbers_below_zero_are_math(knee):
     assert "correlation is -0.61" in said.plain
     assert "correlation is $-0.61$" in said.latex
     assert r"norm(loc=$-1.5$, scale=$2\times 10^{-5}$) cut to [$-2$, 3]" in said.latex
-    words = re.sub(r"\\begin\{align\*\}.*?\\end\{align\*\}", "", said.latex, flags=re.DOTALL)
-    words = re.sub(r"\$[^$]*\$", "", words)
-    assert not re.search(r"[<>|]|(?<![\w-])-\d", words)
+    assert not re.search(r"[<>|]|(?<![\w-])-\d", outside_math(said.latex))
 
 
-def test_latex_has_the_symbols_of_the_tables_and_text_the_names(knee):
-    summary = summarise(knee).as_dict()
+def outside_math(text):
+    text = re.sub(r"\\begin\{align\*\}.*?\\end\{align\*\}", "", text, flags=re.DOTALL)
+    return re.sub(r"\$[^$]*\$", "", text)
+
+
+def test_latex_has_the_symbols_of_the_tables_and_text_the_names(knee, summary):
     for row in summary["parameters"].values():
         row["prior_default"] = False
     said = methods_text(knee, summary)
@@ -300,24 +264,12 @@ def test_latex_has_the_symbols_of_the_tables_and_text_the_names(knee):
         assert f" {table[name]} " in said.latex
 
 
-def test_the_package_is_not_named_twice(said):
-    assert f"bayesfric {bayesfric.__version__} (The bayesfric developers)" in said.plain
-
-
-def test_bibtex_is_balanced(said):
-    for block in said.bibtex.split("\n\n"):
-        assert block.count("{") == block.count("}")
-    assert said.bibtex.isascii()
-
-
-def test_latex_is_escaped(make_fit):
-    summary = summarise(make_fit(samples=400)).as_dict()
+def test_latex_is_escaped(knee, summary):
     row = next(iter(summary["parameters"].values()))
     row["prior_default"], row["prior"] = False, "norm(loc=50%, my_scale=1)"
-    text = methods_text(make_fit(samples=400), summary).latex
+    text = methods_text(knee, summary).latex
     assert r"norm(loc=50\%, my\_scale=1)" in text
-    text = re.sub(r"\\begin\{align\*\}.*?\\end\{align\*\}", "", text, flags=re.DOTALL)
-    text = re.sub(r"\$[^$]*\$", "", text).partition("\n")[2]  # behind its comment
+    text = outside_math(text).partition("\n")[2]  # behind its comment
     assert not re.search(r"(?<!\\)[%&#_]", re.sub(r"\\cite\{[^}]+\}", "", text))
 
 
@@ -330,8 +282,8 @@ def test_an_axis_and_four_recordings(slide, many):
 
 
 @pytest.mark.parametrize("found", [[], [FOUND | {"kind": "load_loss"}]])
-def test_what_was_asked_of_the_model_is_what_is_said_of_it(knee, found):
-    told = summarise(knee).as_dict() | {"regression": {"twins": 60}, "findings": found}
+def test_what_was_asked_of_the_model_is_what_is_said_of_it(knee, summary, found):
+    told = summary | {"regression": {"twins": 60}, "findings": found}
     told["model_error"] = {"shown": bool(found), "chance": 0.99}
     said = methods_text(knee, told).plain
     assert "60 recordings simulated from the model" in said

@@ -90,49 +90,32 @@ def test_figures_show_what_the_tables_print(wrong):
     assert "room for the model's error, as in the tables" in run_figures()["corner"].caption_of(run)
 
 
-def test_noise_and_what_is_open_keep_their_intervals(wrong):
-    assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
-
-
-def test_derived_quantities_widen_too(wrong):
-    totals = [row for name, row in wrong.summary.derived.items() if name.startswith("total")]
-    assert all(row.model_error_interval for row in totals)
-
-
-def test_the_terminal_prints_the_wide_one_alone(wrong):
+def test_every_view_goes_by_the_wide_one(wrong):
     row = wrong.summary.parameters[NAME]
     assert row.reported.how.widened
     assert row.reported.interval == row.model_error_interval
-    text = "\n".join(fit_text(wrong.summary, verbose=True))
-    assert "widened for the model's error" in text
-
-
-def test_comparisons_and_tables_go_by_the_wide_one(wrong):
-    row = wrong.summary.parameters[NAME]
     cell = posterior_cells(wrong.summary)[NAME]
-    assert cell.interval == tuple(row.model_error_interval)
-    assert cell.sd == row.model_error_sd
+    assert (cell.interval, cell.sd) == (tuple(row.model_error_interval), row.model_error_sd)
     csv = summary_texts(wrong.summary, "run")["tables/parameters.csv"]
     (line,) = (one for one in csv.splitlines() if f",{NAME}," in one)
     assert repr(row.model_error_interval[0]) in line
     assert repr(row.interval[0]) not in line
+    text = "\n".join(fit_text(wrong.summary, verbose=True))
+    assert "widened for the model's error" in text
+    # figures of friction draw from it
+    drawn = wrong.fit.wide.posterior.draws[..., wrong.fit.posterior.names.index(NAME)]
+    assert drawn.shape[:2] == wrong.fit.posterior.draws.shape[:2]
+    assert np.quantile(drawn, [0.05, 0.95]) == pytest.approx(row.model_error_interval)
+    # derived quantities widen too, and noise keeps its interval
+    totals = [row for name, row in wrong.summary.derived.items() if name.startswith("total")]
+    assert all(row.model_error_interval for row in totals)
+    assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
 
 
-def test_the_page_shows_both_and_what_was_asked(wrong, tmp_path):
+def test_the_page_shows_both_and_the_paragraph_cites_what_was_done(wrong, tmp_path):
     html = run_page(tmp_path, wrong.summary, "run")
     assert "If the model were right" in html
     assert 'id="model-error"' in html
-
-
-def test_figures_of_friction_draw_the_wide_one(wrong):
-    j = wrong.fit.posterior.names.index(NAME)
-    drawn = wrong.fit.wide.posterior.draws[..., j]
-    assert drawn.shape[:2] == wrong.fit.posterior.draws.shape[:2]
-    low, high = wrong.summary.parameters[NAME].model_error_interval
-    assert np.quantile(drawn, [0.05, 0.95]) == pytest.approx([low, high])
-
-
-def test_the_paragraph_cites_what_was_done(wrong):
     said = methods_text(wrong.fit, wrong.summary)
     assert "carvalho2010" in said.keys
     assert "carvalho2010" in said.bibtex

@@ -25,13 +25,15 @@ def run(make_fit, tmp_path_factory):
 
 def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):
     summary, data = run
-    for group, rows in (("posterior", summary.parameters), ("prior", summary.parameters)):
-        assert set(data[group].data_vars) == set(rows)
-        for name, row in rows.items():
+    for group in ("posterior", "prior"):
+        assert set(data[group].data_vars) == set(summary.parameters)
+        for name, row in summary.parameters.items():
             told = data[group][name].attrs
             assert told["units"] == (row.unit or "1")
             assert (told["symbol"], told["long_name"]) == (row.symbol, row.meaning)
             assert told["verdict"] == row.verdict
+    assert json.loads(data.attrs["noise"]) == summary.noise.as_dict()
+    assert data.attrs["status"] == "reliable"
 
 
 def test_derived_quantities_are_those_of_the_summary(run):
@@ -44,12 +46,6 @@ def test_derived_quantities_are_those_of_the_summary(run):
         assert draws.attrs["units"] == (row.unit or "1")
         assert draws.attrs["verdict"] == row.verdict
         assert draws.sizes["chain"] == data["posterior"].sizes["chain"]
-
-
-def test_the_noise_and_what_was_known_are_in_it(run):
-    summary, data = run
-    assert json.loads(data.attrs["noise"]) == summary.noise.as_dict()
-    assert data.attrs["status"] == "reliable"
 
 
 @pytest.mark.parametrize("made", [knee, every_kind])

@@ -13,10 +13,7 @@ from bayesfric.recordings.measurement import LeftOut
 from bayesfric.report.figures.prediction import prediction_figure, predictive
 from bayesfric.report.figures.style import save
 
-
-def by_gid(ax, gid):
-    (artist,) = [a for a in ax.get_children() if a.get_gid() == gid]
-    return artist
+from .conftest import by_gid
 
 
 def test_band_covers_ninety_per_cent_of_simulated_data(make_fit):

@@ -25,6 +25,11 @@ def told(**values):
     return made
 
 
+def alert(made):
+    (found,) = (one for one in alerts_of(made) if one.kind == "references")
+    return found
+
+
 def test_only_what_is_beyond_three_sds_is_told():
     near = told(**{INERTIA: lambda row: row.middle - 2.9 * row.told_sd})
     assert references_off(Summary.read(near)) is None
@@ -41,25 +46,21 @@ def test_only_what_is_beyond_three_sds_is_told():
 
 def test_one_factor_of_all_is_the_torques():
     alike = told(**dict.fromkeys((INERTIA, VISCOUS), lambda row: row.middle / 2.5))
-    (alert,) = (one for one in alerts_of(alike) if one.kind == "references")
-    assert alert.first
-    assert INERTIA in alert.text
-    assert "the torque told 2.5 times" in alert.text
+    assert alert(alike).first
+    assert INERTIA in alert(alike).text
+    assert "the torque told 2.5 times" in alert(alike).text
     apart = told(**{INERTIA: lambda row: row.middle / 2.5, VISCOUS: lambda row: row.middle})
-    (alert,) = (one for one in alerts_of(apart) if one.kind == "references")
-    assert "torque told" not in alert.text
-    assert VISCOUS not in alert.text
+    assert "torque told" not in alert(apart).text
+    assert VISCOUS not in alert(apart).text
 
 
-def test_a_loss_per_torque_says_nothing_of_its_scale():
-    made = told(**{LOAD: lambda row: row.middle / 2.5})
-    found = references_off(Summary.read(made))
-    assert found["factor"] is None
-
-
-def test_a_gain_that_is_fitted_is_that_factor_already():
+def test_not_every_reference_tells_a_factor_of_the_torque():
     made = told(**{INERTIA: lambda row: row.middle / 2.5})
     assert references_off(Summary.read(made))["factor"] == pytest.approx(2.5)
+    # a loss per torque says nothing of its scale
+    lossy = told(**{LOAD: lambda row: row.middle / 2.5})
+    assert references_off(Summary.read(lossy))["factor"] is None
+    # a gain that is fitted is that factor already
     made["parameters"]["drive.gain"] = copy.deepcopy(made["parameters"][LOAD])
     assert references_off(Summary.read(made))["factor"] is None
 
@@ -83,8 +84,7 @@ def test_a_prior_that_the_data_contradict_is_told_like_a_reference():
     assert one["by"] == "prior"
     assert one["factor"] == pytest.approx(0.37 / 0.304)
     assert one["times"] == pytest.approx((0.37 - 0.304) / np.hypot(0.004, 0.01))
-    (alert,) = (one for one in alerts_of(made) if one.kind == "references")
-    assert "the torque told 1.22 times" in alert.text
+    assert "the torque told 1.22 times" in alert(made).text
     # near, known by default only, or hardly known
     assert references_off(Summary.read(with_prior(0.33, 0.004, 0.304, 0.01))) is None
     made["parameters"][INERTIA]["prior_default"] = True

@@ -42,6 +42,12 @@ def disturbed(fit, change):
     return replace(fit, target=target)
 
 
+def memory(partial):
+    """Add a first-order autoregression, to every recording another."""
+    rng = np.random.default_rng(3)
+    return lambda o, _: lfilter([1.0], [1.0, -partial], rng.standard_normal(o.time.size))
+
+
 def test_white_residuals_stay_in_the_band(knee):
     found = residual_analysis(knee)
     outside = np.abs(found.correlation) > found.white
@@ -56,12 +62,7 @@ def test_white_residuals_stay_in_the_band(knee):
 
 def test_the_autocorrelation_is_that_of_the_noise(knee):
     """A first-order autoregression of 0.8 has 0.8, 0.64, ... at lags 1, 2, ..."""
-
-    def memory(o, _):
-        rng = np.random.default_rng(3)
-        return 1.0 * lfilter([1.0], [1.0, -0.8], rng.standard_normal(o.measured.size))
-
-    found = residual_analysis(disturbed(knee, memory))
+    found = residual_analysis(disturbed(knee, memory(0.8)))
     # Bartlett: sd of the lag-1 estimate is sqrt((1 - 0.8^2)/1400) = 0.016; gaps cost a little
     assert found.correlation[0] == pytest.approx(0.8, abs=0.06)
     assert found.correlation[1] == pytest.approx(0.64, abs=0.09)
@@ -97,12 +98,7 @@ def test_what_the_model_lacks_shows_where_it_acts(knee, name, change):
 def test_a_mean_of_outputs_that_repeat_each_other_is_less_known(make_fit):
     """By sqrt(1.9/0.1) = 4.4 of a first-order memory of 0.9, less for lags that are left out."""
     fit = make_fit(SLIDE, samples=20000, processing=SLOW)
-
-    def memory(o, _):
-        rng = np.random.default_rng(3)
-        return lfilter([1.0], [1.0, -0.9], rng.standard_normal(o.measured.size))
-
-    (speed, *_) = residual_analysis(disturbed(fit, memory)).against
+    (speed, *_) = residual_analysis(disturbed(fit, memory(0.9))).against
     plain = speed.sd / np.sqrt(fit.residuals[0].size / speed.sd.size)
     assert np.mean(speed.error / plain) == pytest.approx(np.sqrt(1.9 / 0.1), rel=0.25)
 
@@ -137,10 +133,7 @@ def remembering(fit, partial):
 
 
 def test_innovations_are_what_a_memory_leaves(knee):
-    def memory(o, _):
-        return lfilter([1.0], [1.0, -0.8], np.random.default_rng(3).standard_normal(o.time.size))
-
-    fit = disturbed(remembering(knee, 0.8), memory)
+    fit = disturbed(remembering(knee, 0.8), memory(0.8))
     found = residual_analysis(fit)
     assert (np.abs(found.correlation) > found.white).sum() > 5
     # gaps of the dead zone hide some of the past: a few more than chance are let pass
@@ -185,16 +178,13 @@ def test_no_words_stand_on_bars(knee):
     assert words >= 4
 
 
-def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee):
+def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee, monkeypatch):
     assert summarise(knee).fit.current_rms is None
     assert not any(child.get_gid() == "amperes" for child in children(residual_figure(knee)))
     (o,) = knee.observations
-    o.settings["torque_constant"] = 0.32
-    try:
-        summary, figure = summarise(knee), residual_figure(knee)
-        methods = methods_text(knee, summary).plain
-    finally:
-        del o.settings["torque_constant"]
+    monkeypatch.setitem(o.settings, "torque_constant", 0.32)
+    summary, figure = summarise(knee), residual_figure(knee)
+    methods = methods_text(knee, summary).plain
     current = summary.fit.residual_rms / 0.32
     assert summary.fit.current_rms == pytest.approx(current)
     assert f"{current:.3g} A of the motor's current" in methods
@@ -211,15 +201,12 @@ def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee):
     np.testing.assert_allclose(ends[1], ends[0] / 0.32, rtol=1e-6)
 
 
-def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path):
+def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path, monkeypatch):
     (o,) = knee.observations
     assert not any(row.current for row in summarise(knee).rows.values())
     # a negative constant: current is counted the other way
-    o.settings["torque_constant"] = -0.32
-    try:
-        summary = summarise(knee)
-    finally:
-        del o.settings["torque_constant"]
+    monkeypatch.setitem(o.settings, "torque_constant", -0.32)
+    summary = summarise(knee)
     told = {name: row.current for name, row in summary.rows.items() if row.current}
     # simulated with 0.02 N m of noise
     assert told["noise.sigma"][0] == pytest.approx(0.02 / 0.32, rel=0.02)
@@ -259,14 +246,8 @@ def children(figure):
 
 def test_lag_1_is_one_number_in_caption_and_summary(many):
     """About zero, though residuals have a mean and recordings differ in length and noise."""
-
-    rng = np.random.default_rng(5)
-
-    def moved(o, _):
-        noise = lfilter([1.0], [1.0, 0.6], rng.standard_normal(o.measured.size))
-        return o.measured.size * (0.5 + noise)
-
-    fit = disturbed(many, moved)
+    noise = memory(-0.6)
+    fit = disturbed(many, lambda o, _: o.measured.size * (0.5 + noise(o, _)))
     told = summarise(fit).noise.residual_lag1
     assert residual_analysis(fit).correlation[0] == pytest.approx(told, rel=1e-12)
     # a mean of 0.5 beside noise of variance 1/(1 - 0.6^2) and lag -0.6; four sds of a white lag

@@ -14,10 +14,10 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.figures.ridge import ridge, ridge_figure, siblings
-from bayesfric.report.figures.style import PAGE, save
+from bayesfric.report.figures.style import PAGE
 
 from .conftest import draw_fast
-from .test_figures import fonts_embedded, has_unit, nothing_cut_off
+from .test_figures import has_unit, nothing_cut_off
 
 KNEE = PRESETS["rabbit-knee"]
 # So wide that only the lower ends, zero, and mu_2 <= 1 are ever met.
@@ -251,20 +251,11 @@ def test_a_chain_without_a_scaling_has_no_ridge(slide):
     assert ridge_figure(slide) is None
 
 
-@pytest.mark.parametrize("which", ["knee", "many", "flat", "loaded"])
+@pytest.mark.parametrize("which", ["many", "flat", "loaded"])
 def test_a_page_wide_and_nothing_cut_off(which, request):
     figure = ridge_figure(request.getfixturevalue(which))
     assert figure.get_figwidth() == PAGE
     nothing_cut_off(figure, upright=False)
-
-
-def test_fonts_and_bytes(flat, figure, tmp_path):
-    save(figure, tmp_path, "one")
-    pdf = tmp_path / "one.pdf"
-    fonts_embedded(pdf, PAGE)
-    save(ridge_figure(flat), tmp_path, "two")
-    again = tmp_path / "two.pdf"
-    assert again.read_bytes() == pdf.read_bytes()
 
 
 def test_what_stands_beside_alpha_is_read_from_the_table():

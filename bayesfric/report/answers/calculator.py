@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
@@ -26,11 +25,10 @@ from bayesfric.mechanism.quantities import (
     LOAD_CHOICES,
     SHAPES,
 )
+from bayesfric.recordings.arrays import Array
 from bayesfric.report.answers.formula import Formula, Unwritten, formula_of, mentions
 from bayesfric.report.answers.record import Calculator, ElementRow, GroupRow, Seen, TermRow
 from bayesfric.report.summary.derived_quantities import LEVEL
-
-Array = NDArray[np.float64]
 
 # Ends of a 90 % band of so many draws are known to a tenth of its width.
 _DRAWS = 300

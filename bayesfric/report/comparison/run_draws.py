@@ -9,13 +9,11 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.record import Summary
-
-Array = NDArray[np.float64]
 
 # More draws change no interval that could be seen.
 _MOST = 200_000

@@ -26,7 +26,6 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from bayesfric.estimates.torque import load_at_outputs
@@ -36,6 +35,7 @@ from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Flags
 from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures.style import OPEN_HATCH, Array, Look
 from bayesfric.report.summary.derived_quantities import LEVEL, around_median, prior_values
@@ -43,7 +43,6 @@ from bayesfric.report.summary.derived_quantities import LEVEL, around_median, pr
 # Of the recorded range of speed, and of load: outputs so near to a place cover it.
 NEAR = 0.08
 
-Flags = NDArray[np.bool_]
 # Joint parameters (n, n_parameters) to the curve's points (n, N)
 Of = Callable[[Array], Array]
 

@@ -11,13 +11,13 @@ from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.derived import derive
+from bayesfric.recordings.arrays import Flags
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     FEWEST,
     Curve,
     CurveJudge,
     CurveLook,
-    Flags,
     covered,
     curve_handles,
     draw_curve,

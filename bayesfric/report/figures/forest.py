@@ -16,7 +16,7 @@ from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
-from bayesfric.report.figures.style import Look, power_of_ten, remark_below, run_colour, shortened
+from bayesfric.report.figures.style import Look, power_of_ten, remark_below, shortened
 from bayesfric.report.summary.derived_quantities import LEVEL
 
 # Up to so many panels stand below each other in one column of a paper.
@@ -38,6 +38,7 @@ _ESTIMATES = {
     "output-error": ("D", style.MEASURED),
 }
 _POSTERIORS = ("o", "v", "P", "X", "<", ">")
+_RUNS = (style.POSTERIOR, style.PALETTE[0], style.PALETTE[3])  # orange is a reference's
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,8 @@ def _styled(columns: list[Column]) -> list[_Line]:
         if column.method is not None:
             marker, colour = _ESTIMATES[column.method]
         else:
-            marker, colour = _POSTERIORS[posteriors % len(_POSTERIORS)], run_colour(posteriors)
+            marker = _POSTERIORS[posteriors % len(_POSTERIORS)]
+            colour = _RUNS[posteriors % len(_RUNS)]
             posteriors += 1
         lines.append(_Line(column, float(len(columns) - 1 - k), marker, colour))
     return lines

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
+from bayesfric.recordings.arrays import Flags
 from bayesfric.report.figures import style
 from bayesfric.report.figures.curve_band import (
     FEWEST,
@@ -19,7 +20,6 @@ from bayesfric.report.figures.curve_band import (
     Curve,
     CurveJudge,
     CurveLook,
-    Flags,
     covered,
     curve_handles,
     draw_curve,

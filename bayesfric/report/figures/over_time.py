@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures.style import BAND, MEASURED, Array
+from bayesfric.results.roll_out import Rolled
 
 # Lines of more points are drawn as pixels; as paths they would make a slow and huge PDF.
 _MOST_POINTS = 5000
 
 
-def as_pixels(o: Outputs | Observation) -> bool:
+def as_pixels(o: Outputs | Observation | Rolled) -> bool:
     """Whether there are too many outputs to draw them as paths."""
     return o.time.size > _MOST_POINTS
 
@@ -39,6 +40,8 @@ def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **nam
     ax.fill_between(time, low, high, color=BAND, linewidth=0.0, rasterized=as_pixels(o), **named)
 
 
-def draw_measured(ax: Axes, time: Array, values: Array, *, pixels: bool, **named: Any) -> None:
+def draw_measured(
+    ax: Axes, o: Outputs | Observation, time: Array, values: Array, **named: Any
+) -> None:
     """Draw what was measured, broken already; ``named`` is its marks, width, label and name."""
-    ax.plot(time, values, color=MEASURED, markersize=1.5, rasterized=pixels, **named)
+    ax.plot(time, values, color=MEASURED, markersize=1.5, rasterized=as_pixels(o), **named)

@@ -136,7 +136,7 @@ def draw_predicted(ax: Axes, o: Outputs, p: Predictive, most_dots: float = _MOST
     ax.plot(time, mean, color=style.PALETTE[2], linewidth=width, **named)
     dots = _dots(measured, most_dots)
     named = {"marker": ".", "markevery": dots, "label": "measured", "gid": "measured"}
-    draw_measured(ax, time, measured, linewidth=0.5, pixels=as_pixels(o), **named)
+    draw_measured(ax, o, time, measured, linewidth=0.5, **named)
 
 
 def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
@@ -144,15 +144,10 @@ def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
     draw_band(ax, o, *(end - p.mean for end in p.band(LEVEL)))
     time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
     named: Look = {"marker": ".", "markevery": _dots(residual, most_dots), "gid": "residual"}
-    draw_measured(ax, time, residual, linewidth=0.4, pixels=as_pixels(o), **named)
-    look: Look = {
-        "color": style.PALETTE[1],
-        "linewidth": 0.8,
-        "linestyle": style.DASHED,
-        "gid": "sigma",
-    }
-    ax.plot(time, -2.0 * sigma, **look)
-    ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", **look)
+    draw_measured(ax, o, time, residual, linewidth=0.4, **named)
+    look: Look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED}
+    ax.plot(time, -2.0 * sigma, gid="sigma", **look)
+    ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", gid="sigma", **look)
 
 
 def _dots(broken: Array, most: float) -> list[int]:

@@ -43,6 +43,7 @@ _POINTS = 200
 _HALF = float(stats.norm.ppf(0.975))
 
 _HEIGHT = 3.6
+_DOTS: Look = {"linestyle": "none", "markersize": 2.2}
 
 
 def residual_figure(fit: Fit) -> Figure:
@@ -78,22 +79,12 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
         label="95 % of white residuals",
     )  # fmt: skip
     ax.vlines(found.lags, 0.0, found.correlation, color=style.PALETTE[0], linewidth=0.8)
-    ax.plot(
-        found.lags, found.correlation, color=style.PALETTE[0], linestyle="none", marker="o",
-        markersize=2.2, gid="correlation",
-    )  # fmt: skip
+    dots: Look = {"color": style.PALETTE[0], "marker": "o", "gid": "correlation", **_DOTS}
+    ax.plot(found.lags, found.correlation, **dots)
     if found.innovations is not None:
-        ax.plot(
-            found.lags + 0.3,
-            found.innovations,
-            color=style.PALETTE[2],
-            linestyle="none",
-            marker="s",
-            markersize=2.2,
-            markerfacecolor="white",
-            label="innovations: what the noise model leaves",
-            gid="innovations",
-        )
+        named: Look = {"label": "innovations: what the noise model leaves", "gid": "innovations"}
+        look: Look = {"color": style.PALETTE[2], "marker": "s", "markerfacecolor": "white"}
+        ax.plot(found.lags + 0.3, found.innovations, **look, **_DOTS, **named)
     inner = found.correlation if found.innovations is None else found.innovations
     every = np.concatenate([found.correlation, inner])
     low, high = float(every.min(initial=0.0)), float(every.max(initial=0.0))
@@ -113,10 +104,8 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
 def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
     reach = 1.08 * float(np.abs(found.normal).max(initial=1.0))
     ax.plot([-reach, reach], [-reach, reach], color=style.PALETTE[2], linestyle=style.DASHED)
-    ax.plot(
-        found.normal, found.quantiles, color=style.MEASURED, linestyle="none", marker=".",
-        markersize=2.2, gid="quantiles",
-    )  # fmt: skip
+    dots: Look = {"color": style.MEASURED, "marker": ".", "gid": "quantiles", **_DOTS}
+    ax.plot(found.normal, found.quantiles, **dots)
     ax.set_xlim(-reach, reach)
     ax.set_xlabel("quantile of a normal (sd)")
     ax.set_ylabel(f"of {'residuals' if found.innovations is None else 'innovations'} (rms)")

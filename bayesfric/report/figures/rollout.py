@@ -6,15 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesfric.report.figures import style
+from bayesfric.report.figures.over_time import as_pixels
 from bayesfric.report.figures.registry import Declared
-from bayesfric.report.figures.style import few_ticks, legend_above, paper_figure, shortened
+from bayesfric.report.figures.style import Look, few_ticks, legend_above, paper_figure, shortened
 from bayesfric.results.roll_out import Rolled, RollOut
 
 # Recordings that are drawn, and the height of each in inches.
 _MOST = 3
 _HEIGHT = 1.35
-# Lines of more points are drawn as pixels.
-_MOST_POINTS = 5000
 
 
 def rollout_figure(found: RollOut) -> Figure:
@@ -23,22 +22,14 @@ def rollout_figure(found: RollOut) -> Figure:
     with paper_figure(style.COLUMN, 0.35 + _HEIGHT * len(chosen)) as figure:
         axes = np.atleast_1d(figure.subplots(len(chosen), 1))
         for ax, one in zip(axes, chosen, strict=True):
-            pixels = one.time.size > _MOST_POINTS
-            wide = {"color": style.BAND, "linewidth": 0.0, "rasterized": pixels}
+            drawn: Look = {"rasterized": as_pixels(one)}
+            wide = drawn | {"color": style.BAND, "linewidth": 0.0, "gid": "band"}
             label = f"{100 * found.level:.0f} % band"
-            ax.fill_between(one.time, *one.band, label=label, gid="band", **wide)
-            narrow = {"color": style.PALETTE[1], "alpha": 0.45, "linewidth": 0.0}
-            words = "of the parameters alone"
-            ax.fill_between(one.time, *one.alone, label=words, rasterized=pixels, **narrow)
-            ax.plot(
-                one.time,
-                one.position,
-                color=style.PALETTE[2],
-                linewidth=0.8,
-                label="measured",
-                gid="measured",
-                rasterized=pixels,
-            )
+            ax.fill_between(one.time, *one.band, label=label, **wide)
+            narrow = drawn | {"color": style.PALETTE[1], "alpha": 0.45, "linewidth": 0.0}
+            ax.fill_between(one.time, *one.alone, label="of the parameters alone", **narrow)
+            line = drawn | {"color": style.PALETTE[2], "linewidth": 0.8, "gid": "measured"}
+            ax.plot(one.time, one.position, label="measured", **line)
             ax.set(xlim=(float(one.time[0]), float(one.time[-1])), ylabel=f"position ({one.unit})")
             share = f"{100 * one.at_position.inside:.0f} % inside"
             share += " a band too wide to tell" if one.wide else ""

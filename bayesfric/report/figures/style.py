@@ -40,13 +40,14 @@ MEASURED = "#3a3a3a"
 BAND = "#a9d3ec"
 PRIOR = PALETTE[2]
 POSTERIOR = PALETTE[1]
-# One run has the same colour in every figure of a comparison.
-RUN_COLOURS = (POSTERIOR, PALETTE[0], PALETTE[3])
 # What the data leave open is hatched, never a plain band; the other way where two cross.
 OPEN_HATCH, OPEN_HATCH_BACK = "//////", "\\\\\\\\\\\\"
 DASHED: LineStyle = (0, (4.0, 1.5))
 DOTTED: LineStyle = (0, (1.0, 1.2))
 
+_TICKS = {
+    "labelsize": SMALL, "direction": "in", "major.width": 0.5, "major.size": 2.5, "major.pad": 2.5,
+}  # fmt: skip
 # Matplotlib 3.11 types the keys, earlier ones do not.
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -58,16 +59,7 @@ _STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.5,
     "axes.labelpad": 2.0,
     "axes.unicode_minus": True,
-    "xtick.labelsize": SMALL,
-    "ytick.labelsize": SMALL,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.major.pad": 2.5,
-    "ytick.major.pad": 2.5,
+    **{f"{axis}tick.{key}": value for axis in "xy" for key, value in _TICKS.items()},
     "legend.fontsize": SMALL,
     "legend.frameon": False,
     "legend.borderaxespad": 0.2,
@@ -123,11 +115,6 @@ def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KIN
     with paper_style():
         for kind in kinds:
             figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
-
-
-def run_colour(k: int) -> str:
-    """Colour of the ``k``-th of several runs; orange is a reference's."""
-    return RUN_COLOURS[k % len(RUN_COLOURS)]
 
 
 def power_of_ten(low: float, high: float) -> int:
@@ -220,9 +207,8 @@ def legend_above(figure: Figure, handles: Sequence[Artist], columns: int | None 
 
 
 def remark_below(figure: Figure, words: str) -> None:
-    """Say below the panels what a figure leaves out; nothing if there are no words."""
-    if words:
-        figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
+    """Say below the panels what a figure leaves out."""
+    figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
 class _InnerLocator(MaxNLocator):

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.predictive import Prediction
 from bayesfric.report.figures import style
-from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
+from bayesfric.report.figures.over_time import broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import FinishedRun, RunFigure
 from bayesfric.report.figures.style import (
     Array,
@@ -73,9 +73,7 @@ def _torque(above: Axes, beneath: Axes, p: Prediction) -> None:
         draw_band(ax, o, low, high, label=f"predicted, {100 * _LEVEL:.0f} % band", gid="band")
         time, measured = broken(o, p.measured - less)
         named = {"marker": "." if time.size < 400 else None, "label": "measured, held out"}
-        draw_measured(
-            ax, time, measured, linewidth=0.6, pixels=as_pixels(o), gid="measured", **named
-        )
+        draw_measured(ax, o, time, measured, linewidth=0.6, gid="measured", **named)
         ax.set_xlim(float(o.time.min()), float(o.time.max()))
         few_ticks(ax.yaxis, 5)
     few_ticks(above.xaxis, 6)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,10 +30,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     run directory ``folder``; what is missing is left out. ``BadInput`` where the summary lacks
     something.
     """
-    config = _text(folder / "config.toml")
     read = Summary.read(summary, name)
-    if read.may_be_simulated is None:
-        read = read.model_copy(update={"may_be_simulated": _simulated(config)})
     table = parameter_table(read, name)
     methods = comparison({name: read})
     told = alerts(read, methods.contested)
@@ -55,7 +51,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         explained=list(explained(methods)),
         figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
-        config=config,
+        config=_text(folder / "config.toml"),
         methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 
@@ -64,17 +60,16 @@ def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | Non
     """Give what the calculator is worded from, and what its script reads."""
     if told is None:
         return None
+    doubted = "doubted" if table.summary.doubts else ""
+    if table.summary.unexplained:
+        doubted = "wrong"
     return {
         **told.model_dump(),
         "text": json.dumps(told.as_dict(), allow_nan=False),
         "draws": max((len(x) for x in told.values if isinstance(x, list)), default=1),
         "widened": table.summary.widened,
         "unsettled": any(row.by == "open" for row in table.joint),
-        "doubted": "wrong"
-        if table.summary.unexplained
-        else "doubted"
-        if table.summary.doubts
-        else "",
+        "doubted": doubted,
         "unusable": table.summary.sampler.status == "unusable",
     }
 
@@ -85,14 +80,6 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return ""
-
-
-def _simulated(config: str) -> bool:
-    """Whether the configuration says how to simulate its recordings; for older summaries."""
-    try:
-        return bool(tomllib.loads(config).get("simulation"))
-    except tomllib.TOMLDecodeError:
-        return False
 
 
 def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def equations(joint: Joint) -> list[tuple[Name, Node]]:
     behind.append(_felt("load"))
     first = felt[joint.elements[0].name]
     measured: Node = first
-    own = {p.quantity: _named(p) for p in joint.parameters if p.owner in ("", "drive")}
+    own = _own(joint, "") | _own(joint, "drive")
     if joint.offset_names:
         name = own["offset"] if not joint.own_offsets else Name(r"\Gamma_{0,k}", "offset")
         measured = ["add", measured, name]
@@ -107,6 +107,10 @@ def _named(p: Parameter) -> Name:
     return Name(p.symbol.replace("_{}", ""), p.name)
 
 
+def _own(joint: Joint, owner: str) -> dict[str, Name]:
+    return {p.quantity: _named(p) for p in joint.parameters if p.owner == owner}
+
+
 def _sum(terms: list[Node]) -> Node:
     return ["add", *terms] if len(terms) > 1 else terms[0] if terms else 0.0
 
@@ -114,12 +118,7 @@ def _sum(terms: list[Node]) -> Node:
 def _through(joint: Joint, element: Element, output: Name) -> Node:
     """Give the torque at an element's input, section 2.2 with eq. (2)."""
     torque: Node = output if element.ratio == 1.0 else ["divide", output, element.ratio]
-    forms = {
-        p.quantity: _named(p)
-        for p in joint.parameters
-        if p.owner == element.name and p.row.role in ("form", "loss")
-    }
-    return _sum([torque, *_terms(joint, element.name), *_losses(joint, element, torque, forms)])
+    return _sum([torque, *_terms(joint, element.name), *_losses(joint, element, torque)])
 
 
 def _scaled(reach: float, what: Name) -> Node:
@@ -130,7 +129,7 @@ def _scaled(reach: float, what: Name) -> Node:
 
 def _rise(joint: Joint, element: str, *names: str) -> Node | None:
     """Give the factor of the rise at low speed, if the element has one of these."""
-    own = {p.quantity: _named(p) for p in joint.parameters if p.owner == element}
+    own = _own(joint, element)
     ratio = next((own[name] for name in names if name in own), None)
     if ratio is None:
         return None
@@ -144,7 +143,7 @@ def _rise(joint: Joint, element: str, *names: str) -> Node | None:
 
 def _terms(joint: Joint, owner: str, gravity: float = 0.0) -> list[Node]:
     """List the terms that do not depend on the transmitted torque."""
-    own = {p.quantity: _named(p) for p in joint.parameters if p.owner == owner}
+    own = _own(joint, owner)
     reach = joint.reaches[owner]
     angle: Node = ["add", _Q, own["gravity_angle"]] if "gravity_angle" in own else _Q
     state: dict[str, Node] = {
@@ -190,12 +189,11 @@ def _filled(formula: Formula, state: Mapping[str, Node]) -> Node:
     return formula
 
 
-def _losses(
-    joint: Joint, element: Element, torque: Node, forms: Mapping[str, Name]
-) -> Iterator[Node]:
+def _losses(joint: Joint, element: Element, torque: Node) -> Iterator[Node]:
     """Give what is lost of the transmitted torque; where nothing shapes it, as in eq. (13)."""
     if element.load_loss == "none":
         return
+    forms = _own(joint, element.name)
     rise = _rise(joint, element.name, "stribeck_ratio", "stribeck_change", "stribeck_load")
 
     def shaped(mu: Node, difference: str) -> Node:

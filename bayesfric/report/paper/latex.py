@@ -9,37 +9,17 @@ from collections.abc import Mapping
 # What every file says that goes into a paper.
 PACKAGES = r"% needs \usepackage{amsmath,array,booktabs,siunitx,tabularx}, siunitx version 3"
 _ESCAPED = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "&": r"\&",
-    "#": r"\#",
-    "%": r"\%",
-    "_": r"\_",
-    "^": r"\textasciicircum{}",
-    "~": r"\textasciitilde{}",
-}
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
+    "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
+}  # fmt: skip
 _TYPESET = {
-    "²": r"\textsuperscript{2}",
-    "µ": r"\textmu{}",
-    "–": "--",
-    "−": r"\ensuremath{-}",
-    "×": r"\ensuremath{\times}",
-    "·": r"\ensuremath{\cdot}",
-    "³": r"\textsuperscript{3}",
-    "μ": r"\textmu{}",
-    "±": r"\ensuremath{\pm}",
-    "≤": r"\ensuremath{\leq}",
-    "≥": r"\ensuremath{\geq}",
-    "°": r"\textdegree{}",
-    "…": r"\dots{}",
-    "†": r"\dag{}",
+    "²": r"\textsuperscript{2}", "³": r"\textsuperscript{3}", "µ": r"\textmu{}", "μ": r"\textmu{}",
+    "°": r"\textdegree{}", "–": "--", "…": r"\dots{}", "†": r"\dag{}",
+    "−": r"\ensuremath{-}", "×": r"\ensuremath{\times}", "·": r"\ensuremath{\cdot}",
+    "±": r"\ensuremath{\pm}", "≤": r"\ensuremath{\leq}", "≥": r"\ensuremath{\geq}",
     # the standard fonts have other signs in their places
-    "<": r"\ensuremath{<}",
-    ">": r"\ensuremath{>}",
-    "|": r"\textbar{}",
-}
+    "<": r"\ensuremath{<}", ">": r"\ensuremath{>}", "|": r"\textbar{}",
+}  # fmt: skip
 
 
 def escaped(text: str) -> str:

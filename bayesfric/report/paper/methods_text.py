@@ -131,13 +131,12 @@ def _told(seen: Sequence[Observation], *keys: str) -> dict[tuple[str, ...], list
     for o in seen:
         if keys[0] in o.settings:
             # digits that a script wrote are no precision
-            told = (re.sub(r"\d+\.\d{4,}", _shortened, str(o.settings[key])) for key in keys)
+            told = (
+                re.sub(r"\d+\.\d{4,}", lambda m: f"{float(m[0]):.6g}", str(o.settings[key]))
+                for key in keys
+            )
             found.setdefault(tuple(told), []).append(o.name)
     return found
-
-
-def _shortened(number: re.Match[str]) -> str:
-    return f"{float(number[0]):.6g}"
 
 
 def _sentences(fit: Fit, summary: Summary) -> str:

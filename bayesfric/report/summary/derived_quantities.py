@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import typical_load, weighed_torque
@@ -16,10 +15,9 @@ from bayesfric.identifiability.told_scale import given_by
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.part import Described
 from bayesfric.report.words import listed
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.9
 # Samples times draws for the totals; more draws change nothing that is printed.
@@ -217,9 +215,7 @@ def _robust_sd(x: Array) -> float:
     return float((high - low) / 1.349)
 
 
-def sound_quantities(
-    fit: Fit, values: Callable[[Array], Array], number: int, most: int
-) -> NDArray[np.bool_]:
+def sound_quantities(fit: Fit, values: Callable[[Array], Array], number: int, most: int) -> Flags:
     """Judge so many quantities by R-hat and independent draws of their own, ``(number,)``.
 
     What no scaling changes may be known where the parameters it is made of still wander. At most

@@ -281,15 +281,9 @@ def other_units(
 def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
     for one, other in permutations(_ANGLES, 2):
         times = units.scale([one], "angle") / units.scale([other], "angle")
+        moving = ("q", "qd", "qdd", "speed")
         scaled = [
-            replace(
-                o,
-                q=times * o.q,
-                qd=times * o.qd,
-                qdd=times * o.qdd,
-                smooth=None,
-                speed=times * o.speed,
-            )
+            replace(o, smooth=None, **{key: times * getattr(o, key) for key in moving})
             for o in observations
         ]
         yield {"is": one, "taken": other, "share": best_share(chain, scaled)[0]}

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.inference.fitting import Fit
@@ -16,13 +15,11 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.record import Likelihood, Noise, Summary
 from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Correlations of the innovations that are tested together.
 _LAGS = 10

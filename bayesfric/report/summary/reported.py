@@ -18,14 +18,14 @@ def put_reported(summary: Own) -> Own:
     """
     if all(row.reported is not None for row in summary.rows.values()):
         return summary
-    corrected, changes = cited(summary), {}
+    corrected = cited(summary)
+    changes: dict[str, dict[str, Any]] = {}
     rows = summary.self_check.rows if summary.self_check else {}
     for name, row in summary.rows.items():
         right = corrected.get(name)
         bias = rows[name].bias if right else None
         changes[name] = {"reported": _reported(summary, row, right, bias)}
-    found: dict[str, dict[str, Any]] = changes
-    return summary.with_rows(found)
+    return summary.with_rows(changes)
 
 
 def _reported(

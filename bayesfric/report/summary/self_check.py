@@ -12,18 +12,16 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from bayesfric.diagnostics.self_check import Checked
 from bayesfric.inference.fitting import Fit
+from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
-
-Array = NDArray[np.float64]
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0

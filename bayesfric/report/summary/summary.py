@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
@@ -39,8 +38,6 @@ from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation import validation_record
 from bayesfric.report.words import line_of
 from bayesfric.version import __version__
-
-Array = NDArray[np.float64]
 
 # Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
 _SELDOM = 0.1

@@ -16,13 +16,12 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.noise import mean_lag
 from bayesfric.report.summary.record import Coverage, Validation
 from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
-
-Array = NDArray[np.float64]
 
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
@@ -35,7 +34,7 @@ _SURE = 2.0
 _LEVEL = 0.9
 
 
-def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) -> Coverage:
+def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
     """Count a share, with a standard error that knows that neighbours go together.
 
     The variance of the sum comes from the autocorrelation of the indicator (Andrews,
@@ -57,7 +56,7 @@ def share_of(inside: NDArray[np.bool_], at: NDArray[np.int64], fallback: Array) 
     return Coverage(share=share, standard_error=error, effective_outputs=effective)
 
 
-def covered(pit: Array, level: float) -> NDArray[np.bool_]:
+def covered(pit: Array, level: float) -> Flags:
     """Tell which outputs lie in their central interval of probability ``level``."""
     return np.asarray(np.abs(pit - 0.5) <= level / 2.0)
 
