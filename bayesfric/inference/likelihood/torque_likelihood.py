@@ -87,7 +87,7 @@ class TorqueLikelihood(Likelihood):
         out.moments = moments
         return out
 
-    def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_of_squares(self, values: Array) -> Array:
         """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares
 
