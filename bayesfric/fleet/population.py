@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.fleet.units import Unit, places_of
 from bayesfric.population.levels import Levels, levels
@@ -21,8 +20,6 @@ from bayesfric.report.comparison.between_runs import Told, told_by_runs
 from bayesfric.report.comparison.run_draws import RunDraws, read_draws
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.rows import PosteriorRow
-
-Array = NDArray[np.float64]
 
 # What is likelier an outlier than not has no say in spreads of joints and trends.
 OUTLIER = 0.5

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.prior.priors import Prior
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Independent draws that the ends of a 90 % interval take: they are then right to a tenth of a sd.
 _SOUND_ESS = 400.0

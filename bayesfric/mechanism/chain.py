@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesfric.errors import nearest
 from bayesfric.mechanism.element import Element, Load
@@ -17,9 +17,8 @@ from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
-
-Array = NDArray[np.float64]
 
 
 class Tables(NamedTuple):

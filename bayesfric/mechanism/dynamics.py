@@ -32,8 +32,7 @@ from bayesfric.mechanism.kernels import (
     rises,
 )
 from bayesfric.mechanism.own_term import call
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 
 class CarriedValues(NamedTuple):

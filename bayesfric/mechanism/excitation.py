@@ -7,10 +7,10 @@ with ``+``.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 
 def constant(time: ArrayLike, level: float) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
@@ -13,11 +12,10 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
 from bayesfric.recordings.units import in_unit
-
-Array = NDArray[np.float64]
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

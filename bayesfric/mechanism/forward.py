@@ -33,11 +33,10 @@ from bayesfric.mechanism.kernels import (
 )
 from bayesfric.mechanism.own_term import compiled
 from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
-
-Array = NDArray[np.float64]
 
 # Steps that a cubic torque is straight in, a sample.
 _FINER = 4

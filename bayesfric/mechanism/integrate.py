@@ -21,8 +21,7 @@ from bayesfric.mechanism.dynamics import (
     moved,
 )
 from bayesfric.mechanism.kernels import GAIN, OFFSET
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 RUNAWAY = 1e6  # rad or m
 _MAX_EVENTS = 64  # in one step

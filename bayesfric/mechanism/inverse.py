@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
-
-Array = NDArray[np.float64]
 
 
 def inverse_torque(

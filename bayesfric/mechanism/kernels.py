@@ -14,8 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.own_term import call
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Terms that the kernels write out, by their slots: an element is a row of the first, the load
 # and the measurement make up the second.

@@ -19,12 +19,10 @@ from llvmlite import ir
 from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
-
-Array = NDArray[np.float64]
 
 _SIGNATURE = types.float64(*[types.float64] * 5)
 

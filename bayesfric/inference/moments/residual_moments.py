@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Short = NDArray[np.int16]
 
 # Samples in one call below which starting threads costs more than it saves.
@@ -122,7 +122,7 @@ class Runs:
 
 
 def n_entries(order: int) -> int:
-    """Different numbers in the moments of one vector and one outputs.
+    """Different numbers in the moments of one vector and one recording.
 
     They are laid out as the upper triangle of ``lagged`` and then those of the heads, by rows.
     """

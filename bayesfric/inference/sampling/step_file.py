@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Bytes that are read in one go.
 _PIECE = 2**24
