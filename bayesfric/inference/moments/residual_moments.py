@@ -1,4 +1,4 @@
-"""Sums of products of torque residuals, all that Gaussian noise asks of a outputs.
+"""Sums of products of torque residuals, all that Gaussian noise asks of a recording.
 
 White noise needs the sum of squares. Autoregressive noise of order p needs the products of
 each residual with its p predecessors, and, for the exact density of where a stretch of
@@ -205,7 +205,7 @@ class PlainMoments:
         return unpacked(flat, self.order)
 
     def student_terms(self, values: Array, scales: Array) -> Array:
-        """Sum ``log(1 + r²/(dof sigma²))`` over the residuals of every outputs.
+        """Sum ``log(1 + r²/(dof sigma²))`` over the residuals of every recording.
 
         Parameters
         ----------
