@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -123,18 +123,16 @@ def fleet_population(
     *,
     joint: str | None = None,
     over: str | None = None,
-    tell: Callable[[int], None] = lambda _: None,
 ) -> FleetPopulation:
     """Pool the finished runs in ``folder``, each named after its unit.
 
     What the data of a unit leave open does not count, nor does a unit that did not converge.
-    ``joint`` and ``over`` are columns; ``tell`` hears of every run read.
+    ``joint`` and ``over`` are columns.
     """
     rebuild = cache(chain_of)
     runs: dict[str, Summary] = {}
     draws: dict[str, RunDraws] = {}
-    for number, unit in enumerate(units):
-        tell(number)
+    for unit in units:
         run = folder / unit.name
         if not (run / "summary.json").is_file():
             continue

@@ -24,7 +24,6 @@ from bayesfric.recordings.arrays import Array
 _UNITS = TOTALS["gravity"].units
 _WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
 _WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
-WEIGHTS = (_WEIGHT.name, _WEIGHT_TURNED.name)
 # Constant losses that an efficiency counts, and the share of each in the mean of both directions.
 _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 

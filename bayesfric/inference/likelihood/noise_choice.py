@@ -115,7 +115,6 @@ def choose_order(
     residuals: Sequence[Array],
     follows: Sequence[Flags],
     own_scales: bool,
-    most: int = MOST,
     effects: Sequence[Array] | None = None,
 ) -> Choice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
@@ -132,7 +131,7 @@ def choose_order(
     scaled = _over(residuals, sizes)
     plain = None if effects is None else _Plain(scaled, follows, _over(effects, sizes))
     tried: list[Evidence] = []
-    for order in range(min(most, n // 20) + 1):
+    for order in range(min(MOST, n // 20) + 1):
         # beyond, the prior ends too
         partial = np.clip(ar.burg(scaled, follows, order), -MEMORY, MEMORY)
         left = [ar.whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
