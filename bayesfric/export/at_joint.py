@@ -19,17 +19,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import Motion
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, places
+from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, places
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import Quantity
+from bayesfric.recordings.arrays import Array
 
 # What is of the link and of the drive: a format of joints leaves these to the model around it.
 AROUND = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "torque_offset")

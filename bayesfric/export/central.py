@@ -8,11 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.export.at_joint import Array, Moved, torque_along
+from bayesfric.export.at_joint import Moved, torque_along
 from bayesfric.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.arrays import Array
 
 # Draws that tell the median torque, and medians along an open scaling: whatever is exported, the
 # middle is the same.

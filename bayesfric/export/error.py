@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from bayesfric.export.at_joint import (
-    Array,
     Moved,
     simulator_joint,
     simulator_vectors,
@@ -17,6 +16,7 @@ from bayesfric.export.at_joint import (
 )
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import Trajectory
 from bayesfric.report.summary.derived_quantities import rms_of
 

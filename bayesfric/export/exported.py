@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import NUMBERS, Array, AtJoint, Moved, at_joint, without_load_losses
+from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, at_joint, without_load_losses
 from bayesfric.export.carried import carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.error import SPAN, wrong
@@ -21,6 +21,7 @@ from bayesfric.export.format import Content, Files, Format, Options, filled, for
 from bayesfric.export.law import unwritten
 from bayesfric.export.pendulum import pendulum
 from bayesfric.finished_run import Finished, finished
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable

@@ -12,11 +12,12 @@ from pkgutil import iter_modules
 from typing import Any
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.export.at_joint import Array, Moved
+from bayesfric.export.at_joint import Moved
 from bayesfric.export.central import Vectors
 from bayesfric.export.pendulum import Pendulum, pendulum
 from bayesfric.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.templates import environment
 
 Files = dict[str, str | bytes]

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import Array
 from bayesfric.export.carried import left_out
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 
 Language = Literal["python", "double", "float"]
 

@@ -11,13 +11,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fleet.population import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.report.figures import style
-
-Array = NDArray[np.float64]
 
 # Panels beside each other and in all; inches of one.
 _ACROSS, _MOST, _HIGH = 2, 8, 1.5

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.fleet.units import Unit, places_of
 from bayesfric.population.levels import Levels, levels
@@ -21,8 +20,6 @@ from bayesfric.report.comparison.between_runs import Told, told_by_runs
 from bayesfric.report.comparison.run_draws import RunDraws, read_draws
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.rows import PosteriorRow
-
-Array = NDArray[np.float64]
 
 # What is likelier an outlier than not has no say in spreads of joints and trends.
 OUTLIER = 0.5
@@ -126,18 +123,16 @@ def fleet_population(
     *,
     joint: str | None = None,
     over: str | None = None,
-    tell: Callable[[int], None] = lambda _: None,
 ) -> FleetPopulation:
     """Pool the finished runs in ``folder``, each named after its unit.
 
     What the data of a unit leave open does not count, nor does a unit that did not converge.
-    ``joint`` and ``over`` are columns; ``tell`` hears of every run read.
+    ``joint`` and ``over`` are columns.
     """
     rebuild = cache(chain_of)
     runs: dict[str, Summary] = {}
     draws: dict[str, RunDraws] = {}
-    for number, unit in enumerate(units):
-        tell(number)
+    for unit in units:
         run = folder / unit.name
         if not (run / "summary.json").is_file():
             continue

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import least_squares, starting_values
@@ -31,9 +30,8 @@ from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newto
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.progress import Progress, Shown, silent
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 # Draws of the expected posterior that a cheaper likelihood is prepared for.
 _DRAWS = 300

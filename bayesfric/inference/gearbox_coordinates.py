@@ -7,15 +7,13 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from bayesfric.inference.coordinates import BoundedCoordinates, Coordinates, log_normal
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # A prior with a sd below this share of its mean tells its parameter.
 _TELLING = 0.3

@@ -8,15 +8,13 @@ plausible parameter vector to the next, and so does the likelihood, if it is lin
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Standard deviation of the log-likelihood's change beyond which a posterior is refused. Measured on
 # 57 simulated recordings: below 2 (45 of them) the truth lay within 3.2 posterior sds in all

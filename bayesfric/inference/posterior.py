@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.prior.priors import Prior
+from bayesfric.recordings.arrays import Array
 
 # Independent draws that the ends of a 90 % interval take: they are then right to a tenth of a sd.
 _SOUND_ESS = 400.0
@@ -24,10 +25,10 @@ class Diagnostics:
     # reliable: every criterion met; tentative: stopped early, but the ensembles agree roughly
     status: Status
     problems: tuple[str, ...]  # one plain sentence each, with the mend; empty when reliable
-    rhat: NDArray[np.float64]  # nested R-hat
-    tau: NDArray[np.float64]  # autocorrelation time in steps
-    ess: NDArray[np.float64]  # effective sample size
-    acceptance: NDArray[np.float64]  # accepted share of proposals, (ensembles, walkers)
+    rhat: Array  # nested R-hat
+    tau: Array  # autocorrelation time in steps
+    ess: Array  # effective sample size
+    acceptance: Array  # accepted share of proposals, (ensembles, walkers)
     ensembles: int
     walkers: int
     warmup: int
@@ -39,7 +40,7 @@ class Diagnostics:
     warnings: tuple[str, ...] = ()  # on a sample that has converged, with the mend
     max_rhat: float = 1.01  # largest nested R-hat that was accepted
 
-    def sound(self, rhat: NDArray[np.float64], ess: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def sound(self, rhat: Array, ess: Array) -> NDArray[np.bool_]:
         """Whether numbers with these diagnostics may be told, whatever the others do."""
         if self.status == "reliable":
             return np.ones(rhat.shape, dtype=np.bool_)
@@ -52,13 +53,13 @@ class Posterior:
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
-    draws: NDArray[np.float64]  # (ensembles, walkers, steps, d), in physical units, thinned
-    log_density: NDArray[np.float64]  # in sampling coordinates, (ensembles, walkers, steps)
+    draws: Array  # (ensembles, walkers, steps, d), in physical units, thinned
+    log_density: Array  # in sampling coordinates, (ensembles, walkers, steps)
     coordinates: str  # that were sampled, in words
     diagnostics: Diagnostics  # of the whole sample, before thinning
     seed: int
 
-    def flat(self, most: int | None = None) -> NDArray[np.float64]:
+    def flat(self, most: int | None = None) -> Array:
         """All draws, ``(n, d)``; for quantiles, never for convergence checks.
 
         With ``most``, at most so many of them, evenly spread. Walkers that never moved are
@@ -72,10 +73,10 @@ class Posterior:
         return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
 
     @cached_property
-    def median(self) -> NDArray[np.float64]:
+    def median(self) -> Array:
         """Of every parameter by itself, ``(d,)``."""
         return np.asarray(np.median(self.flat(), axis=0))
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
+    def __getitem__(self, name: str) -> Array:
         """Draws of one parameter, ``(ensembles, walkers, steps)``."""
         return self.draws[..., self.names.index(name)]

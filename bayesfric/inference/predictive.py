@@ -8,16 +8,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.held_out import HeldOut
-
-Array = NDArray[np.float64]
 
 # Draws of the posterior that are used, and numbers held at once.
 _DRAWS = 400

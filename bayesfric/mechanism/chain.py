@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesfric.errors import nearest
 from bayesfric.mechanism.element import Element, Load
@@ -17,17 +17,18 @@ from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 
 
 class Tables(NamedTuple):
     """Parameter vectors laid out for the compiled kernels."""
 
-    elements: NDArray[np.float64]  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
-    load: NDArray[np.float64]  # (n, n_slots); columns are kernels.LOAD_SLOTS
+    elements: Array  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
+    load: Array  # (n, n_slots); columns are kernels.LOAD_SLOTS
     # (n, n_carried, 2) of the terms that have no slot, Chain.carried: the coefficient, and the
     # value that shapes it, 0 where none does; behind them a measured load torque, 1 and 0
-    carried: NDArray[np.float64]
+    carried: Array
 
 
 @dataclass(frozen=True)
@@ -134,7 +135,7 @@ class Chain:
         """Name of the delay between torque and position; empty where the joint has none."""
         return next((p.name for p in self.parameters if p.quantity == "delay"), "")
 
-    def delays(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def delays(self, values: Array) -> Array:
         """Delay of each parameter vector ``(n, n_parameters)``, s; none counts as zero."""
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
@@ -204,7 +205,7 @@ class Chain:
         """List what an element, or the load, has, each as it stands in a sentence."""
         return bearer.phrases + [term.meaning for term in self.terms if term.owner == bearer.name]
 
-    def vector(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    def vector(self, values: Mapping[str, ArrayLike]) -> Array:
         """Put named values in the order of :attr:`names`, one each or ``(n,)``, a row each.
 
         Those of the noise may be among them, and are left out.
@@ -221,7 +222,7 @@ class Chain:
             raise KeyError(f"unknown: {sorted(unknown)}, missing: {sorted(missing)}")
         return np.array([values[name] for name in self.names], dtype=np.float64).T
 
-    def tables(self, values: NDArray[np.float64], inputs: Inputs | None = None) -> Tables:
+    def tables(self, values: Array, inputs: Inputs | None = None) -> Tables:
         """Lay parameter vectors out for the compiled kernels.
 
         Parameters
@@ -256,7 +257,7 @@ class Chain:
         qd: ArrayLike,
         qdd: ArrayLike,
         inputs: Inputs,
-        time: NDArray[np.float64] | None = None,
+        time: Array | None = None,
     ) -> Samples:
         """Lay a motion of the joint out for the compiled kernels.
 
@@ -307,7 +308,7 @@ class Chain:
         )
 
     @cached_property
-    def _layout(self) -> tuple[NDArray[np.float64], Sequence[int], Sequence[int]]:
+    def _layout(self) -> tuple[Array, Sequence[int], Sequence[int]]:
         slots = [f"{e.name}.{slot}" for e in self.elements for slot in ELEMENT_SLOTS]
         slots += [f"load.{slot}" for slot in LOAD_SLOTS]
         where = {slot: i for i, slot in enumerate(slots)}

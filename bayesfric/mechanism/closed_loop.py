@@ -12,10 +12,9 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.dynamics import CarriedValues, carried_by, moved
 from bayesfric.mechanism.forward import carried_values, possible
 from bayesfric.mechanism.integrate import integrate
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.law import Law
-
-Array = NDArray[np.float64]
 
 
 class _Drive(NamedTuple):

@@ -12,20 +12,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.element import Element
 from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Gravity as the motor feels it. Where an angle turns it, least squares has a sine and a cosine
 # part, and the first goes by the name of the whole.
 _UNITS = TOTALS["gravity"].units
 _WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
 _WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
-WEIGHTS = (_WEIGHT.name, _WEIGHT_TURNED.name)
 # Constant losses that an efficiency counts, and the share of each in the mean of both directions.
 _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
@@ -148,86 +146,56 @@ def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
 
 def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
     for element in chain.elements:
-        if element.load_loss == "none":
-            continue
-        name = element.name
-        mu_drive = at.get(f"{name}.load_drive", at.get(f"{name}.load"))
-        mu_back = at.get(f"{name}.load_back", at.get(f"{name}.load"))
-        assert mu_drive is not None
-        assert mu_back is not None
-        two = element.load_loss == "two"
-        # a loss that grows with the torque, or with speed, is not yet there
-        slow = " at low speed" if element.has("load_speed") else ""
-        where = slow + (" under a small load" if element.has("load_square") else "")
-        passed = f"load torque over motor torque{where} when the"
-        # eq. (6); an irreversible gearbox, mu_2 >= 1, passes nothing back
-        back = np.where(mu_back < 1.0, 1.0 - mu_back, np.nan)
-        yield Derived(
-            f"{name}.alpha_drive",
-            "",
-            r"\alpha_1",
-            effort_words(f"{passed} motor drives, 1/(1 + mu{'_1' * two})", element.motion),
-            1.0 / (1.0 + mu_drive),
-            gauge_free=not two,
-        )
-        yield Derived(
-            f"{name}.alpha_back",
-            "",
-            r"\alpha_2",
-            effort_words(f"{passed} load drives, 1/(1 - mu{'_2' * two})", element.motion),
-            1.0 / back,
-            gauge_free=not two,
-        )
-        if two:
-            # lambda_1 and lambda_2 of eq. (13)
-            lambda_1 = (2.0 + mu_drive - mu_back) / 2.0
-            lambda_2 = (mu_drive + mu_back) / 2.0
-            yield Derived(
-                f"{name}.lambda_1", "", r"\lambda_1", "mean of 1/alpha", lambda_1, gauge_free=False
-            )
-            yield Derived(
-                f"{name}.lambda_2",
-                "",
-                r"\lambda_2",
-                "half the difference of 1/alpha",
-                lambda_2,
-                gauge_free=False,
-            )
-            yield Derived(
-                f"{name}.lambda_ratio",
-                "",
-                r"\lambda_1/\lambda_2",
-                "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)",
-                # a gearbox that loses nothing has none
-                lambda_1 / np.where(lambda_2 != 0.0, lambda_2, np.nan),
-                gauge_free=True,
-            )
+        if element.load_loss != "none":
+            yield from _of_loss(chain, element, at, load_torque)
+
+
+def _of_loss(
+    chain: Chain, element: Element, at: dict[str, Array], load_torque: float
+) -> Iterator[Derived]:
+    """Derive what the load loss of an element amounts to."""
+    name, two = element.name, element.load_loss == "two"
+
+    def one(
+        quantity: str, symbol: str, meaning: str, values: Array, *, gauge_free: bool = False
+    ) -> Derived:
+        return Derived(f"{name}.{quantity}", "", symbol, meaning, values, gauge_free)
+
+    mu_drive, mu_back = (
+        at[f"{name}.load_{side}" if two else f"{name}.load"] for side in ("drive", "back")
+    )
+    # a loss that grows with the torque, or with speed, is not yet there
+    slow = " at low speed" if element.has("load_speed") else ""
+    where = slow + (" under a small load" if element.has("load_square") else "")
+    passed = f"load torque over motor torque{where} when the"
+    # eq. (6); an irreversible gearbox, mu_2 >= 1, passes nothing back
+    back = np.where(mu_back < 1.0, 1.0 - mu_back, np.nan)
+    for side, symbol, said, alpha in (
+        ("drive", r"\alpha_1", f"motor drives, 1/(1 + mu{'_1' * two})", 1.0 / (1.0 + mu_drive)),
+        ("back", r"\alpha_2", f"load drives, 1/(1 - mu{'_2' * two})", 1.0 / back),
+    ):
+        meaning = effort_words(f"{passed} {said}", element.motion)
+        yield one(f"alpha_{side}", symbol, meaning, alpha, gauge_free=not two)
+    if two:
+        # lambda_1 and lambda_2 of eq. (13)
+        lambda_1 = (2.0 + mu_drive - mu_back) / 2.0
+        lambda_2 = (mu_drive + mu_back) / 2.0
+        # a gearbox that loses nothing has none
+        ratio = lambda_1 / np.where(lambda_2 != 0.0, lambda_2, np.nan)
+        said = "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)"
+        yield one("lambda_1", r"\lambda_1", "mean of 1/alpha", lambda_1)
+        yield one("lambda_2", r"\lambda_2", "half the difference of 1/alpha", lambda_2)
+        yield one("lambda_ratio", r"\lambda_1/\lambda_2", said, ratio, gauge_free=True)
+    if load_torque > 0.0:
+        # of the torque at its input, as the loss itself
+        grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
         constant = _constant_loss(chain, name, at)
-        if load_torque > 0.0:
-            # of the torque at its input, as the loss itself
-            grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
-            drive, back_driven = efficiencies(
-                mu_drive + grown, mu_back + grown, constant, load_torque
-            )
-            at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
-            load = f"{at_load} of load{' and' * bool(slow)}{slow}"
-            counted = f"{_counted(chain, name)}, eq. (4), {load}, {_not_counted(chain, name)}"
-            yield Derived(
-                f"{name}.efficiency_drive",
-                "",
-                r"\eta_m",
-                f"driving efficiency of {counted}",
-                drive,
-                gauge_free=False,
-            )
-            yield Derived(
-                f"{name}.efficiency_back",
-                "",
-                r"\eta_r",
-                f"back-driving efficiency of {counted}",
-                back_driven,
-                gauge_free=False,
-            )
+        drive, driven = efficiencies(mu_drive + grown, mu_back + grown, constant, load_torque)
+        at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
+        load = f"{at_load} of load{' and' * bool(slow)}{slow}"
+        counted = f"{_counted(chain, name)}, eq. (4), {load}, {_not_counted(chain, name)}"
+        yield one("efficiency_drive", r"\eta_m", f"driving efficiency of {counted}", drive)
+        yield one("efficiency_back", r"\eta_r", f"back-driving efficiency of {counted}", driven)
 
 
 def _counted(chain: Chain, name: str) -> str:

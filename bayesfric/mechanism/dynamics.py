@@ -32,24 +32,25 @@ from bayesfric.mechanism.kernels import (
     rises,
 )
 from bayesfric.mechanism.own_term import call
+from bayesfric.recordings.arrays import Array
 
 
 class CarriedValues(NamedTuple):
     """Terms without a slot in the kernels."""
 
     # (n_carried, 2) coefficients and what shapes each, or (n, n_carried, 2) of several vectors
-    values: NDArray[np.float64]
+    values: Array
     places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
     addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
-    stamps: NDArray[np.float64]  # (K,) times of what some are multiplied by, s
-    levels: NDArray[np.float64]  # (n_carried, K) what each is multiplied by
+    stamps: Array  # (K,) times of what some are multiplied by, s
+    levels: Array  # (n_carried, K) what each is multiplied by
 
 
 class Moved(NamedTuple):
     """What the compiled functions of the forward model need of a joint; one parameter vector."""
 
-    elements: NDArray[np.float64]  # elements, load: tables of Chain.tables
-    load: NDArray[np.float64]
+    elements: Array  # elements, load: tables of Chain.tables
+    load: Array
     inertia: float  # of the load, added mass included, kg m² or kg
     # weight, angle: amplitude and angle of its gravity torque, added mass included, N m and
     # rad
@@ -64,13 +65,13 @@ class Moved(NamedTuple):
 _ROUNDS = 40
 _EXACT = 4e-16
 # Lines T = slope qdd + intercept of the transmitted torques; scratch memory.
-Lines = NDArray[np.float64]
+Lines = Array
 
 
 @njit(cache=True, error_model="numpy")
 def moved(
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
+    elements: Array,
+    load: Array,
     carried: CarriedValues | None,
     added_inertia: float,
     added_moment: float,
@@ -99,7 +100,7 @@ def _typed_carried_by(carried, vector):  # type: ignore[no-untyped-def]  # noqa:
 
 
 @njit(cache=True, error_model="numpy")
-def _level(stamps: NDArray[np.float64], levels: NDArray[np.float64], time: float) -> float:
+def _level(stamps: Array, levels: Array, time: float) -> float:
     """Look up a signal as :class:`bayesfric.recordings.inputs.Signal` does."""
     if time <= stamps[0]:
         return float(levels[0])
@@ -154,7 +155,7 @@ def motor_torque(
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _element_line(
-    elements: NDArray[np.float64],
+    elements: Array,
     k: int,
     slope: float,
     intercept: float,
@@ -198,7 +199,7 @@ def _element_line(
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def kinked(elements: NDArray[np.float64], k: int) -> bool:
+def kinked(elements: Array, k: int) -> bool:
     """Whether the torque at the input of element k has a kink where power changes direction."""
     found = False
     for slot in range(LOAD_DRIVE, LOAD_SQUARE):
@@ -207,7 +208,7 @@ def kinked(elements: NDArray[np.float64], k: int) -> bool:
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _squares(elements: NDArray[np.float64]) -> bool:
+def _squares(elements: Array) -> bool:
     found = False
     for k in range(elements.shape[0]):
         found |= elements[k, LOAD_SQUARE] != 0.0

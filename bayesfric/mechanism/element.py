@@ -28,6 +28,13 @@ class _Bearer:
     quantities: tuple[Quantity, ...]
     _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]  # options and their choices
 
+    def _set(
+        self, choices: Mapping[str, Any], quantities: tuple[Quantity, ...], **given: Any
+    ) -> None:
+        given["quantities"] = _chosen(self._options, choices, quantities)
+        for key, value in given.items():
+            object.__setattr__(self, key, value)
+
     @property
     def phrases(self) -> list[str]:
         """What it has, each as it stands in a sentence."""
@@ -115,10 +122,7 @@ class Element(_Bearer):
         quantities: tuple[Quantity, ...] = (),
         **choices: str | bool,
     ) -> None:
-        found = _chosen(CHOICES, choices, quantities)
-        given = {"name": name, "ratio": ratio, "motion": motion, "subscript": subscript}
-        for key, value in {**given, "quantities": found}.items():
-            object.__setattr__(self, key, value)
+        self._set(choices, quantities, name=name, ratio=ratio, motion=motion, subscript=subscript)
 
     @property
     def load_loss(self) -> str:
@@ -168,10 +172,7 @@ class Load(_Bearer):
         quantities: tuple[Quantity, ...] = (),
         **choices: str | bool,
     ) -> None:
-        found = _chosen(LOAD_CHOICES, choices, quantities)
-        given = {"gravity": gravity, "motion": motion, "subscript": subscript}
-        for key, value in {**given, "quantities": found}.items():
-            object.__setattr__(self, key, value)
+        self._set(choices, quantities, gravity=gravity, motion=motion, subscript=subscript)
 
 
 def _chosen(

@@ -7,10 +7,10 @@ with ``+``.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 
 def constant(time: ArrayLike, level: float) -> Array:
@@ -75,8 +75,8 @@ def chirp(time: ArrayLike, amplitude: float, first: float, last: float) -> Array
     return np.asarray(amplitude * np.sin(2.0 * np.pi * turns), dtype=np.float64)
 
 
-def current_loop(torque: ArrayLike, period: float, lag: float, *, start: float = 0.0) -> Array:
-    """Torque behind a current loop, a first-order lag, at the samples of its command.
+def current_loop(torque: ArrayLike, period: float, lag: float) -> Array:
+    """Torque behind a current loop, a first-order lag from zero on, at the command's samples.
 
     Parameters
     ----------
@@ -86,8 +86,6 @@ def current_loop(torque: ArrayLike, period: float, lag: float, *, start: float =
         s.
     lag
         Time constant in s; zero for a perfect loop.
-    start
-        Torque at the first sample.
 
     Raises
     ------
@@ -100,7 +98,7 @@ def current_loop(torque: ArrayLike, period: float, lag: float, *, start: float =
     if lag == 0.0:
         return command.copy()
     kept = np.exp(-period / lag)
-    actual, _ = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -kept], command, zi=[start])
+    actual = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -kept], command)
     return np.asarray(actual, dtype=np.float64)
 
 

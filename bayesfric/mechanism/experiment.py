@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from bayesfric.errors import BadInput, nearest
@@ -13,6 +12,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
 from bayesfric.recordings.units import in_unit
@@ -109,9 +109,7 @@ class Simulation(BaseModel):
         return {name: values[name] for name in chain.names}
 
 
-def record(
-    chain: Chain, options: Simulation
-) -> tuple[dict[str, NDArray[np.float64]], Motion, dict[str, float]]:
+def record(chain: Chain, options: Simulation) -> tuple[dict[str, Array], Motion, dict[str, float]]:
     """Simulate a joint on a bench.
 
     The commanded torque passes the current loop, moves the joint, and is measured
@@ -162,14 +160,14 @@ def record(
 
 def measure(
     chain: Chain,
-    values: NDArray[np.float64],
-    command: NDArray[np.float64],
+    values: Array,
+    command: Array,
     options: Simulation,
     rng: np.random.Generator,
     *,
     q0: float = 0.0,
     qd0: float = 0.0,
-) -> tuple[dict[str, NDArray[np.float64]], Motion]:
+) -> tuple[dict[str, Array], Motion]:
     """Play any command to a joint and measure what it does.
 
     Parameters
@@ -220,7 +218,7 @@ def measure(
     return {"time": time, "position": position, "torque": torque + noise}, motion
 
 
-def _command(options: Simulation, time: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+def _command(options: Simulation, time: Array, seed: int) -> Array:
     a, f = options.amplitude, options.frequency
     if options.excitation == "square":
         return excitation.square(time, a, f)

@@ -33,6 +33,7 @@ from bayesfric.mechanism.kernels import (
 )
 from bayesfric.mechanism.own_term import compiled
 from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
@@ -55,13 +56,13 @@ class RunsAway(ValueError):
 class Motion:
     """A simulated motion."""
 
-    time: NDArray[np.float64]  # (N,), s, from zero
+    time: Array  # (N,), s, from zero
     # q, qd, qdd: (N,) position, speed and acceleration of the joint (rad or m, SI). The
     # acceleration is the one right after the sample
-    q: NDArray[np.float64]
-    qd: NDArray[np.float64]
-    qdd: NDArray[np.float64]
-    torque: NDArray[np.float64]  # (N,) measured motor torque, as given (N m or N)
+    q: Array
+    qd: Array
+    qdd: Array
+    torque: Array  # (N,) measured motor torque, as given (N m or N)
     # (N,), where static friction holds the joint; speed and acceleration are then exactly
     # zero
     sticking: NDArray[np.bool_]
@@ -165,7 +166,7 @@ def simulate(
         coarse = found
 
 
-def _joint(chain: Chain, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
+def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
     """Lay a joint out to be moved; refuse values that have no, or no one, motion."""
     if vector.shape != (len(chain.names),):
         raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
@@ -187,7 +188,7 @@ def _joint(chain: Chain, vector: NDArray[np.float64], inputs: Inputs) -> Moved:
 
 def _motion(
     joint: Moved,
-    torque: NDArray[np.float64],
+    torque: Array,
     period: float,
     begin: float,
     linear: bool,
@@ -231,7 +232,7 @@ def simulate_segments(
     begin: float = 0.0,
     hold: Hold = "linear",
     substeps: int = 2,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Simulate the joint anew from a given state in every segment, in parallel.
 
     Parameters
@@ -298,9 +299,7 @@ def simulate_segments(
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def carried_values(
-    chain: Chain, values: NDArray[np.float64], inputs: Inputs
-) -> CarriedValues | None:
+def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues | None:
     """Gather the terms without a slot, their table ``(n, n_carried, 2)``.
 
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
@@ -342,9 +341,7 @@ def carried_values(
     )
 
 
-def _acting(
-    chain: Chain, vectors: NDArray[np.float64], torque: NDArray[np.float64], period: float
-) -> NDArray[np.float64]:
+def _acting(chain: Chain, vectors: Array, torque: Array, period: float) -> Array:
     """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
 
     Gives ``(1, N)`` or ``(n, N)``.
@@ -355,7 +352,7 @@ def _acting(
     return np.stack([later(torque, delay) for delay in samples.tolist()])
 
 
-def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
+def _finer(torque: Array, finer: int) -> Array:
     """Give samples ``(n, N)`` and what a cubic puts between them, ``(n, finer (N - 1) + 1)``."""
     if finer == 1:
         return torque
@@ -372,10 +369,7 @@ def _finer(torque: NDArray[np.float64], finer: int) -> NDArray[np.float64]:
 
 
 def possible(
-    chain: Chain,
-    vectors: NDArray[np.float64],
-    tables: Tables,
-    added_inertia: float,
+    chain: Chain, vectors: Array, tables: Tables, added_inertia: float
 ) -> NDArray[np.bool_]:
     """Which vectors lie in the support and have one motion for one torque."""
     lower = np.array([p.lower for p in chain.parameters])
@@ -387,7 +381,7 @@ def possible(
     return np.asarray(valid)
 
 
-def _torque(torque: ArrayLike, period: float, hold: str) -> NDArray[np.float64]:
+def _torque(torque: ArrayLike, period: float, hold: str) -> Array:
     samples = np.array(torque, dtype=np.float64)
     if samples.ndim != 1 or samples.size == 0:
         raise ValueError("torque must be a one-dimensional array of samples")
@@ -400,9 +394,7 @@ def _torque(torque: ArrayLike, period: float, hold: str) -> NDArray[np.float64]:
     return samples
 
 
-def _slope_bounds(
-    elements: NDArray[np.float64], inertia: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
     """Smallest and largest motor torque per joint acceleration, over all power directions.
 
     At rest and without load: what load losses grow by with speed and load is left out.

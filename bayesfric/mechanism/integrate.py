@@ -21,6 +21,7 @@ from bayesfric.mechanism.dynamics import (
     moved,
 )
 from bayesfric.mechanism.kernels import GAIN, OFFSET
+from bayesfric.recordings.arrays import Array
 
 RUNAWAY = 1e6  # rad or m
 _MAX_EVENTS = 64  # in one step
@@ -40,12 +41,7 @@ class At(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _step(
-    joint: Moved,
-    at: At,
-    lines: Lines,
-    h: float,
-) -> tuple[float, float]:
+def _step(joint: Moved, at: At, lines: Lines, h: float) -> tuple[float, float]:
     """Take one Runge-Kutta step."""
     q, qd, qdd, torque, rate, time, sign, pattern = at
     half = 0.5 * h
@@ -72,13 +68,7 @@ def _transmitted(lines: Lines, k: int, qdd: float, sign: float, pattern: int) ->
 
 
 @njit(cache=True, error_model="numpy")
-def _agreement(
-    joint: Moved,
-    at: At,
-    lines: Lines,
-    h: float,
-    which: int,
-) -> float:
+def _agreement(joint: Moved, at: At, lines: Lines, h: float, which: int) -> float:
     """Value that is positive until event ``which`` (element, or -1: reversal), ``h`` later."""
     q, qd, _, torque, rate, time, sign, pattern = at
     if h > 0.0:
@@ -90,13 +80,7 @@ def _agreement(
 
 
 @njit(cache=True, error_model="numpy")
-def _locate(
-    joint: Moved,
-    at: At,
-    lines: Lines,
-    h: float,
-    which: int,
-) -> float:
+def _locate(joint: Moved, at: At, lines: Lines, h: float, which: int) -> float:
     """Time to an event known to come within ``h``, to rounding (Illinois method).
 
     Zero if the value is not positive anywhere before, that is, if the event is now.
@@ -156,16 +140,16 @@ def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
 @njit(cache=True, error_model="numpy")
 def integrate(
     joint: Moved,
-    measured: NDArray[np.float64],
+    measured: Array,
     period: float,
     begin: float,
     linear: bool,
     q: float,
     qd: float,
     substeps: int,
-    q_out: NDArray[np.float64],
-    qd_out: NDArray[np.float64],
-    qdd_out: NDArray[np.float64],
+    q_out: Array,
+    qd_out: Array,
+    qdd_out: Array,
     sticking: NDArray[np.bool_],
     counts: NDArray[np.int64],
 ) -> int:
@@ -307,21 +291,21 @@ def integrate(
 
 @njit(cache=True, error_model="numpy", parallel=True)
 def integrate_segments(
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
+    elements: Array,
+    load: Array,
     carried: CarriedValues | None,
     added: tuple[float, float],
-    torque: NDArray[np.float64],
+    torque: Array,
     period: float,
     begin: float,
     linear: bool,
     starts: NDArray[np.int64],
     ends: NDArray[np.int64],
-    q0: NDArray[np.float64],
-    qd0: NDArray[np.float64],
+    q0: Array,
+    qd0: Array,
     substeps: int,
     valid: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Array, Array]:
     """Integrate many parameter vectors, each anew at the start of every segment.
 
     ``torque`` is ``(n, N)``, or ``(1, N)`` for one that acts on all. Gives positions and speeds.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 
 
@@ -18,8 +19,8 @@ def inverse_torque(
     qdd: ArrayLike,
     *,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    time: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+    time: Array | None = None,
+) -> Array:
     """Measured motor torque along a motion.
 
     Parameters
@@ -44,7 +45,7 @@ def inverse_torque(
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
     samples = chain.samples(q, qd, qdd, inputs, time)
-    torque: NDArray[np.float64] = kernels.inverse_many(*chain.tables(vectors, inputs), samples)
+    torque: Array = kernels.inverse_many(*chain.tables(vectors, inputs), samples)
     return torque[0] if np.ndim(values) == 1 else torque
 
 
@@ -55,8 +56,8 @@ def load_torque(
     qdd: ArrayLike,
     *,
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
-    time: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+    time: Array | None = None,
+) -> Array:
     """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss.
 
     Parameters and shapes as in :func:`inverse_torque`, for one parameter vector.
@@ -66,9 +67,7 @@ def load_torque(
     position = np.asarray(q, dtype=np.float64)
     weight = load[0, kernels.GRAVITY] * (load[0, kernels.FIRST_MOMENT] + moment)
     swing = weight * np.sin(position + load[0, kernels.GRAVITY_ANGLE])
-    torque: NDArray[np.float64] = (load[0, kernels.LOAD_INERTIA] + inertia) * np.asarray(
-        qdd
-    ) + swing
+    torque: Array = (load[0, kernels.LOAD_INERTIA] + inertia) * np.asarray(qdd) + swing
     if inputs.load_torque is not None:
         torque = torque - inputs.load_torque.at(
             np.full(position.shape, np.nan if time is None else time)
@@ -76,9 +75,7 @@ def load_torque(
     return torque
 
 
-def load_reach(
-    chain: Chain, values: NDArray[np.float64], *, open_scale: bool
-) -> NDArray[np.float64]:
+def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
     """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
 
     ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open: the mean of what the

@@ -14,6 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.own_term import call
+from bayesfric.recordings.arrays import Array
 
 # Terms that the kernels write out, by their slots: an element is a row of the first, the load
 # and the measurement make up the second.
@@ -48,20 +49,20 @@ class Samples(NamedTuple):
 
     added_inertia: float  # added_inertia, added_moment: of a known mass on the load, kg m² and kg m
     added_moment: float
-    sin_q: NDArray[np.float64]  # sin_q, cos_q, speed, acceleration: (N,) of the joint
-    cos_q: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    position: NDArray[np.float64]
-    time: NDArray[np.float64]
+    sin_q: Array  # sin_q, cos_q, speed, acceleration: (N,) of the joint
+    cos_q: Array
+    speed: Array
+    acceleration: Array
+    position: Array
+    time: Array
     # (n_carried, N) torque of each term without a slot, for a coefficient of one; not used where
     # a parameter shapes it
-    columns: NDArray[np.float64]
+    columns: Array
     # (n_carried,) index of its element; that of the load is the number of elements, and one more
     # what comes on top of the torque measured
     places: NDArray[np.int64]
     # (n_carried,) speed of its element's input over the joint's
-    reaches: NDArray[np.float64]
+    reaches: Array
     # (n_carried,) of its compiled column where a parameter shapes it; 0 where none does
     addresses: NDArray[np.int64]
 
@@ -77,7 +78,7 @@ def low_speed(speed: float, width: float, exponent: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def rises(element: NDArray[np.float64], speed: float) -> tuple[float, float]:
+def rises(element: Array, speed: float) -> tuple[float, float]:
     """Factors ``1 + c exp(-|v/v0|^a)`` of the constant and of the load loss, at the input speed."""
     constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
     if constant == 0.0 and load == 0.0:
@@ -87,9 +88,7 @@ def rises(element: NDArray[np.float64], speed: float) -> tuple[float, float]:
 
 
 @njit(cache=True, inline="always")
-def load_losses(
-    element: NDArray[np.float64], sign: float, speed: float, rise: float
-) -> tuple[float, float]:
+def load_losses(element: Array, sign: float, speed: float, rise: float) -> tuple[float, float]:
     """Loss per transmitted torque while the motor side drives, and while the load does (eq. 6)."""
     grown = element[LOAD_SPEED] * abs(speed)
     drive = element[LOAD_DRIVE] + sign * element[LOAD_DRIVE_DIFFERENCE]
@@ -132,7 +131,7 @@ def element_torque(
 
 @njit(cache=True, inline="always")
 def element_input(
-    element: NDArray[np.float64], torque_out: float, sign: float, speed: float, acceleration: float
+    element: Array, torque_out: float, sign: float, speed: float, acceleration: float
 ) -> float:
     """Torque at an element's input for one sample.
 
@@ -159,9 +158,7 @@ def element_input(
 
 
 @njit(cache=True, inline="always")
-def gravity_torque(
-    load: NDArray[np.float64], added_moment: float, sin_q: float, cos_q: float
-) -> float:
+def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float) -> float:
     """Gravity on the load, ``g ml sin(q + q_g)``, with the known added mass."""
     angle = load[GRAVITY_ANGLE]
     sine = sin_q if angle == 0.0 else sin_q * math.cos(angle) + cos_q * math.sin(angle)
@@ -169,12 +166,7 @@ def gravity_torque(
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def inverse_many(
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
-    carried: NDArray[np.float64],
-    samples: Samples,
-) -> NDArray[np.float64]:
+def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples) -> Array:
     """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general.
 
     Returns ``(n, N)``.
@@ -188,12 +180,7 @@ def inverse_many(
 
 @njit(cache=True, error_model="numpy")
 def inverse_one(
-    elements: NDArray[np.float64],
-    load: NDArray[np.float64],
-    carried: NDArray[np.float64],
-    samples: Samples,
-    begin: int,
-    out: NDArray[np.float64],
+    elements: Array, load: Array, carried: Array, samples: Samples, begin: int, out: Array
 ) -> None:
     """Write the measured motor torque of one parameter vector into ``out`` ``(n,)``.
 
@@ -218,13 +205,7 @@ def inverse_one(
 
 
 @njit(cache=True)
-def _carry(
-    carried: NDArray[np.float64],
-    samples: Samples,
-    place: int,
-    begin: int,
-    out: NDArray[np.float64],
-) -> None:
+def _carry(carried: Array, samples: Samples, place: int, begin: int, out: Array) -> None:
     """Add the terms of one element, or the load, that have no slot."""
     for t in range(carried.shape[0]):
         if samples.places[t] != place:
@@ -244,11 +225,7 @@ def _carry(
 
 @njit(cache=True)
 def _through_element(
-    element: NDArray[np.float64],
-    to_input: float,
-    speed: NDArray[np.float64],
-    acceleration: NDArray[np.float64],
-    out: NDArray[np.float64],
+    element: Array, to_input: float, speed: Array, acceleration: Array, out: Array
 ) -> None:
     """Carry all samples through one element: ``out`` goes from its output to its input."""
     # in locals, or the compiler must assume that writing `out` changes them

@@ -19,9 +19,9 @@ from llvmlite import ir
 from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 
 _SIGNATURE = types.float64(*[types.float64] * 5)
@@ -120,13 +120,8 @@ def _address(row: Quantity) -> int:
 
 
 def along(
-    row: Quantity,
-    reach: float,
-    position: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    time: NDArray[np.float64],
-    inputs: Inputs,
-) -> NDArray[np.float64]:
+    row: Quantity, reach: float, position: Array, speed: Array, time: Array, inputs: Inputs
+) -> Array:
     """Torque for a coefficient of one along a motion of the joint, each ``(N,)``.
 
     ``reach`` is the speed of the element's input over the joint's. A parameter that shapes the
@@ -220,13 +215,8 @@ call: Any = intrinsic(_call)
 
 @njit(cache=True)
 def _along(
-    address: int,
-    position: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    time: NDArray[np.float64],
-    shape: float,
-) -> NDArray[np.float64]:
+    address: int, position: Array, speed: Array, direction: Array, time: Array, shape: float
+) -> Array:
     out = np.empty(position.shape[0])
     for i in range(position.shape[0]):
         out[i] = call(address, position[i], speed[i], direction[i], time[i], shape)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -519,40 +519,31 @@ QUANTITIES: dict[str, Quantity] = {
 SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 
 
-@lru_cache(maxsize=256)
-def _cogging(cycles: int) -> tuple[Quantity, ...]:
-    """Torque of magnets and teeth, as sine and cosine (Hsu et al. 2015)."""
-    sine, cosine = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
-    return _waves("cogging", "a", "torque", cycles, (sine, cosine))
-
-
-@lru_cache(maxsize=256)
-def _periodic_friction(cycles: int) -> tuple[Quantity, ...]:
-    """Friction that depends on the angle, as of an eccentric gear (Armstrong-Helouvry 1991)."""
-    sine = lambda m: m.direction * np.sin(cycles * m.position)  # noqa: E731
-    cosine = lambda m: m.direction * np.cos(cycles * m.position)  # noqa: E731
-    return _waves("periodic_friction", "c", "constant loss", cycles, (sine, cosine))
-
-
-def _waves(
-    option: str, letter: str, what: str, cycles: int, columns: tuple[Column, Column]
-) -> tuple[Quantity, ...]:
+@lru_cache(maxsize=512)
+def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
+    """Sine and cosine over the angle: torque, or friction that goes by the direction."""
+    if option == "cogging":  # of magnets and teeth (Hsu et al. 2015)
+        letter, what = "a", "torque"
+        columns = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
+    else:  # as of an eccentric gear (Armstrong-Helouvry 1991)
+        letter, what = "c", "constant loss"
+        columns = (
+            lambda m: m.direction * np.sin(cycles * m.position),
+            lambda m: m.direction * np.cos(cycles * m.position),
+        )
     return tuple(
         Quantity(
             f"{option}_{part}_{cycles}", _TORQUE, rf"{letter}_{{{{{{}},\{part}\,{cycles}}}}}",
             f"{what} with the {word} of {cycles} cycles a turn",
             option=option, choice=cycles, column=column, lower=-_INF, slots=(),
         )
-        for (part, word), column in zip(
-            (("sin", "sine"), ("cos", "cosine")), columns, strict=True
-        )
+        for part, word, column in zip(("sin", "cos"), ("sine", "cosine"), columns, strict=True)
     )  # fmt: skip
 
 
 # Options that list numbers of cycles a turn, and the quantities that each number brings.
 CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
-    "cogging": _cogging,
-    "periodic_friction": _periodic_friction,
+    option: partial(_waves, option) for option in ("cogging", "periodic_friction")
 }
 CYCLE_PHRASES: Mapping[str, str] = {
     "cogging": "a torque that repeats",

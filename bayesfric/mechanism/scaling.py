@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from bayesfric.mechanism.chain import Chain
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 
 @dataclass(frozen=True)

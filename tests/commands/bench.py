@@ -1,5 +1,6 @@
 """A folder with a configuration and a tiny recording, and the command run in it."""
 
+import json
 import re
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from bayesfric import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
+from tests.recordings.samples import has as has
 
 CONFIG = """\
 [mechanism]
@@ -144,6 +146,25 @@ class Bench:
                 code = stop.code
         return Outcome(code, *self._capture.readouterr())
 
+    def told(self, *arguments, codes=(0,)):
+        """Run the command with ``--json``, which ends well, and give what it prints."""
+        ended = self.run(*arguments, "--json")
+        assert ended.code in codes, ended
+        return json.loads(ended.out)
+
+    def summary(self, run="run"):
+        """Read what a run's folder holds of its numbers."""
+        return json.loads((self.folder / run / "summary.json").read_text(encoding="utf-8"))
+
+    def altered(self, change, name="small"):
+        """Change the table of a recording that was simulated, in place or by what comes back."""
+        path = self.folder / f"{name}.csv"
+        table = np.loadtxt(path, delimiter=",", skiprows=1)
+        made = change(table)
+        header = path.read_text().split("\n", 1)[0]
+        rows = table if made is None else made
+        np.savetxt(path, rows, "%.17g", ",", header=header, comments="")
+
     def run_apart(self, *arguments):
         """Run the command the way a user does, in a process of its own."""
         done = subprocess.run(
@@ -167,11 +188,6 @@ class Bench:
             assert foreign not in outcome.err
         assert self.held() == before
         return outcome.err
-
-
-def has(message, *parts):
-    for part in parts:
-        assert part in message, message
 
 
 def below_a_file(folder: Path):

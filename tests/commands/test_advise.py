@@ -1,6 +1,5 @@
 """``bayesfric identify --advise`` as a user sees it."""
 
-import json
 from importlib.resources import files
 from pathlib import Path
 
@@ -28,9 +27,7 @@ def axis(bench):
 
 
 def advised(bench, name, *more):
-    ended = bench.run("identify", "c.toml", "--advise", name, "--json", *more)
-    assert ended.code == 0, ended.err
-    return json.loads(ended.out)
+    return bench.told("identify", "c.toml", "--advise", name, *more)
 
 
 def test_the_winning_excitation_is_a_file_that_can_be_played(axis):

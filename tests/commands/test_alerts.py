@@ -1,7 +1,6 @@
 """What a run warns of: the first screen of its page and the terminal say the same."""
 
 import copy
-import json
 
 import pytest
 
@@ -69,7 +68,7 @@ def test_page_and_terminal_warn_of_the_same(bench):
     ended = bench.run("fit", "c.toml", "-o", "run")
     assert ended.code == 3, ended  # a bound holds a number where the model lacks something
     page = (bench.folder / "run" / "report.html").read_text(encoding="utf-8")
-    summary = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    summary = bench.summary()
     assert "! friction with the square of speed" in ended.out
     said = same(page, summary)
     assert any(text.startswith("Friction with the square of speed (") for text in said)

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+from pathlib import Path
 
 import h5py
 import pytest
@@ -63,25 +64,20 @@ def test_one_run_in_a_process_of_its_own(runs):
 
 @pytest.mark.usefixtures("undrawn")
 def test_json_is_what_is_written(runs):
-    ended = runs.run("compare", "knee", "a/run", "--json", "-o", "out")
-    assert ended.code == 0, ended
+    told = runs.told("compare", "knee", "a/run", "-o", "out")
     written = json.loads((runs.folder / "out" / "comparison.json").read_text(encoding="utf-8"))
-    assert json.loads(ended.out) == written
+    assert told == written
     assert written["baseline"] == "knee: posterior"
 
 
-def test_runs_of_one_name_are_told_apart(runs):
-    ended = runs.run("compare", "a/run", "b/run", "--json")
-    assert ended.code == 0, ended
-    labels = [column["label"] for column in json.loads(ended.out)["columns"]]
-    assert labels[:2] == ["a/run: posterior", "b/run: posterior"]
+def test_runs_of_one_name_are_told_apart(runs, monkeypatch):
+    def named(*folders):
+        columns = runs.told("compare", *folders)["columns"]
+        return [column["label"].removesuffix(": posterior") for column in columns[:2]]
 
-
-def test_the_working_folder_has_a_name(runs, monkeypatch):
-    monkeypatch.chdir(runs.folder / "knee")
-    ended = runs.run("compare", ".", "../a/run", "--json")
-    labels = [column["label"] for column in json.loads(ended.out)["columns"]]
-    assert labels[:2] == ["knee: posterior", "run: posterior"]
+    assert named("a/run", "b/run") == ["a/run", "b/run"]
+    monkeypatch.chdir(runs.folder / "knee")  # the working folder has a name, too
+    assert named(".", "../a/run") == ["knee", "run"]
 
 
 def test_estimates_of_several_runs_when_asked(runs):
@@ -166,19 +162,17 @@ def test_files_that_hold_something_else(runs, text, parts):
     has(runs.refused("compare", "knee"), "knee", *parts)
 
 
-def test_a_file_that_is_no_text(runs):
-    (runs.folder / "knee" / "summary.json").write_bytes(b'{"parameters": "\xff"}')
-    has(runs.refused("compare", "knee"), "is not UTF-8")
-
-
-def test_a_summary_that_is_a_pipe(runs):
-    os.mkfifo(runs.folder / "a" / "summary.json")
-    has(runs.refused("compare", "a"), "is a named pipe")
-
-
-def test_a_summary_that_is_a_folder(runs):
-    (runs.folder / "a" / "summary.json").mkdir()
-    has(runs.refused("compare", "a"), "cannot be read")
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda path: path.write_bytes(b'{"parameters": "\xff"}'), "is not UTF-8"),
+        (os.mkfifo, "is a named pipe"),
+        (Path.mkdir, "cannot be read"),
+    ],
+)
+def test_a_summary_that_is_no_text(runs, make, said):
+    make(runs.folder / "a" / "summary.json")
+    has(runs.refused("compare", "a"), said)
 
 
 def test_wrong_types_in_a_process_of_its_own(runs):

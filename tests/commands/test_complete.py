@@ -1,7 +1,5 @@
 """``terms = "auto"`` and ``explain -o BETTER.toml`` put in what else explains the torque."""
 
-import json
-
 import pytest
 
 from bayesfric.model import Model
@@ -14,7 +12,7 @@ from .test_explain import BY_DIRECTION, swing  # noqa: F401  (a fixture)
 
 def test_what_is_missing_is_put_in_and_the_file_fits(swing):  # noqa: F811
     path = swing.folder / "better.toml"
-    printed = json.loads(swing.run("explain", "c.toml", "-o", "better.toml", "--json").out)
+    printed = swing.told("explain", "c.toml", "-o", "better.toml")
     assert [one["kind"] for one in printed["taken"]] == ["viscous_by_direction"]
     assert printed["findings"] == []
     better = Model.from_config(path)
@@ -30,7 +28,7 @@ def test_auto_fits_with_what_was_missing_and_its_run_is_as_written(swing):  # no
     swing.config(AUTO)
     assert swing.run("fit", "c.toml", "-o", "run").code == 0
     run = swing.folder / "run"
-    summary = json.loads((run / "summary.json").read_text())
+    summary = swing.summary()
     assert [one["kind"] for one in summary["taken"]] == ["viscous_by_direction"]
     assert summary["findings"] == []
     for name, true in (("motor.viscous_positive", 0.2), ("motor.viscous_negative", 0.3)):
@@ -46,7 +44,7 @@ def test_auto_fits_with_what_was_missing_and_its_run_is_as_written(swing):  # no
 
 def test_a_check_says_what_auto_will_put_in(swing):  # noqa: F811
     swing.config(AUTO)
-    found = json.loads(swing.run("check", "c.toml", "--json").out)
+    found = swing.told("check", "c.toml")
     assert [one["kind"] for one in found["taken"]] == ["viscous_by_direction"]
     assert found["findings"] == []
 

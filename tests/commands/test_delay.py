@@ -1,7 +1,5 @@
 """A late position on the command line: simulated, checked, asked of with a parameter of its own."""
 
-import json
-
 import pytest
 
 import bayesfric as bf
@@ -45,7 +43,7 @@ def test_check_finds_it_and_warns(late):
 
 
 def test_a_joint_that_has_it_is_not_warned_of(late):
-    found = json.loads(late("delay = true").run("check", "c.toml", "--json").out)
+    found = late("delay = true").told("check", "c.toml")
     assert "delay" not in [one["kind"] for one in found["findings"]]
     assert found["priors"]["drive.delay"]["default"]
     row = found["least_squares"]["parameters"]["drive.delay"]
@@ -54,7 +52,7 @@ def test_a_joint_that_has_it_is_not_warned_of(late):
 
 def test_a_number_fixes_it(late):
     bench = late("delay = true", '\n[priors]\n"drive.delay" = 0.004\n')
-    found = json.loads(bench.run("check", "c.toml", "--json").out)
+    found = bench.told("check", "c.toml")
     assert found["recordings"][0]["settings"]["delay"] == 0.004
     assert found["priors"]["drive.delay"]["prior"].startswith("fixed")
 

@@ -1,7 +1,6 @@
 """Numbers that the sampling is sure of and nobody should be: found, demoted, and said first."""
 
 import importlib
-import json
 import sys
 from dataclasses import replace
 
@@ -289,9 +288,7 @@ def test_check_says_that_a_pendulum_is_no_axis(bench):
     kinds, presets = {}, {}
     for name, text in {"right": pendulum, "wrong": SMALL}.items():
         (bench.folder / f"{name}.toml").write_text(text, encoding="utf-8")
-        ended = bench.run("check", f"{name}.toml", "--json")
-        assert ended.code == 0
-        doubts = json.loads(ended.out)["doubts"]
+        doubts = bench.told("check", f"{name}.toml")["doubts"]
         kinds[name] = [one["kind"] for one in doubts]
         presets[name] = [name for one in doubts for name in one.get("presets", ())]
     assert "unexplained" in kinds["wrong"]

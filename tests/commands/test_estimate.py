@@ -1,6 +1,5 @@
 """``bayesfric estimate``: the three methods as a user sees them, and references."""
 
-import json
 import re
 
 import pytest
@@ -34,9 +33,7 @@ def small(bench):
 
 
 def test_all_methods_agree_with_the_truth(small):
-    ended = small.run("estimate", "c.toml", "--json")
-    assert ended.code == 0, ended.err
-    found = json.loads(ended.out)
+    found = small.told("estimate", "c.toml")
     assert list(found["estimates"]) == METHODS
     for method, estimate in found["estimates"].items():
         for name, value in TRUTH.items():
@@ -53,7 +50,7 @@ def test_all_methods_agree_with_the_truth(small):
 
 
 def test_one_method_alone(small):
-    found = json.loads(small.run("estimate", "c.toml", "--method", "input-error", "--json").out)
+    found = small.told("estimate", "c.toml", "--method", "input-error")
     assert list(found["estimates"]) == ["input-error"]
     assert small.run("estimate", "c.toml", "--method", "guessing").code == 2
 
@@ -75,7 +72,7 @@ def test_nothing_undetermined_gets_a_deviation(bench):
         assert "not determined" in line
         assert "±" not in line
         assert "fit as well" in line
-    found = json.loads(bench.run("estimate", "c.toml", "--method", "input-error", "--json").out)
+    found = bench.told("estimate", "c.toml", "--method", "input-error")
     row = found["estimates"]["input-error"]["parameters"]["load.first_moment"]
     assert (row["sd"], row["sd_robust"], row["determined"]) == (None, None, False)
     assert row["span"][0] < 0.42 < row["span"][1]

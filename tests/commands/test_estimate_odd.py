@@ -1,7 +1,5 @@
 """``bayesfric estimate`` on mechanisms and recordings that are legal and odd."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -26,9 +24,7 @@ def pendulum(bench):
 
 
 def estimates(bench, *arguments):
-    ended = bench.run("estimate", "c.toml", "--json", *arguments)
-    assert ended.code == 0, ended.err
-    return json.loads(ended.out)["estimates"]
+    return bench.told("estimate", "c.toml", *arguments)["estimates"]
 
 
 def test_a_stribeck_rise_that_may_vanish(pendulum):
@@ -68,14 +64,14 @@ def test_segments_too_short_to_simulate(pendulum, segment, words):
 
 def test_rest_leaves_no_certainty_of_its_own(pendulum):
     """Most of the time at rest: the robust scale of the residuals is zero there."""
-    table = np.loadtxt(pendulum.folder / "small.csv", delimiter=",", skiprows=1)
-    still = table[-1].copy()
-    rest = np.tile(still, (2 * len(table), 1))
-    rest[:, 0] += 0.005 * np.arange(1, len(rest) + 1)
-    rest[:, 2] = 0.0
-    rows = np.concatenate([table, rest])
-    lines = ["time,position,torque", *(",".join(map(repr, row)) for row in rows.tolist())]
-    (pendulum.folder / "small.csv").write_text("\n".join(lines) + "\n")
+
+    def rested(table):
+        rest = np.tile(table[-1], (2 * len(table), 1))
+        rest[:, 0] += 0.005 * np.arange(1, len(rest) + 1)
+        rest[:, 2] = 0.0
+        return np.concatenate([table, rest])
+
+    pendulum.altered(rested)
     pendulum.config(PENDULUM + '\n[estimation]\nloss = "huber"\nsegment = 1.0\n')
     found = estimates(pendulum, "--method", "output-error")["output-error"]
     sds = [row["sd"] for row in found["parameters"].values() if row["sd"] is not None]
@@ -83,8 +79,5 @@ def test_rest_leaves_no_certainty_of_its_own(pendulum):
 
 
 def test_torque_of_no_joint(pendulum):
-    table = np.loadtxt(pendulum.folder / "small.csv", delimiter=",", skiprows=1)
-    table[:, 2] *= 1e-200
-    lines = ["time,position,torque", *(",".join(map(repr, row)) for row in table.tolist())]
-    (pendulum.folder / "small.csv").write_text("\n".join(lines) + "\n")
+    pendulum.altered(lambda table: table * [1.0, 1.0, 1e-200])
     has(pendulum.refused("estimate", "c.toml"), "small.csv", "torque", "unit")

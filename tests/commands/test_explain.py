@@ -1,14 +1,11 @@
 """`explain` on the command line and in Python, on a SIMULATED recording that lacks a term."""
 
-import json
-
 import pytest
 
 import bayesfric as bf
 
-from .bench import has, recorded
+from .bench import JOINT, has, recorded
 
-JOINT = '[mechanism]\npreset = "motor-axis"\n'
 BY_DIRECTION = '[mechanism.elements.motor]\nviscous = "by-direction"\n'
 SIMULATION = """
 [simulation]
@@ -42,7 +39,7 @@ def test_what_is_missing_is_named_with_what_to_write(swing):
     text = swing.run("explain", "c.toml").out
     has(" ".join(text.split()), 'viscous = "by-direction" in [mechanism.elements.motor]')
     assert len(text.splitlines()) < 10
-    found = printed = json.loads(swing.run("explain", "c.toml", "--json").out)
+    found = printed = swing.told("explain", "c.toml")
     (one,) = found["findings"]
     assert (one["kind"], one["hint"]) == ("viscous_by_direction", LINE)
     assert not set(found["kinds"]) & set(found["untold"])

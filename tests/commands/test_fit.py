@@ -161,11 +161,10 @@ def test_another_seed_gives_other_draws_of_the_same(done, folder, again, tmp_pat
 @pytest.mark.usefixtures("no_figures", "unexplained")
 def test_seed_of_the_command_line_comes_first(bench, folder):
     config = folder / "small.toml"
-    ended = bench.run("fit", config, "--seed", "41", "--json")
-    assert ended.code == 0, ended
+    told = bench.told("fit", config, "--seed", "41")
     # without -o the run is called after its configuration, in the working folder
-    written = json.loads((bench.folder / "small-run" / "summary.json").read_text(encoding="utf-8"))
-    assert written == json.loads(ended.out)
+    written = bench.summary("small-run")
+    assert written == told
     assert written["sampler"]["seed"] == 41
 
 
@@ -180,7 +179,7 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     ended = bench.run("fit", "few.toml", "-o", "run")
     assert ended.code == 3
     assert "Traceback" not in ended.err
-    written = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    written = bench.summary()
     status = written["sampler"]["status"]
     assert status in ("tentative", "unusable")
     assert written["sampler"]["problems"]
@@ -208,7 +207,7 @@ def test_force_keeps_the_old_run(bench, folder):
     first = (bench.folder / "run" / "summary.json").read_bytes()
     assert bench.run("fit", "few.toml", "-o", "run", "--force", "--seed", "9").code == 3
     assert (bench.folder / "run.old1" / "summary.json").read_bytes() == first
-    second = json.loads((bench.folder / "run" / "summary.json").read_text(encoding="utf-8"))
+    second = bench.summary()
     assert second["sampler"]["seed"] == 9
 
 
@@ -298,9 +297,8 @@ def test_the_demo_finds_the_truth(bench):
 def estimated(bench, folder, *options, more=""):
     few(bench, folder, FEW + more)
     run = f"run {len(list(bench.folder.iterdir()))}"
-    ended = bench.run("fit", "few.toml", "-o", run, "--json", *options)
-    assert ended.code == 3, ended
-    return json.loads(ended.out), draws(bench.folder / run)
+    told = bench.told("fit", "few.toml", "-o", run, *options, codes=(3,))
+    return told, draws(bench.folder / run)
 
 
 @pytest.mark.usefixtures("no_figures", "unexplained")

@@ -1,6 +1,5 @@
 """``bayesfric identify`` as a user sees it: what cannot be told first, then why and what to do."""
 
-import json
 from importlib.resources import files
 from pathlib import Path
 
@@ -34,12 +33,6 @@ excitation = "multisine"
 encoder_counts = 1048576
 torque_noise = 0.01
 """
-
-
-def identified(bench, config):
-    ended = bench.run("identify", config, "--json")
-    assert ended.code == 0, ended.err
-    return json.loads(ended.out)
 
 
 def null(found):
@@ -83,7 +76,7 @@ def test_text_says_first_what_cannot_be_told_and_what_to_do(knee):
 
 def test_the_known_mass_determines_everything(bench):
     """0.8 N m alone and 1.12 N m with 2 kg at 0.35 m, 10 s each, torque noise 0.02 N m."""
-    found = identified(bench, FOLDER / "knee-loaded.toml")
+    found = bench.told("identify", FOLDER / "knee-loaded.toml")
     assert null(found) == []
 
     def relative(row):
@@ -113,14 +106,14 @@ def test_what_is_determined_is_said_to_be(bench):
     bench.simulated(AXIS)
     ended = bench.run("identify", "c.toml")
     assert ended.out.splitlines()[0] == "This recording can tell every parameter."
-    found = identified(bench, "c.toml")
+    found = bench.told("identify", "c.toml")
     assert found["method"] == "input-error"
     assert found["voltage"] is None
 
 
 def test_the_likelihood_of_the_position(bench):
     bench.simulated(AXIS + '\n[likelihood]\nmethod = "output-error"\nsegment = 0.25\n')
-    found = identified(bench, "c.toml")
+    found = bench.told("identify", "c.toml")
     assert found["method"] == "output-error"
     assert null(found) == []
     truth = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2}
@@ -145,7 +138,7 @@ def test_ur10e_with_two_load_losses_and_a_free_gravity_moment(bench, real_data):
             "[[recordings]]", '[mechanism.elements.gearbox]\nload_loss = "two"\n\n[[recordings]]'
         )
     )
-    found = identified(bench, "c.toml")
+    found = bench.told("identify", "c.toml")
     (one,) = null(found)
     assert set(one["exponents"]) == {
         "gearbox.alpha_drive",
@@ -163,7 +156,7 @@ def test_ur10e_with_two_load_losses_and_a_free_gravity_moment(bench, real_data):
 def test_xl330_confounds_back_emf(bench, real_data):
     if not (real_data / "xl330-pendulum").is_dir():
         pytest.skip("the XL330 recordings are not here")
-    found = identified(bench, XL330)
+    found = bench.told("identify", XL330)
     assert null(found) == []
     assert found["voltage"]["same_as_back_emf"] == ["motor.viscous"]
     has(found["voltage"]["meaning"], "viscous loss and back-EMF cannot be told apart")
@@ -200,5 +193,5 @@ def test_a_pendulum_without_its_gravity_is_doubted_before_its_parameters(bench, 
         if doubted:
             has(ended.out.splitlines()[0], "explains only", "explain")
             assert "can tell every parameter.\n" not in ended.out
-        told = json.loads(bench.run("identify", "c.toml", *more, "--json").out)
+        told = bench.told("identify", "c.toml", *more)
         assert [one["kind"] for one in told["doubts"]] == ["unexplained"] * doubted

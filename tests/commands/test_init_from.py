@@ -1,6 +1,5 @@
 """``bayesfric init --from``: columns by their names; what a log does not tell is left open."""
 
-import json
 import re
 
 import numpy as np
@@ -176,7 +175,7 @@ def test_what_cannot_be_read_is_one_line(bench, arguments, parts):
 
 def test_json_holds_what_is_left_open(bench):
     pd.DataFrame({"q": Q, "tau": TAU}).to_csv(bench.folder / "log.csv", index=False)
-    told = json.loads(bench.run("init", "--from", bench.folder / "log.csv", "--json").out)
+    told = bench.told("init", "--from", bench.folder / "log.csv")
     assert told["open"] == {"position.unit": "?", "torque.unit": "?", "rate": "? kHz"}
 
 

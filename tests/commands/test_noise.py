@@ -1,7 +1,5 @@
 """What ``fit`` makes of noise that remembers, and of outliers, as a user sees it."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -34,19 +32,17 @@ RHO = 0.8
 def with_noise(bench, make):
     """Simulate without noise, then add it to the torque that the file tells."""
     bench.simulated(CONFIG)
-    path = bench.folder / "small.csv"
-    table = np.loadtxt(path, delimiter=",", skiprows=1)
-    table[:, 2] += make(len(table))
-    head = path.read_text().split("\n", 1)[0]
-    rows = [head, *(",".join(map(repr, row)) for row in table.tolist())]
-    path.write_text("\n".join(rows) + "\n")
-    return bench
+
+    def noisy(table):
+        table[:, 2] += make(len(table))
+
+    bench.altered(noisy)
 
 
 def fitted(bench, *more):
     ended = bench.run("fit", "c.toml", "-o", "run", "--force", *more)
     assert ended.code == 0, ended
-    return json.loads((bench.folder / "run" / "summary.json").read_text()), ended.out
+    return bench.summary()
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -54,7 +50,7 @@ def test_memory_is_found_and_widens_what_white_noise_claims(bench):
     follows = np.ones(2999, dtype=bool)
     rng = np.random.default_rng(6)
     with_noise(bench, lambda n: 0.01 * simulated(np.array([RHO]), follows[: n - 1], 1, rng)[0])
-    summary, _ = fitted(bench)
+    summary = fitted(bench)
     noise = summary["noise"]
     assert noise["model"] == "AR(1)"
     assert noise["autoregression"]["small"][0] == pytest.approx(RHO, abs=0.05)
@@ -75,7 +71,7 @@ def test_memory_is_found_and_widens_what_white_noise_claims(bench):
 def test_white_noise_stays_white(bench):
     rng = np.random.default_rng(7)
     with_noise(bench, lambda n: 0.01 * rng.standard_normal(n))
-    summary, _ = fitted(bench)
+    summary = fitted(bench)
     assert summary["noise"]["model"] == "white"
     # of white noise it is uniform: one seed in twenty is called coloured at 0.05
     assert summary["noise"]["innovation_whiteness"]["p_value"] > 1e-3
@@ -86,7 +82,7 @@ def test_outliers_are_for_student_t(bench):
     rng = np.random.default_rng(8)
     with_noise(bench, lambda n: 0.01 * rng.standard_t(2.5, n))
     (bench.folder / "c.toml").write_text(CONFIG + '\n[noise]\nmodel = "student-t"\n')
-    summary, _ = fitted(bench)
+    summary = fitted(bench)
     assert summary["noise"]["model"] == "Student-t"
     rows = summary["parameters"]
     assert abs(rows["noise.dof"]["mean"] - 2.5) < 4 * rows["noise.dof"]["sd"]

@@ -1,7 +1,5 @@
 """Recordings of one joint whose measured torques are shifted by different constants."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -34,9 +32,7 @@ def two(bench):
 
 
 def test_every_method_finds_each_offset(two):
-    ended = two.run("estimate", "c.toml", "--json")
-    assert ended.code == 0, ended.err
-    for method, estimate in json.loads(ended.out)["estimates"].items():
+    for method, estimate in two.told("estimate", "c.toml")["estimates"].items():
         rows = estimate["parameters"]
         assert "offset" not in rows
         for name, value in OFFSETS.items():
@@ -51,8 +47,8 @@ def test_one_offset_for_both_is_their_mean_and_leaves_the_rest_in_the_residual(t
     rms = {}
     for told in ('"per-recording"', "true"):
         two.config(text.replace('offset = "per-recording"', f"offset = {told}"))
-        ended = two.run("estimate", "c.toml", "--method", "least-squares", "--json")
-        rms[told] = json.loads(ended.out)["estimates"]["least-squares"]["residual_rms"]
+        found = two.told("estimate", "c.toml", "--method", "least-squares")
+        rms[told] = found["estimates"]["least-squares"]["residual_rms"]
     # a constant off by half the difference in each adds its square, less what the motion mimics
     missing = (OFFSETS["one"] - OFFSETS["two"]) / 2.0
     gained = np.sqrt(rms["true"] ** 2 - rms['"per-recording"'] ** 2)
@@ -63,9 +59,7 @@ def test_one_offset_for_both_is_their_mean_and_leaves_the_rest_in_the_residual(t
 def test_the_posterior_has_each_and_one_prior_stands_for_all(two):
     text = (two.folder / "c.toml").read_text()
     two.config(text + '\n[priors]\noffset = {distribution = "norm", loc = 0.0, scale = 0.3}\n')
-    ended = two.run("fit", "c.toml", "-o", "run", "--json")
-    assert ended.code in (0, 3), ended.err
-    found = json.loads((two.folder / "run" / "summary.json").read_text())["parameters"]
+    found = two.told("fit", "c.toml", "-o", "run", codes=(0, 3))["parameters"]
     for name, value in OFFSETS.items():
         row = found[f"offset.{name}"]
         assert row["prior_sd"] == pytest.approx(0.3)

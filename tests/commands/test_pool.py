@@ -8,8 +8,8 @@ import pytest
 import bayesfric as bf
 from bayesfric.report.text_templates import filled
 
-from .bench import recorded
-from .test_explain import JOINT, SIMULATION
+from .bench import JOINT, recorded
+from .test_explain import SIMULATION
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -32,9 +32,7 @@ def days(bench):
 
 def test_it_prints_what_python_returns(bench):
     days(bench)
-    told = bench.run("pool", "c.toml", "--json")
-    assert told.code == 0
-    found = json.loads(told.out)
+    found = bench.told("pool", "c.toml")
     pooled = bf.Model.from_config(bench.folder / "c.toml").pool()
     again = json.loads(json.dumps(pooled.as_json()))
     # nothing is kept silent that is known before

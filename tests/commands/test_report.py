@@ -44,37 +44,38 @@ def test_again_gives_the_same_bytes(runs):
     assert page.read_bytes() == first
 
 
-def test_a_run_of_the_first_version(runs):
-    write(runs, json.dumps(old(), ensure_ascii=False))
+@pytest.mark.parametrize("summary", [old(), {"parameters": knee()["parameters"]}])
+def test_a_run_of_the_first_version_and_one_of_parameters_alone(runs, summary):
+    write(runs, json.dumps(summary, ensure_ascii=False))
     assert runs.run("report", "knee").code == 0
 
 
-def test_no_such_folder(runs):
-    has(runs.refused("report", "nobody"), "nobody", "no such folder")
-
-
-def test_a_folder_without_a_run(runs):
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("nobody", ["nobody", "no such folder"]),
+        ("empty", ["empty", "summary.json"]),
+        ("knee/summary.json", ["is a file"]),
+    ],
+)
+def test_places_without_a_run(runs, place, said):
     (runs.folder / "empty").mkdir()
-    has(runs.refused("report", "empty"), "empty", "summary.json")
-
-
-def test_a_file(runs):
-    has(runs.refused("report", "knee/summary.json"), "is a file")
-
-
-@pytest.mark.parametrize("cut", [0, 1, 40, 900, -3])
-def test_a_truncated_summary(runs, cut):
-    write(runs, json.dumps(knee())[:cut])
-    has(runs.refused("report", "knee"), "summary.json", "JSON")
+    has(runs.refused("report", place), *said)
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        *(
+            (json.dumps(knee())[:cut], "knee/summary.json: is no JSON")
+            for cut in (0, 1, 40, 900, -3)
+        ),
         ("[]", "holds no table"),
         ("{}", "parameters"),
         ('{"parameters": {}, "derived": []}', "derived"),
         ('{"parameters": {"a.b": {"unit": "N"}}}', "a.b"),
+        (json.dumps(knee() | {"warnings": 3}), "warnings"),
+        (json.dumps(knee() | {"sampler": {"status": "reliable", "ensembles": "4"}}), "ensembles"),
     ],
 )
 def test_other_summaries(runs, text, said):
@@ -82,24 +83,9 @@ def test_other_summaries(runs, text, said):
     has(runs.refused("report", "knee"), said)
 
 
-def test_warnings_that_are_no_list(runs):
-    write(runs, json.dumps(knee() | {"warnings": 3}))
-    has(runs.refused("report", "knee"), "warnings")
-
-
-def test_sampler_of_another_kind(runs):
-    write(runs, json.dumps(knee() | {"sampler": {"status": "reliable", "ensembles": "four"}}))
-    has(runs.refused("report", "knee"), "ensembles")
-
-
 def test_a_page_that_cannot_be_replaced(runs):
     (runs.folder / "knee" / "report.html").mkdir()
     has(runs.refused("report", "knee"), "report.html", "is a folder")
-
-
-def test_a_summary_of_parameters_alone(runs):
-    write(runs, json.dumps({"parameters": knee()["parameters"]}))
-    assert runs.run("report", "knee").code == 0
 
 
 @pytest.mark.slow

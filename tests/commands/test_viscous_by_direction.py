@@ -1,10 +1,6 @@
 """A term that is rows of the table and nothing else goes through every command."""
 
-import json
-
 import pytest
-
-from bayesfric.cli import main
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -34,28 +30,11 @@ min_ess = 600
 TERMS = {"motor.viscous_positive": 0.015, "motor.viscous_negative": 0.025}
 
 
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("by-direction")
-    (folder / "servo.toml").write_text(CONFIG, encoding="utf-8")
-    return folder
-
-
-def called(bench, capsys, monkeypatch, *words):
-    monkeypatch.chdir(bench)
-    monkeypatch.setattr("sys.argv", ["bayesfric", *words])
-    with pytest.raises(SystemExit) as done:
-        main()
-    assert done.value.code in (0, None), capsys.readouterr().err
-    return capsys.readouterr().out
-
-
 @pytest.mark.usefixtures("no_figures")
-def test_every_command(bench, capsys, monkeypatch):
-    def told(*words):
-        return json.loads(called(bench, capsys, monkeypatch, *words, "--json"))
-
-    called(bench, capsys, monkeypatch, "simulate", "servo.toml", "-o", "servo.csv")
+def test_every_command(bench):
+    (bench.folder / "servo.toml").write_text(CONFIG, encoding="utf-8")
+    told = bench.told
+    assert bench.run("simulate", "servo.toml", "-o", "servo.csv").code == 0
     priors = told("check", "servo.toml")["priors"]
     assert priors["motor.viscous_positive"] == priors["motor.viscous_negative"]
     found = told("identify", "servo.toml")["parameters"]
@@ -71,14 +50,14 @@ def test_every_command(bench, capsys, monkeypatch):
         row = summary["parameters"][name]
         assert row["verdict"] == "data"
         assert abs(row["median"] - true) < 5.0 * row["sd"]
-    called(bench, capsys, monkeypatch, "report", "run")
-    page = (bench / "run" / "report.html").read_text(encoding="utf-8")
+    assert bench.run("report", "run").code == 0
+    page = (bench.folder / "run" / "report.html").read_text(encoding="utf-8")
     assert all(name in page for name in TERMS)
-    assert "viscous loss by direction" in (bench / "run/text/methods.txt").read_text()
-    called(bench, capsys, monkeypatch, "compare", "run", "-o", "side")
-    assert "motor.viscous_negative" in (bench / "side" / "report.html").read_text(encoding="utf-8")
+    assert "viscous loss by direction" in (bench.folder / "run/text/methods.txt").read_text()
+    assert bench.run("compare", "run", "-o", "side").code == 0
+    page = (bench.folder / "side" / "report.html").read_text(encoding="utf-8")
+    assert "motor.viscous_negative" in page
 
 
-def test_init_names_it(capsys, monkeypatch, tmp_path):
-    text = called(tmp_path, capsys, monkeypatch, "init", "--all-keys")
-    assert '"by-direction"' in text
+def test_init_names_it(bench):
+    assert '"by-direction"' in bench.run("init", "--all-keys").out

@@ -3,11 +3,15 @@
 from functools import cache
 
 import numpy as np
+import pytest
 
 import bayesfric as bf
+from bayesfric.export.at_joint import Moved
+from bayesfric.export.central import vectors
 from bayesfric.finished_run import Finished
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.forward import simulate, simulate_segments
+from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary.record import Summary
@@ -39,6 +43,45 @@ def plain_knee():
         "offset": 0.01,
     }
     return joint, values
+
+
+def numbers(exported):
+    """Give what a format's numbers are, by its own names."""
+    return {row["attribute"]: row["value"] for row in exported.record["numbers"]}
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def middle(done):
+    return vectors(done, [Moved.of(o) for o in done.model.observations], 10).middle
+
+
+def check_announced_motion(done, exported, moved):
+    """Compare motions from recorded states: as far from the fitted joint's as was announced.
+
+    ``moved`` gives positions for a torque, its period and a start.
+    """
+    apart = []
+    for t in done.model.trajectories(exported.record["error"]["motion_span"]):
+        ours, _ = simulate_segments(
+            done.joint, middle(done)[None], t.torque, t.period, t.segments, t.q0, t.qd0, hold="zero"
+        )
+        for (a, b), *start in zip(t.segments, t.q0, t.qd0, strict=True):
+            apart.append(moved(t.torque[a:b], t.period, start) - ours[0, a:b])
+    announced = exported.record["error"]["motion_rms"]
+    assert announced > 1e-3
+    assert rms(np.concatenate(apart)) == pytest.approx(announced, rel=0.2)
+
+
+def check_announced_torque(done, exported, taken):
+    """Compare torques along recorded motion, ``taken(q, qd, qdd)`` one after the other."""
+    o = done.model.observations[0]
+    q, qd, qdd = (x[o.filter.centres] for x in (o.q, o.qd, o.qdd))
+    ours = inverse_torque(done.joint, middle(done), q, qd, qdd, inputs=o.inputs)
+    theirs = np.array([taken(*row) for row in zip(q, qd, qdd, strict=True)])
+    assert rms(theirs - ours) == pytest.approx(exported.record["error"]["motor"]["rms"], rel=0.2)
 
 
 def preset(name):

@@ -32,7 +32,7 @@ from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, Inputs
 
 from ..mechanism.joints import EVERYTHING, everything
-from .made import found, made, preset
+from .made import found, made, numbers, preset
 from .test_law import unusual
 
 
@@ -115,15 +115,13 @@ def test_an_open_scale_changes_no_export():
     other = made(joint, dict(zip(joint.names, scaling.scaled(vector, 1.1), strict=True)), 0.6,
                  open_scale=True, spread=0.0)  # fmt: skip
     one = made(joint, values, 0.6, open_scale=True, spread=0.0)
-    first, second = (bf.export(x, "csv").record["numbers"] for x in (one, other))
-    assert [row["value"] for row in first] == pytest.approx(
-        [row["value"] for row in second], rel=1e-9
-    )
+    first, second = (numbers(bf.export(x, "csv")) for x in (one, other))
+    assert first == pytest.approx(second, rel=1e-9)
     text = bf.export(done, "mujoco").text()
     assert "load.inertia" in text.partition("leave one scale")[2].partition("may all be")[0]
     # where the scale is known the link keeps its inertia, and the gain tells the mean loss
     known = made(joint, values, 0.6, spread=0.0)
-    rows = {row["attribute"]: row["value"] for row in bf.export(known, "csv").record["numbers"]}
+    rows = numbers(bf.export(known, "csv"))
     drive, back = (values[f"gearbox.load_{x}"] for x in ("drive", "back"))
     assert rows["link_inertia"] == pytest.approx(values["load.inertia"])
     assert rows["gain"] == pytest.approx(50.0 / (1.0 + 0.5 * (drive - back)))

@@ -111,6 +111,14 @@ def c_files(joint, vector):
     return {f"j_{name}": filled(f"{name}.j2", position="rad", **given) for name in names}
 
 
+def python_of(joint, vector):
+    """Run what the format writes in Python of a vector alone."""
+    written = {}
+    made = law(joint, vector, "python")
+    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), written)
+    return written
+
+
 def along(function, q, qd, qdd):
     return np.array([function(*map(float, row))[0] for row in zip(q, qd, qdd, strict=True)])
 
@@ -161,9 +169,7 @@ def test_friction_is_what_losses_add():
     q, qd, qdd = motion(50)
     whole = inverse_torque(joint, joint.vector(values), q, qd, qdd)
     ideal = inverse_torque(joint, joint.vector(lossless), q, qd, qdd)
-    python = {}
-    made = law(joint, joint.vector(values), "python")
-    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
+    python = python_of(joint, joint.vector(values))
     got = [python["friction"](*map(float, row)) for row in zip(q, qd, qdd, strict=True)]
     np.testing.assert_allclose(got, whole - ideal, rtol=1e-9, atol=1e-12)
 
@@ -183,9 +189,7 @@ def test_an_offset_is_no_friction(compiler, tmp_path):
         assert torque == pytest.approx(-1.55, rel=1e-6)
     (told,) = re.findall(r"#define J_OFFSET \((.*)\)", files["j_feedforward.h"])
     assert float(told) == pytest.approx(-1.55)
-    python = {}
-    made = law(joint, vector, "python")
-    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
+    python = python_of(joint, vector)
     assert python["friction"](0.0, 0.0, 0.0) == 0.0
     assert python["OFFSET"] == pytest.approx(-1.55)
     assert python["friction"](0.0, 1.0, 0.0) == pytest.approx((0.2 + 0.5) / 2.0)
@@ -196,9 +200,7 @@ def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
     call = compiled(compiler, c_files(joint, joint.vector(EVERYTHING)), tmp_path)
     rng = np.random.default_rng(8)
     odd = [math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1e308, -1e308, 1e-3, 1e20, -3.0]
-    python = {}
-    made = law(joint, joint.vector(EVERYTHING), "python")
-    exec(filled("feedforward.py.j2", remarks=[], name="j", law=made), python)
+    python = python_of(joint, joint.vector(EVERYTHING))
     torque, friction = call("j_torque", ctypes.c_double), call("j_friction", ctypes.c_double)
     single = call("j_torque_f", ctypes.c_float)
     seen = set()

@@ -10,23 +10,25 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import Moved
-from bayesfric.export.central import vectors
 from bayesfric.export.formats.mujoco import patched
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.forward import simulate, simulate_segments
-from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 
-from .made import found, made, swung
+from .made import (
+    check_announced_motion,
+    check_announced_torque,
+    found,
+    made,
+    middle,
+    numbers,
+    rms,
+    swung,
+)
 
 SECONDS = 2.0
-
-
-def rms(x):
-    return float(np.sqrt(np.mean(np.square(x))))
 
 
 def moved(xml, torque, period, before=None, start=(0.0, 0.0)):
@@ -44,10 +46,6 @@ def moved(xml, torque, period, before=None, start=(0.0, 0.0)):
             friction(model, data)
             mujoco.mj_step(model, data)
     return out
-
-
-def middle(done):
-    return vectors(done, [Moved.of(o) for o in done.model.observations], 10).middle
 
 
 def friction_of(exported):
@@ -72,17 +70,11 @@ def test_what_mujoco_can_carry_moves_as_the_fitted_joint(name):
 def test_what_it_cannot_is_wrong_by_what_was_announced(name):
     done = found(name)
     exported = bf.export(done, "mujoco")
-    apart = []
-    for t in done.model.trajectories(exported.record["error"]["motion_span"]):
-        ours, _ = simulate_segments(
-            done.joint, middle(done)[None], t.torque, t.period, t.segments, t.q0, t.qd0, hold="zero"
-        )
-        for (a, b), *start in zip(t.segments, t.q0, t.qd0, strict=True):
-            theirs = moved(exported.main, t.torque[a:b], t.period, start=start)
-            apart.append(theirs - ours[0, a:b])
-    announced = exported.record["error"]["motion_rms"]
-    assert announced > 1e-3
-    assert rms(np.concatenate(apart)) == pytest.approx(announced, rel=0.2)
+    check_announced_motion(
+        done,
+        exported,
+        lambda torque, period, start: moved(exported.main, torque, period, start=start),
+    )
 
 
 @pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
@@ -92,16 +84,13 @@ def test_the_torque_it_takes_is_wrong_by_what_was_announced(name):
     exported = bf.export(done, "mujoco")
     model = mujoco.MjModel.from_xml_string(exported.main)
     data = mujoco.MjData(model)
-    o = done.model.observations[0]
-    at = o.filter.centres
-    torque = []
-    for q, v, a in zip(o.q[at], o.qd[at], o.qdd[at], strict=True):
-        data.qpos[0], data.qvel[0], data.qacc[0] = q, v, a
+
+    def taken(*motion):
+        data.qpos[0], data.qvel[0], data.qacc[0] = motion
         mujoco.mj_inverse(model, data)
-        torque.append(data.qfrc_inverse[0] / model.actuator_gear[0, 0])
-    ours = inverse_torque(done.joint, middle(done), o.q[at], o.qd[at], o.qdd[at], inputs=o.inputs)
-    wrong = np.array(torque) - ours
-    assert rms(wrong) == pytest.approx(exported.record["error"]["motor"]["rms"], rel=0.2)
+        return data.qfrc_inverse[0] / model.actuator_gear[0, 0]
+
+    check_announced_torque(done, exported, taken)
 
 
 @pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
@@ -157,19 +146,15 @@ def test_draws_as_models_spread_as_the_posterior_predictive():
 
 
 def test_three_numbers_of_damping_are_a_cubic():
-    xml = bf.export(found("plain"), "mujoco").main
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
-    numbers = {
-        row["attribute"]: row["value"]
-        for row in bf.export(found("plain"), "mujoco").record["numbers"]
-    }
+    exported = bf.export(found("plain"), "mujoco")
+    model = mujoco.MjModel.from_xml_string(exported.main)
+    data, told = mujoco.MjData(model), numbers(exported)
     for speed in (-3.0, 0.5, 2.0):
         data.qpos[0], data.qvel[0] = 0.4, speed
         mujoco.mj_forward(model, data)
-        wanted = -numbers["joint damping"] * speed
-        wanted -= numbers["joint damping, second number"] * speed * abs(speed)
-        wanted -= numbers["joint stiffness"] * 0.4
+        wanted = -told["joint damping"] * speed
+        wanted -= told["joint damping, second number"] * speed * abs(speed)
+        wanted -= told["joint stiffness"] * 0.4
         assert data.qfrc_passive[0] == pytest.approx(wanted, rel=1e-12)
     one = bf.export(found("plain"), "mujoco", damping_terms=1)
     assert " " not in re.search(r'damping="([^"]*)"', one.main)[1]
@@ -209,10 +194,10 @@ def test_a_joint_of_a_model_is_changed_and_nothing_else(tmp_path):
     assert changed == [7, 8]
     model = mujoco.MjModel.from_xml_string(exported.main)
     dof = model.joint("knee").dofadr[0]
-    numbers = {row["attribute"]: row["value"] for row in exported.record["numbers"]}
-    assert model.dof_damping[dof] == numbers["joint damping"]
-    assert model.dof_frictionloss[dof] == numbers["joint frictionloss"]
-    assert model.dof_armature[dof] == numbers["joint armature"]
+    told = numbers(exported)
+    assert model.dof_damping[dof] == told["joint damping"]
+    assert model.dof_frictionloss[dof] == told["joint frictionloss"]
+    assert model.dof_armature[dof] == told["joint armature"]
     assert model.dof_damping[model.joint("hip").dofadr[0]] == 0.0
     # what was set before is replaced, and set once
     joint = ElementTree.fromstring(exported.main).findall(".//body/joint")[1]

@@ -1,12 +1,22 @@
 """Units, their names and values, and the template filled with them."""
 
+from contextlib import contextmanager
+
 import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.fleet.plan import read_plan
 from bayesfric.fleet.units import find_units, read_units
 
+from ..commands.bench import has
 from .made import TEMPLATE, write_fleet
+
+
+@contextmanager
+def refused(*said):
+    with pytest.raises(BadInput) as told:
+        yield
+    has(str(told.value), *said)
 
 
 def table(folder, text):
@@ -69,9 +79,8 @@ def test_a_glob_names_parts(tmp_path):
     ],
 )
 def test_a_bad_table_is_told_in_a_line(tmp_path, text, said):
-    with pytest.raises(BadInput) as told:
+    with refused(*said):
         read_units(table(tmp_path, text), None)
-    assert all(part in str(told.value) for part in said), told.value
 
 
 def test_the_template_is_filled(tmp_path):
@@ -94,9 +103,8 @@ def test_a_template_that_fits_no_unit_is_refused(tmp_path, old, new, said):
     path = write_fleet(tmp_path)
     assert old in TEMPLATE
     (tmp_path / "unit.toml").write_text(TEMPLATE.replace(old, new))
-    with pytest.raises(BadInput) as told:
+    with refused(*said):
         read_plan(path)
-    assert all(part in str(told.value) for part in said), told.value
 
 
 @pytest.mark.parametrize(
@@ -111,6 +119,5 @@ def test_a_template_that_fits_no_unit_is_refused(tmp_path, old, new, said):
 def test_a_bad_plan_is_told_in_a_line(tmp_path, old, new, said):
     path = write_fleet(tmp_path)
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(BadInput) as told:
+    with refused(*said):
         read_plan(path)
-    assert all(part in str(told.value) for part in said), told.value

@@ -22,11 +22,16 @@ from .made import write_fleet
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
 
+def begun(folder, good=1):
+    """Begin with a fleet; give how far it is, and its tasks by name."""
+    plan = read_plan(write_fleet(folder, good))
+    course = _Course(plan, Results(folder / "r.parquet", plan.units), lambda _: None)
+    return course, {task["name"]: task for task in course.tasks(folder / "units")}
+
+
 @pytest.fixture
 def tasks(tmp_path):
-    plan = read_plan(write_fleet(tmp_path, good=1))
-    course = _Course(plan, Results(tmp_path / "r.parquet", plan.units), lambda _: None)
-    return {task["name"]: task for task in course.tasks(tmp_path / "units")}
+    return begun(tmp_path)[1]
 
 
 def test_a_unit_is_done_once_while_nothing_changes(tasks, tmp_path):
@@ -59,9 +64,7 @@ def test_a_unit_is_done_once_while_nothing_changes(tasks, tmp_path):
 
 
 def test_cpu_seconds_are_of_what_was_done_now(tmp_path):
-    plan = read_plan(write_fleet(tmp_path, good=2))
-    course = _Course(plan, Results(tmp_path / "r.parquet", plan.units), lambda _: None)
-    course.tasks(tmp_path / "units")
+    course, _ = begun(tmp_path, good=2)
     for name, again in (("a0", False), ("a1", True)):
         record = failure("as a stand-in")
         course.arrived(name, {"record": record, "again": again, "cpu_seconds": 1000.0})

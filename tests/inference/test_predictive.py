@@ -1,6 +1,7 @@
 """Predictions of what was not fitted, against closed forms and against plain simulation."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,23 +17,12 @@ from tests.report.conftest import NOISE, build
 
 
 def held(o, part="last 20 %"):
-    return HeldOut(replace_name(o), o, part)
-
-
-def replace_name(o):
-    class Named:
-        name = o.name
-
-    return Named()
+    return HeldOut(SimpleNamespace(name=o.name), o, part)
 
 
 def prediction(torque, noise, measured):
-    class Part:
-        class observation:
-            pass
-
-    Part.observation.measured = measured
-    return Prediction(Part, torque, noise, ())
+    part = SimpleNamespace(observation=SimpleNamespace(measured=measured))
+    return Prediction(part, torque, noise, ())
 
 
 @pytest.fixture
@@ -57,13 +47,9 @@ def test_probability_and_density_are_those_of_the_mixture(mixture):
 
 @pytest.mark.parametrize("p", [0.005, 0.05, 0.5, 0.95])
 def test_quantiles_undo_probabilities(mixture, p):
-    at = replace_measured(mixture, mixture.quantile(p))
+    at = prediction(mixture.torque, mixture.noise, mixture.quantile(p))
     # to the width of a line in a figure, for components as different as these
     assert np.all(np.abs(at.pit - p) < 0.002)
-
-
-def replace_measured(p, measured):
-    return prediction(p.torque, p.noise, measured)
 
 
 def test_mean_and_variance_are_those_of_draws(mixture):

@@ -60,13 +60,16 @@ def regressors(chain, q, qd, qdd):
     return np.stack([n * qdd, n * qd, np.sign(qd), np.ones_like(q), np.sin(q)], axis=1)
 
 
-def test_the_knee_is_eq_13():
-    chain, x = table_3()
-    q, qd, qdd = motion()
+def by_eq_13(chain, x, q, qd, qdd):
     theta_1, theta_2 = thetas(chain, dict(zip(chain.names, x, strict=True)))
     psi = regressors(chain, q, qd, qdd)
-    expected = psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
-    assert np.abs(inverse_torque(chain, x, q, qd, qdd) - expected).max() < 1e-12
+    return psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
+
+
+def test_the_knee_is_eq_13():
+    chain, x = table_3()
+    torque = inverse_torque(chain, x, *motion())
+    assert np.abs(torque - by_eq_13(chain, x, *motion())).max() < 1e-12
 
 
 @settings(max_examples=50, deadline=None)
@@ -75,26 +78,25 @@ def test_the_knee_is_eq_13_for_any_parameters(values, back):
     chain, _ = table_3()
     x = np.array(values)
     x[chain.names.index("gearbox.load_back")] = back
-    q, qd, qdd = motion(50)
-    theta_1, theta_2 = thetas(chain, dict(zip(chain.names, x, strict=True)))
-    psi = regressors(chain, q, qd, qdd)
-    expected = psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
-    torque = inverse_torque(chain, x, q, qd, qdd)
+    expected = by_eq_13(chain, x, *motion(50))
+    torque = inverse_torque(chain, x, *motion(50))
     assert np.abs(torque - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+def scaled(chain, x, k):
+    """Erratum 1 of the notes: the same factor on leg parameters and on alpha."""
+    v = dict(zip(chain.names, x, strict=True))
+    v |= {name: k * x for name, x in v.items() if name.startswith(("joint.", "load."))}
+    v["gearbox.load_drive"] = (1.0 + v["gearbox.load_drive"]) / k - 1.0
+    v["gearbox.load_back"] = 1.0 - (1.0 - v["gearbox.load_back"]) / k
+    return chain.vector(v)
 
 
 @pytest.mark.parametrize("k", [0.75, 0.9, 1.2, 1.3])
 def test_leg_and_alpha_scale_together_without_changing_the_torque(k):
-    """Erratum 1 of the notes: the same factor on leg parameters and on alpha."""
     chain, x = table_3()
-    v = dict(zip(chain.names, x, strict=True))
-    for name in v:
-        if name.startswith(("joint.", "load.")):
-            v[name] *= k
-    v["gearbox.load_drive"] = (1.0 + v["gearbox.load_drive"]) / k - 1.0
-    v["gearbox.load_back"] = 1.0 - (1.0 - v["gearbox.load_back"]) / k
     q, qd, qdd = motion()
-    same = inverse_torque(chain, chain.vector(v), q, qd, qdd)
+    same = inverse_torque(chain, scaled(chain, x, k), q, qd, qdd)
     assert np.abs(same - inverse_torque(chain, x, q, qd, qdd)).max() < 1e-12
 
 
@@ -259,15 +261,7 @@ def test_totals_are_theta1_plus_and_minus_theta2():
 
 def test_gauge_free_quantities_do_not_change_along_the_scaling():
     chain, x = table_3()
-    v = dict(zip(chain.names, x, strict=True))
-    scaled = dict(v)
-    for name in v:
-        if name.startswith(("joint.", "load.")):
-            scaled[name] *= 1.15
-    scaled["gearbox.load_drive"] = (1.0 + v["gearbox.load_drive"]) / 1.15 - 1.0
-    scaled["gearbox.load_back"] = 1.0 - (1.0 - v["gearbox.load_back"]) / 1.15
-    both = derive(chain, np.stack([x, chain.vector(scaled)]), 20.0)
-    for d in both:
+    for d in derive(chain, np.stack([x, scaled(chain, x, 1.15)]), 20.0):
         change = abs(d.values[1] / d.values[0] - 1.0)
         assert (change < 1e-12) == d.gauge_free, d.name
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import (
-    Array,
     Moved,
     at_joint,
     simulator_joint,
@@ -28,6 +27,7 @@ from bayesfric.export.at_joint import (
 from bayesfric.export.format import Content, Files, Format
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 
 # BAM's Stribeck curvature is a parameter; its load is that of standstill.
 _ROUNDS = 60

@@ -9,8 +9,9 @@ from collections.abc import Callable
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import NUMBERS, Array
+from bayesfric.export.at_joint import NUMBERS
 from bayesfric.export.format import Content, Format
+from bayesfric.recordings.arrays import Array
 
 
 def _table(content: Content) -> tuple[dict[str, Array], dict[str, str]]:

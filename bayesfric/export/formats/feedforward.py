@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS, Array, Moved, torque_along
+from bayesfric.export.at_joint import NUMBERS, Moved, torque_along
 from bayesfric.export.carried import left_out
 from bayesfric.export.format import Content, Files, Format
 from bayesfric.export.law import Language, law
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 
 _ABOUT = {f"about: {number}": number for number in NUMBERS}
 

@@ -10,15 +10,13 @@ of a run.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from bayesfric.recordings.arrays import Array, Flags
 
 # p-value of the Ljung-Box test from which a series is said to pass as white.
 PASSES = 0.05
@@ -75,12 +73,17 @@ def whitened(x: Array, partial: Array, follows: Flags) -> Array:
     return np.asarray(out / sds[age])
 
 
+def runs(follows: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Give begins and lengths of runs, by whether each value follows the one before."""
+    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
+    return begins, np.diff(np.append(begins, follows.size + 1))
+
+
 def ages(follows: Flags, most: int) -> NDArray[np.int64]:
     """Count the predecessors in its run of each value, counted up to ``most``, ``(M,)``."""
-    n = follows.size + 1
-    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
-    length = np.diff(np.append(begins, n))
-    return np.asarray(np.minimum(np.arange(n) - np.repeat(begins, length), most))
+    begins, length = runs(follows)
+    age = np.arange(follows.size + 1) - np.repeat(begins, length)
+    return np.asarray(np.minimum(age, most))
 
 
 def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) -> Array:
@@ -93,8 +96,8 @@ def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) 
     coefficients = predictors(partial[None])
     sds = np.sqrt(variances(partial[None])[0])
     out = noise * sds[age]
-    starts = np.append(np.flatnonzero(age == 0), age.size)
-    for a, b in pairwise(starts.tolist()):
+    for a, length in np.transpose(runs(follows)).tolist():
+        b = a + length
         for m in range(a + 1, min(a + p, b)):
             out[:, m] += out[:, a:m][:, ::-1] @ coefficients[m - a][0]
         if b - a > p:

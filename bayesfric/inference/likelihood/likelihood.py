@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.noise.scale import NoiseDescription
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 LikelihoodMethod = Literal["input-error", "output-error"]
 
 

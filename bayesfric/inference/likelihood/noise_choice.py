@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
@@ -23,10 +22,8 @@ from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import MEMORY, MOST
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 # Correlations that the test of what is left looks at, beyond those fitted.
 _LAGS = 10
@@ -118,7 +115,6 @@ def choose_order(
     residuals: Sequence[Array],
     follows: Sequence[Flags],
     own_scales: bool,
-    most: int = MOST,
     effects: Sequence[Array] | None = None,
 ) -> Choice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
@@ -135,7 +131,7 @@ def choose_order(
     scaled = _over(residuals, sizes)
     plain = None if effects is None else _Plain(scaled, follows, _over(effects, sizes))
     tried: list[Evidence] = []
-    for order in range(min(most, n // 20) + 1):
+    for order in range(min(MOST, n // 20) + 1):
         # beyond, the prior ends too
         partial = np.clip(ar.burg(scaled, follows, order), -MEMORY, MEMORY)
         left = [ar.whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
@@ -200,8 +196,7 @@ class _Plain:
 def _log_sds(partial: Array, follows: Flags) -> Array:
     """Logarithms of the sds, over the innovations', that the first of every run have."""
     heads = np.log(ar.variances(partial[None])[0]) / 2.0
-    begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
-    lengths = np.diff(np.append(begins, follows.size + 1))
+    _, lengths = ar.runs(follows)
     return np.concatenate([heads[: min(k, partial.size)] for k in lengths.tolist()] or [heads[:0]])
 
 

@@ -30,10 +30,9 @@ from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise.position import PositionNoise
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Positions are averaged over so many samples: a segment has about this many outputs.
 _OUTPUTS = 100

@@ -12,14 +12,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.rest import Rest
-
-Array = NDArray[np.float64]
 
 # A speed beside which every other speed of the model is large, rad/s or m/s.
 _VANISHING = 1e-9

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
@@ -20,9 +19,8 @@ from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualM
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 
 class TorqueLikelihood(Likelihood):
@@ -87,7 +85,7 @@ class TorqueLikelihood(Likelihood):
         out.moments = moments
         return out
 
-    def sum_of_squares(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sum_of_squares(self, values: Array) -> Array:
         """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
         return self.moments.at(values).sum_of_squares
 

@@ -29,9 +29,8 @@ from bayesfric.inference.moments.residual_moments import (
 )
 from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 # How far the region reaches. Draws look only as far as they are away themselves, so width costs
 # memory alone.

@@ -26,9 +26,9 @@ from bayesfric.inference.moments.shape_nodes import ShapeNodes
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Along = Callable[[Observation], Array]  # (m, n) functions of the motion along a piece of it
 Weights = Callable[[Array], Array]  # (n, m) what multiplies them, for parameter vectors
 

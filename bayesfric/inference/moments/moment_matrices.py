@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from bayesfric.inference.moments.linear_torque import LinearTorque
 from bayesfric.inference.moments.residual_moments import Runs, product_sum
 from bayesfric.inference.moments.sign_region import SignRegion
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Raw samples whose columns are held at once.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numba import njit, prange
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Short = NDArray[np.int16]
 
 # Samples in one call below which starting threads costs more than it saves.
@@ -143,6 +143,26 @@ def unpacked(flat: Array, order: int) -> Moments:
     return Moments(parts[0], tuple(parts[1:]))
 
 
+class _Outputs(NamedTuple):
+    """Outputs of one recording, as the compiled functions read them."""
+
+    # apart from the samples: inside another such tuple they go to no thread
+    taps: Array  # taps, starts, used, gains: of its filter
+    starts: NDArray[np.int64]
+    used: Array
+    gains: Array
+    measured: Array
+    borders: NDArray[np.int64]  # of blocks of outputs
+    age: Short  # age, head: of Runs
+    head: Short
+
+    @classmethod
+    def of(cls, o: Observation, runs: Runs) -> _Outputs:
+        f, measured = o.filter, np.ascontiguousarray(o.measured)
+        borders = _blocks(f.starts, f.taps.size)
+        return cls(f.taps, f.starts, f.used, f.gains, measured, borders, runs.age, runs.head)
+
+
 class PlainMoments:
     """Moments by going through every sample for every vector; holds for every chain.
 
@@ -167,29 +187,21 @@ class PlainMoments:
         counted = [r.count(order) for r in runs]
         self.counts = np.array([n for n, _ in counted], dtype=np.int64)
         self.head_counts = np.array([heads for _, heads in counted]).reshape(len(runs), order)
-        self._arrays: list[tuple[Any, ...]] = [
-            (
-                chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps),
-                o.filter.taps,
-                o.filter.starts,
-                o.filter.used,
-                o.filter.gains,
-                np.ascontiguousarray(o.measured),
-                _blocks(o.filter.starts, o.filter.taps.size),
-                r.age,
-                r.head,
-            )
+        self._recordings = [
+            (chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps), _Outputs.of(o, r))
             for o, r in zip(observations, runs, strict=True)
         ]
 
     def at(self, values: Array) -> Moments:
         """See :class:`ResidualMoments`."""
-        flat = np.zeros((values.shape[0], len(self._arrays), n_entries(self.order)))
-        for i, arrays in enumerate(self._arrays):
+        n = values.shape[0]
+        flat = np.zeros((n, len(self._recordings), n_entries(self.order)))
+        for i, (samples, outputs) in enumerate(self._recordings):
             tables = self.chain.tables(values, self._inputs[i])
-            samples = arrays[0].speed.shape[0] * values.shape[0]
-            run = _in_threads if samples > WORTH_THREADS and values.shape[0] > 1 else _in_line
-            flat[:, i] = run(self.order, *tables, *arrays)
+            out = np.zeros((n, flat.shape[2]))
+            many = n > 1 and n * samples.speed.size > WORTH_THREADS
+            (_in_threads if many else _in_line)(out, self.order, *tables, samples, outputs)
+            flat[:, i] = out
         return unpacked(flat, self.order)
 
     def student_terms(self, values: Array, scales: Array) -> Array:
@@ -208,10 +220,10 @@ class PlainMoments:
             ``(n, R)``
         """
         out = np.empty(scales.shape[:2])
-        for i, arrays in enumerate(self._arrays):
+        for i, (samples, outputs) in enumerate(self._recordings):
             tables = self.chain.tables(values, self._inputs[i])
             weight = 1.0 / (scales[:, i, 1] * scales[:, i, 0] ** 2)
-            out[:, i] = _student(weight, *tables, *arrays)
+            out[:, i] = _student(weight, *tables, samples, outputs)
         return out
 
 
@@ -282,12 +294,13 @@ def _accumulate(
 
 
 @njit(cache=True)
-def _working_space(starts: NDArray[np.int64], length: int, borders: NDArray[np.int64]) -> Any:
+def _working_space(outputs: _Outputs) -> Any:
     """Most samples and most outputs of a block."""
     longest, most = 0, 0
+    starts, borders = outputs.starts, outputs.borders
     for b in range(borders.shape[0] - 1):
         last = borders[b + 1] - 1
-        longest = max(longest, starts[last] + length - starts[borders[b]])
+        longest = max(longest, starts[last] + outputs.taps.shape[0] - starts[borders[b]])
         most = max(most, last + 1 - borders[b])
     return longest, most
 
@@ -302,20 +315,17 @@ def _block(
     load: Array,
     carried: Array,
     samples: kernels.Samples,
-    taps: Array,
-    starts: NDArray[np.int64],
-    used: Array,
-    gains: Array,
-    measured: Array,
+    outputs: _Outputs,
 ) -> None:
     """Write ``n`` residuals from output ``first`` on into ``now``."""
+    taps, starts = outputs.taps, outputs.starts
     length = taps.shape[0]
     begin, end = starts[first], starts[first + n - 1] + length
     kernels.inverse_one(elements, load, carried, samples, begin, torque[: end - begin])
     # slices, since an index that might be negative keeps the compiler from vectorising
-    windows, target = starts[first : first + n], measured[first : first + n]
-    gain = gains[first : first + n]
-    counted = used[begin:end]
+    windows, target = starts[first : first + n], outputs.measured[first : first + n]
+    gain = outputs.gains[first : first + n]
+    counted = outputs.used[begin:end]
     for i in range(end - begin):
         torque[i] *= counted[i]
     if length == 1:
@@ -335,36 +345,16 @@ def _one_vector(
     load: Array,
     carried: Array,
     samples: kernels.Samples,
-    taps: Array,
-    starts: NDArray[np.int64],
-    used: Array,
-    gains: Array,
-    measured: Array,
-    borders: NDArray[np.int64],
-    age: Short,
-    head: Short,
+    outputs: _Outputs,
 ) -> None:
-    longest, most = _working_space(starts, taps.shape[0], borders)
+    longest, most = _working_space(outputs)
     torque = np.empty(longest)
     residual = np.zeros(order + most)
+    borders = outputs.borders
     for b in range(borders.shape[0] - 1):
         first, n = borders[b], borders[b + 1] - borders[b]
-        _block(
-            residual[order:],
-            torque,
-            first,
-            n,
-            elements,
-            load,
-            carried,
-            samples,
-            taps,
-            starts,
-            used,
-            gains,
-            measured,
-        )
-        _accumulate(order, residual, n, age, head, first, out)
+        _block(residual[order:], torque, first, n, elements, load, carried, samples, outputs)
+        _accumulate(order, residual, n, outputs.age, outputs.head, first, out)
         # the next block's first outputs look back at these
         for i in range(order):
             residual[i] = residual[n + i]
@@ -377,39 +367,19 @@ def _student(
     load: Array,
     carried: Array,
     samples: kernels.Samples,
-    taps: Array,
-    starts: NDArray[np.int64],
-    used: Array,
-    gains: Array,
-    measured: Array,
-    borders: NDArray[np.int64],
-    age: Short,  # noqa: ARG001  (one set of arrays for all)
-    head: Short,  # noqa: ARG001
+    outputs: _Outputs,
 ) -> Array:
     """Sum ``log(1 + weight r²)`` over the outputs, for each vector."""
     out = np.empty(elements.shape[0])
-    longest, most = _working_space(starts, taps.shape[0], borders)
+    longest, most = _working_space(outputs)
+    borders = outputs.borders
     for v in prange(elements.shape[0]):
         torque = np.empty(longest)
         residual = np.empty(most)
         total = 0.0
         for b in range(borders.shape[0] - 1):
             first, n = borders[b], borders[b + 1] - borders[b]
-            _block(
-                residual,
-                torque,
-                first,
-                n,
-                elements[v],
-                load[v],
-                carried[v],
-                samples,
-                taps,
-                starts,
-                used,
-                gains,
-                measured,
-            )
+            _block(residual, torque, first, n, elements[v], load[v], carried[v], samples, outputs)
             for i in range(n):
                 total += np.log1p(weight[v] * residual[i] * residual[i])
         out[v] = total
@@ -418,21 +388,27 @@ def _student(
 
 @njit(cache=True)
 def _in_line(
-    order: int, elements: Array, load: Array, carried: Array, samples: kernels.Samples, *arrays: Any
-) -> Array:
-    entries = (order + 1) * (order + 2) // 2 + order * (order + 1) * (order + 2) // 6
-    out = np.zeros((elements.shape[0], entries))
+    out: Array,
+    order: int,
+    elements: Array,
+    load: Array,
+    carried: Array,
+    samples: kernels.Samples,
+    outputs: _Outputs,
+) -> None:
     for i in range(elements.shape[0]):
-        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, *arrays)
-    return out
+        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, outputs)
 
 
 @njit(cache=True, parallel=True)
 def _in_threads(
-    order: int, elements: Array, load: Array, carried: Array, samples: kernels.Samples, *arrays: Any
-) -> Array:
-    entries = (order + 1) * (order + 2) // 2 + order * (order + 1) * (order + 2) // 6
-    out = np.zeros((elements.shape[0], entries))
+    out: Array,
+    order: int,
+    elements: Array,
+    load: Array,
+    carried: Array,
+    samples: kernels.Samples,
+    outputs: _Outputs,
+) -> None:
     for i in prange(elements.shape[0]):
-        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, *arrays)
-    return out
+        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, outputs)

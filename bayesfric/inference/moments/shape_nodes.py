@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Error of the interpolated column, relative to the column: 1e-3 of a unit in the log density
 # where a term is a thousand times the noise in 10^5 samples.

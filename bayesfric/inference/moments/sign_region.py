@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Share of its own length that a draw must have along the mean direction to shape the region.
 _ALONG = 0.2

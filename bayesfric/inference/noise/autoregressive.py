@@ -16,9 +16,7 @@ from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import Moments, PlainMoments, ResidualMoments
 from bayesfric.inference.noise.residual_noise import SIGMA, NoiseModel, ResidualNoise
 from bayesfric.inference.noise.scale import Scale
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from bayesfric.recordings.arrays import Array, Flags
 
 _LOG_2PI = math.log(2.0 * math.pi)
 # Largest partial autocorrelation that the package takes for noise by itself. What remembers more

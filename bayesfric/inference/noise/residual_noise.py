@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments
 from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from bayesfric.recordings.arrays import Array, Flags
 
 SIGMA = Scale("sigma", r"\sigma", "noise of the filtered torque", lambda s: up_to(s.torque))
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.sizes import Scales
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
+from bayesfric.recordings.arrays import Array
 
-Array = NDArray[np.float64]
 NoiseScale = Literal["shared", "per-recording"]
 
 

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import gammaln, polygamma
 
 from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments
 from bayesfric.inference.noise.residual_noise import SIGMA, NoiseModel, ResidualNoise
 from bayesfric.inference.noise.scale import Scale
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from bayesfric.recordings.arrays import Array, Flags
 
 _DOF = Scale(
     "dof",

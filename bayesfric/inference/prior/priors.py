@@ -14,8 +14,8 @@ from scipy import stats
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.mechanism.parameter import TURN, turned
+from bayesfric.recordings.arrays import Array
 
-Array = NDArray[np.float64]
 # What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
 PriorText = float | Sequence[float] | Mapping[str, Any]
 
@@ -97,18 +97,20 @@ class Prior:
         """Draw ``n`` values by inversion, inside the support."""
         if self.fixed:
             return np.full(n, self.value)
-        low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
-        values = self.distribution.ppf(low + (high - low) * rng.random(n))
-        return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
+        return self._quantiles(rng.random(n))
 
     def interval(self, level: float) -> tuple[float, float]:
         """Give the ends of the central interval of probability ``level``, inside the support."""
         if self.fixed:
             return self.value, self.value
+        low, high = self._quantiles(np.array([0.5 - level / 2.0, 0.5 + level / 2.0])).tolist()
+        return low, high
+
+    def _quantiles(self, shares: Array) -> Array:
+        """Values that so much of the distribution inside the support is below."""
         low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
-        share = np.array([0.5 - level / 2.0, 0.5 + level / 2.0])
-        ends = np.clip(self.distribution.ppf(low + (high - low) * share), self.lower, self.upper)
-        return float(ends[0]), float(ends[1])
+        values = self.distribution.ppf(low + (high - low) * shares)
+        return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
 
     def sd(self) -> float:
         """Return the standard deviation of the cut distribution; 0 where fixed."""

@@ -26,8 +26,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.step_file import StepFile, Steps
+from bayesfric.recordings.arrays import Array
 
-Array = NDArray[np.float64]
 # As numpy.random.RandomState gives and takes it.
 RandomState = tuple[str, NDArray[np.uint32], int, int, float]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # A run is trusted when it is this many autocorrelation times long.
 LONG_ENOUGH = 50.0

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.surrogate import Surrogate
+from bayesfric.recordings.arrays import Array
 
-Array = NDArray[np.float64]
 Chosen = NDArray[np.bool_]
 
 # Relative sd of the scatter around a step of differential evolution.

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Components of the mixture at most, and how many draws each must have for every entry of its
 # covariance, or it would learn the draws and not the posterior.

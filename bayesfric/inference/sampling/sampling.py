@@ -11,7 +11,6 @@ from typing import Any
 
 import emcee
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 from threadpoolctl import threadpool_limits
@@ -33,9 +32,8 @@ from bayesfric.inference.sampling.surrogate import Surrogate
 from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, undefined_warning
 from bayesfric.inference.target import Target
 from bayesfric.progress import Progress, Shown, silent
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.units import in_unit
-
-Array = NDArray[np.float64]
 
 # Ensembles further apart than this are not sampling one distribution.
 _UNUSABLE_RHAT = 1.1

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.inference.target import Target
+from bayesfric.recordings.arrays import Array
 
-Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 Curvature = Callable[[Array], Array]
 
@@ -149,7 +148,8 @@ def _climb(
             curvature = known_curvature(x)
             # over such a step the density falls by an eighth of a unit
             steps = 0.5 / np.sqrt(np.diag(curvature))
-            gradient = _gradient(log_density, x, height, steps)
+            up, down, _ = _around(log_density, x, height, steps)
+            gradient = (up - down) / (2.0 * steps)
         gradient, curvature = gradient * steps, curvature * np.outer(steps, steps)
         values, vectors = np.linalg.eigh((curvature + curvature.T) / 2.0)
         rotated = vectors.T @ gradient
@@ -191,11 +191,15 @@ def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: A
     return steps
 
 
-def _gradient(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
-    """Gradient ``(d,)`` by central differences."""
-    values = log_density(np.concatenate([x + np.diag(steps), x - np.diag(steps)]))
+def _around(
+    log_density: LogDensity, x: Array, height: float, steps: Array, more: Sequence[Array] = ()
+) -> tuple[Array, Array, Array]:
+    """Density a step up and down every axis, ``(d,)`` each, and at ``more`` places."""
+    one = [x + np.diag(steps), x - np.diag(steps)]
+    values = log_density(np.concatenate([*one, *more]))
+    # a difference that steps out of the support says: steeply down
     values = np.where(np.isfinite(values), values, height - _CLIFF)
-    return np.asarray((values[: x.size] - values[x.size :]) / (2.0 * steps))
+    return values[: x.size], values[x.size : 2 * x.size], values[2 * x.size :]
 
 
 def _derivatives(
@@ -203,16 +207,12 @@ def _derivatives(
 ) -> tuple[Array, Array]:
     """Gradient ``(d,)`` and Hessian ``(d, d)`` by central differences, in one batch."""
     d = x.size
-    one = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
     rows, columns = np.triu_indices(d, 1)
     pair = np.zeros((rows.size, d))
     pair[np.arange(rows.size), rows] = steps[rows]
     pair[np.arange(rows.size), columns] = steps[columns]
-    values = log_density(np.concatenate([one, x + pair, x - pair]))
-    # a difference that steps out of the support says: steeply down
-    values = np.where(np.isfinite(values), values, height - _CLIFF)
-    up, down = values[:d], values[d : 2 * d]
-    both, neither = values[2 * d : 2 * d + rows.size], values[2 * d + rows.size :]
+    up, down, pairs = _around(log_density, x, height, steps, (x + pair, x - pair))
+    both, neither = pairs[: rows.size], pairs[rows.size :]
     gradient = (up - down) / (2.0 * steps)
     hessian = np.diag((up - 2.0 * height + down) / steps**2)
     curvature = up + down

@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.recordings.arrays import Array
+
 # Bytes that are read in one go.
 _PIECE = 2**24
 
@@ -24,8 +26,8 @@ _PIECE = 2**24
 class Steps:
     """Steps of all walkers."""
 
-    coordinates: NDArray[np.float64]  # (steps, walkers, d)
-    log_density: NDArray[np.float64]  # there, (steps, walkers)
+    coordinates: Array  # (steps, walkers, d)
+    log_density: Array  # there, (steps, walkers)
     accepted: NDArray[np.bool_]  # whether a proposal was, (steps, walkers)
 
     def __len__(self) -> int:

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # States further below the best are no part of the posterior, and would bend the fit to them.
 _SO_IMPROBABLE = 1e-6

@@ -8,8 +8,7 @@ from scipy import stats
 
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.target import Target
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Places looked at: a share of 1 % is then known to a fifth of itself.
 _PLACES = 2000
