@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.information import Information
@@ -15,6 +14,7 @@ from bayesfric.estimates.torque_form import OPEN, columns, filled, in_order, sho
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words
 from bayesfric.mechanism.quantities import SHAPES, TOTALS
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 
@@ -93,11 +93,11 @@ class TotalsProjection:
         # norm of each regressor, and which totals the motion cannot tell from others
         self.scale, self.open, self._solution, _ = shortest(self.regressors)
 
-    def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, torque: Array) -> Array:
         """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
         return np.asarray(self._solution @ torque)
 
-    def of_samples(self) -> list[NDArray[np.float64]]:
+    def of_samples(self) -> list[Array]:
         """Give the same map of the samples of each recording's torque, ``(n_totals, n)``."""
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
         parts = np.split(self._solution, ends, axis=1)
@@ -224,9 +224,7 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
     return share if owner == motor else (1.0 - share) / len(others)
 
 
-def totals_regressors(
-    chain: Joint, observations: Sequence[Observation]
-) -> tuple[list[str], NDArray[np.float64]]:
+def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
     """Name the totals of eq. (11), and give their torques for a value of one, ``(n_outputs, k)``.
 
     Filtered like the measured torque.

@@ -17,9 +17,9 @@ from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Verdict = Literal["data", "weak", "prior"]
 
 # Central differences of a torque that is linear are wrong by rounding alone: some 1e-16 of
@@ -51,7 +51,7 @@ class LocalUnits:
     # (d,) change of each parameter that counts as one: its own value, so that ones are changes of
     # logarithms; something else where the value is next to zero
     units: Array
-    shifted: NDArray[np.bool_]  # (d,) where it is something else
+    shifted: Flags  # (d,) where it is something else
 
     def moved(self, values: Array, step: Array) -> Array:
         """Move free parameters ``(d,)`` by a step in these units, along logarithms."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.assemble import open_directions
@@ -38,12 +37,11 @@ from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
 
 # Singular values below this share of the largest are rounding once null directions are out.
 _ROUNDING = 1e-13
