@@ -149,7 +149,7 @@ def _gain(text: str, per: str, drive: Drive, where: str) -> tuple[_Gives, float]
     names = [TORQUE[drive.motor_motion], "current", "voltage", "share"]
     for name in names:
         try:
-            return _LAWS[name], units.quantity_of([text, per], _LAWS[name].kind)
+            return _LAWS[name], units.product([text, per], [_LAWS[name].kind])
         except Unfit:
             continue
     wanted = ", ".join(f"'{unit}/({per})'" for unit in ("N m", "A", "V", "1"))

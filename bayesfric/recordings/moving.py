@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.measurement import Measurement
 
 
@@ -56,9 +56,4 @@ def near(flags: Flags, reach: int) -> Flags:
 
 def without_excluded(segments: Segments, excluded: Flags) -> Segments:
     """Split segments at excluded samples, so that no window touches one."""
-    parts: list[tuple[int, int]] = []
-    for a, b in segments:
-        change = np.diff(np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8))
-        begins, ends = np.flatnonzero(change == -1), np.flatnonzero(change == 1)
-        parts.extend(zip((a + begins).tolist(), (a + ends).tolist(), strict=True))
-    return tuple(parts)
+    return tuple(part for a, b in segments for part in runs(~excluded[a:b], a))

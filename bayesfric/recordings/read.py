@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import channels, checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
 from bayesfric.recordings.effort import Told, measured_law, position_law
 from bayesfric.recordings.inputs import Inputs, Signal
@@ -279,8 +279,7 @@ def _cut(time: Array, first: int, last: int) -> Iterator[LeftOut]:
 
 def _spans(flags: Flags, time: Array, by: Literal["exclude", "valid"]) -> Iterator[LeftOut]:
     """Name the spans of flagged samples."""
-    change = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
-    for a, b in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
+    for a, b in runs(flags):
         yield LeftOut(float(time[a]), float(time[b - 1]), by)
 
 

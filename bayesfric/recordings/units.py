@@ -141,7 +141,7 @@ def known(text: str) -> str:
 def quantity(text: str, *kinds: Kind) -> float:
     """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
     known(text)
-    return _product([text], kinds)
+    return product([text], kinds)
 
 
 def is_of(text: str, kind: Kind) -> bool:
@@ -153,11 +153,6 @@ def is_of(text: str, kind: Kind) -> bool:
     return True
 
 
-def quantity_of(texts: Sequence[str], kind: Kind) -> float:
-    """Read a product of scalars with their units, in SI, or raise `Unfit`."""
-    return _product(texts, [kind])
-
-
 def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     """Return the positive SI value of one count of a channel, or of a constant.
 
@@ -165,7 +160,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     another kind is bad input at ``where``.
     """
     try:
-        factor = _product(units, [kind])
+        factor = product(units, [kind])
     except Unfit as error:
         mend = f"{'give' if len(units) == 1 else 'their product has to be'} {error.wanted}"
         with suppress(ValueError):
@@ -181,8 +176,8 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     return factor
 
 
-def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
-    """Return the SI factor of a product of units that is of one of some kinds."""
+def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
+    """Read a product of scalars with their units, of one of some kinds, in SI, or raise `Unfit`."""
     expected = " or ".join(_KINDS[kind].example for kind in kinds)
     factor = 1.0
     powers: dict[str, float] = {}

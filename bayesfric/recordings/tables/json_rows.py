@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table, row_name
 
 
@@ -21,7 +21,7 @@ def read_json(path: Path, options: TableOptions) -> Table:
     Either lies at the path of keys that ``options.table`` gives, or is the file's own, or the
     only list of objects in it. True and false become 1 and 0.
     """
-    data = inside(str(path), parse(str(path), decode(path)), options.table)
+    data = inside(str(path), parse(str(path), read_text(path)), options.table)
     if options.table is None and isinstance(data, dict):
         rows = [key for key, value in data.items() if _is_rows(value)]
         if len(rows) > 1:
@@ -46,16 +46,6 @@ def read_json(path: Path, options: TableOptions) -> Table:
         return _objects(value) if isinstance(value, list) else np.asarray(None)
 
     return Table(str(path), list(data), load)
-
-
-def decode(path: Path) -> str:
-    """Return a file's text, which must be UTF-8."""
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(
-            f"{path}, byte {error.start}", "is not UTF-8 text", "save it as UTF-8"
-        ) from error
 
 
 def parse(where: str, text: str) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import pkgutil
 import stat
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -128,6 +129,17 @@ def read_table(path: Path, options: TableOptions) -> Table:
         return replace(table, load=load).only(options.where)
     except OSError as error:
         raise _unreadable(path, error) from error
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text, which must be UTF-8, or UTF-16 with a byte order mark."""
+    data = path.read_bytes()
+    kind = "UTF-16" if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "UTF-8"
+    try:
+        return data.decode("utf-16" if kind == "UTF-16" else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        where = f"{path}, byte {error.start}"
+        raise BadInput(where, f"is not {kind} text", "save it as UTF-8") from error
 
 
 @contextmanager
