@@ -169,7 +169,8 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
     ``mu`` is the load loss wherever there is one, ``share`` the motor's share of each total; the
     other elements and the load divide the rest.
     """
-    total = {name: totals[label].value for name, label in _labels(chain).items() if label in totals}
+    labels = {name: total_label(chain, name) for name in in_order(chain)}
+    total = {name: totals[label].value for name, label in labels.items() if label in totals}
     gain = total.get("added_load", 1.0)
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:
@@ -209,10 +210,6 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
                 )
             values[p.name] = p.row.start
     return values
-
-
-def _labels(chain: Joint) -> dict[str, str]:
-    return {name: total_label(chain, name) for name in in_order(chain)}
 
 
 def _part(owner: str, peers: set[str], motor: str, share: float) -> float:

@@ -14,8 +14,13 @@ def compared_parts(recording: Measurement, trim: int) -> Segments:
     Without what is excluded, too, and as many samples beside that: the low-pass carries it a little
     way past its borders, as past a segment's.
     """
-    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in recording.segments)
+    kept = trimmed(recording.segments, trim)
     return without_excluded(kept, near(recording.excluded, trim))
+
+
+def trimmed(segments: Segments, trim: int) -> Segments:
+    """Take ``trim`` samples off both ends of every segment; nothing may be left of one."""
+    return tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
 
 
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:

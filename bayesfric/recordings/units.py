@@ -63,12 +63,8 @@ _KINDS: dict[Kind, _Told] = {
     "torque": _Told("N m", "a torque like 'N m' or '9.84e-5 N m'", _ENERGY),
     "force": _Told("N", "a force like 'N'", _FORCE),
     "current": _Told("A", "a current like 'A' or 'mA'", (("ampere", 1),)),
-    "voltage": _Told(
-        "V", "a voltage like 'V' or 'V/885'", (("ampere", -1), *_ENERGY[:2], ("second", -3))
-    ),
-    "resistance": _Told(
-        "ohm", "a resistance like '3.4 ohm'", (("ampere", -2), *_ENERGY[:2], ("second", -3))
-    ),
+    "voltage": _Told("V", "a voltage like 'V' or 'V/885'", (("ampere", -1), *_POWER)),
+    "resistance": _Told("ohm", "a resistance like '3.4 ohm'", (("ampere", -2), *_POWER)),
     "frequency": _Told("Hz", "a frequency like '100 Hz'", (("second", -1),)),
     "mass": _Told("kg", "a mass like '2 kg'", (("kilogram", 1),)),
     "torque_constant": _Told(
