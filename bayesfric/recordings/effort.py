@@ -104,20 +104,14 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
     gives, kp = _gain(target.kp, units.si(POSITION[side]), drive, f"{where}, kp")
     missing = [key for key in gives.constants if getattr(target, key) is None]
     if missing:
-        raise BadInput(
-            f"{where}, {missing[0]}",
-            f"is not given, and kp = '{target.kp}' makes a {gives.what}",
-            f"add {missing[0]} = ...",
-        )
+        what = f"is not given, and kp = '{target.kp}' makes a {gives.what}"
+        raise BadInput(f"{where}, {missing[0]}", what, f"add {missing[0]} = ...")
     kd = 0.0
     if target.kd is not None:
         other, kd = _gain(target.kd, units.si(VELOCITY[side]), drive, f"{where}, kd")
         if other is not gives:
-            raise BadInput(
-                f"{where}, kd",
-                f"makes a {other.what}, and kp a {gives.what}",
-                "give both per angle and per speed of the same",
-            )
+            what = f"makes a {other.what}, and kp a {gives.what}"
+            raise BadInput(f"{where}, kd", what, "give both per angle and per speed of the same")
     limit = np.inf
     if target.limit is not None:
         limit = units.scale([target.limit], gives.kind, f"{where}, limit")

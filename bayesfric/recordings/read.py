@@ -219,11 +219,8 @@ def _chosen(source: Columns, time: Array, where: str) -> tuple[int, int]:
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
         end = time[-1] if len(time) else 0.0
-        raise BadInput(
-            where,
-            f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s",
-            "choose an earlier start",
-        )
+        what = f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s"
+        raise BadInput(where, what, "choose an earlier start")
     return first, last
 
 
@@ -306,11 +303,8 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
             continue
         matches = sorted(path for path in _matching(pattern, folder) if is_recording(path))
         if not matches:
-            raise BadInput(
-                f"file = '{pattern}'",
-                f"no file in {folder} matches it",
-                "check the pattern and the folder",
-            )
+            what = f"no file in {folder} matches it"
+            raise BadInput(f"file = '{pattern}'", what, "check the pattern and the folder")
         paths.extend(matches)
     for path in paths:
         try:

@@ -164,11 +164,8 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
                 mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
         raise BadInput(where, str(error), mend) from error
     if not factor > 0:
-        raise BadInput(
-            where,
-            f"{_listed(units)} is {factor:g}, not positive",
-            "give a positive value; use sign = -1",
-        )
+        what = f"{_listed(units)} is {factor:g}, not positive"
+        raise BadInput(where, what, "give a positive value; use sign = -1")
     return factor
 
 

@@ -127,11 +127,8 @@ def _find_layout(
     else:
         width = _width([row.numbers for row in rows])
         if width == 0 and len(rows) > 2:
-            raise BadInput(
-                f"{path}, line {rows[-1].line}",
-                f"no cell is a number ('{rows[-1].cells[0][:40]}')",
-                _NO_TABLE,
-            )
+            what = f"no cell is a number ('{rows[-1].cells[0][:40]}')"
+            raise BadInput(f"{path}, line {rows[-1].line}", what, _NO_TABLE)
         header, first, notes = _find_header(path, rows, width) if width else (0, len(rows), [])
     if first >= len(rows):
         raise BadInput(

@@ -25,20 +25,14 @@ def read_json(path: Path, options: TableOptions) -> Table:
     if options.table is None and isinstance(data, dict):
         rows = [key for key, value in data.items() if _is_rows(value)]
         if len(rows) > 1:
-            raise BadInput(
-                str(path),
-                f"holds several tables ({', '.join(repr(key) for key in rows[:20])})",
-                "name one with table",
-            )
+            what = f"holds several tables ({', '.join(repr(key) for key in rows[:20])})"
+            raise BadInput(str(path), what, "name one with table")
         data = data[rows[0]] if rows else data
     if isinstance(data, list):
         return from_rows(path, data)
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
-        raise BadInput(
-            str(path),
-            "is neither a list of objects nor an object of lists",
-            "give the dotted path to it with table",
-        )
+        what = "is neither a list of objects nor an object of lists"
+        raise BadInput(str(path), what, "give the dotted path to it with table")
     values = list(data.values())
 
     def load(index: int) -> NDArray[Any]:

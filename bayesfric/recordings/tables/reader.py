@@ -114,11 +114,8 @@ def read_table(path: Path, options: TableOptions) -> Table:
         if reader is None or not _is_folder_of(reader, path):
             _check_file(path)
         if reader is None:
-            raise BadInput(
-                str(path),
-                f"the suffix '{path.suffix}' says nothing about its format",
-                f"set format to {', '.join(known)}",
-            )
+            what = f"the suffix '{path.suffix}' says nothing about its format"
+            raise BadInput(str(path), what, f"set format to {', '.join(known)}")
         with _damage_named(path, reader.name):
             table = reader.read(path, options)
 
@@ -152,11 +149,8 @@ def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
     except Exception as error:
         text = str(error).replace(f"{path}/", "")
         text = text if " object at 0x" not in text else "damaged header"
-        raise BadInput(
-            where or str(path),
-            f"is not a readable {kind} file ({type(error).__name__}: {text})",
-            "export it again; it may be cut off",
-        ) from error
+        what = f"is not a readable {kind} file ({type(error).__name__}: {text})"
+        raise BadInput(where or str(path), what, "export it again; it may be cut off") from error
 
 
 def is_recording(path: Path) -> bool:
