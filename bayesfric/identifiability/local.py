@@ -133,8 +133,7 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     at = units_of(target, parameters)
     units = at.units
     values = target.chain_values(parameters[None])[0]
-    fixed = {n: float(x) for n, x in zip(chain.names, values, strict=True) if n not in target.free}
-    scalings = open_directions(chain, Knowledge(fixed), observations, values) / units
+    scalings = open_directions(chain, fixed_in(target, values), observations, values) / units
     jacobian = jacobian_of(target, parameters, units)
     if not np.isfinite(jacobian).all():
         raise BadInput(
@@ -151,6 +150,12 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     local = LocalInformation(**vars(at), data_sd=unknown, null_rows=rows, directions=found)
     sds = np.array([local.data_sd_of(one) for one in np.eye(units.size)])
     return replace(local, data_sd=sds, from_theory=len(scalings))
+
+
+def fixed_in(target: Target, values: Array) -> Knowledge:
+    """Tell which of the chain's ``values`` ``(n_parameters,)`` are known, as they are not free."""
+    named = zip(target.likelihood.chain.names, values.tolist(), strict=True)
+    return Knowledge({name: value for name, value in named if name not in target.free})
 
 
 def in_natural_units(
