@@ -1,7 +1,6 @@
 """Unfit files of the binary formats and JSON are refused in one line; damage: tests/hostile."""
 
 import json
-import pickle
 
 import numpy as np
 import pandas as pd
@@ -66,28 +65,10 @@ def test_parquet_null(tmp_path):
     has(refused(tmp_path, source("run.parquet")), "run.parquet", "'q'", "row 17", "empty")
 
 
-def test_matlab_73(tmp_path):
-    path = tmp_path / "run.mat"
-    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n")
-    has(refused(tmp_path, source("run.mat")), "run.mat", "cut off")
-
-
 def test_struct_that_is_not_there(tmp_path):
     savemat(tmp_path / "run.mat", {"log": arrays(), "x": 1.0})
     has(refused(tmp_path, source("run.mat", table="logg")), "'logg'", "'log'")
     has(refused(tmp_path, source("run.mat", table="x")), "'x'", "no struct")
-
-
-def test_pickled_array(tmp_path):
-    content = arrays()
-    content["q"] = np.array([*content["q"]], dtype=object)
-    np.savez(tmp_path / "run.npz", **content)
-    has(refused(tmp_path, source("run.npz")), "run.npz", "'q'", "pickle")
-
-
-def test_pickle_in_place_of_an_archive(tmp_path):
-    (tmp_path / "run.npz").write_bytes(pickle.dumps(arrays()))
-    has(refused(tmp_path, source("run.npz")), "run.npz")
 
 
 def test_json_key_that_is_not_there(tmp_path):
