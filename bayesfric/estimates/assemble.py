@@ -17,9 +17,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import State
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 # Closer to a bound than this share of what is a large change is on it.
 _ON_BOUND = 1e-6

@@ -24,7 +24,7 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import lowpass_above
-from bayesfric.recordings.timing import retimed
+from bayesfric.recordings.timing import filtered_rate, retimed
 
 # From one band to the next, and how many narrower ones may contradict a band.
 _NARROWER, _NEXT = 1.4, 2
@@ -128,9 +128,7 @@ def _seen(chain: Joint, recording: Measurement, o: Observation) -> _Seen | None:
         return None
     # a delay leaves torque as well, and is another matter: what it would leave is taken off, too
     there = retimed(o, recording.segments, recording.period, 0.0, recording.back_emf)
-    assert there.inputs.torque_rate is not None
-    rate = o.filter.apply(there.inputs.torque_rate.values)
-    regressors = np.column_stack([totals, rate])
+    regressors = np.column_stack([totals, filtered_rate(there)])
     _, shared, solution, _ = shortest(regressors)
     i = names.index("inertia")
     if shared[i]:

@@ -12,10 +12,9 @@ from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.timing import FAR_DELAYS, longest_delay, retimed
+from bayesfric.recordings.timing import FAR_DELAYS, filtered_rate, longest_delay, retimed
 
 # Each round takes the torque of the delay that the last one found: far from it, what is linear
 # in the delay holds only roughly. It stands still when it moves by less than this many sds.
@@ -94,7 +93,7 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
     def left(delay: float) -> float:
         there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
         columns = [np.concatenate([o.measured for o in there])]
-        columns.append(np.concatenate([_rate(o) for o in there]))
+        columns.append(np.concatenate([filtered_rate(o) for o in there]))
         y, rate = (x - basis @ (basis.T @ x) for x in columns)
         found = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
         return float(found @ found)
@@ -102,8 +101,3 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
     tried = {d: left(d) for d in (0.0, *beyond, *(-d for d in beyond))} if beyond else {0.0: 1.0}
     best = min(tried, key=tried.__getitem__)
     return best if tried[best] < _FAR_LESS * tried[0.0] else 0.0
-
-
-def _rate(o: Observation) -> Array:
-    assert o.inputs.torque_rate is not None
-    return o.filter.apply(o.inputs.torque_rate.values)

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
@@ -16,10 +15,9 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.robust import shares
-
-Array = NDArray[np.float64]
 
 # Residuals below this share of the torque are rounding.
 ROUNDING = 1e-9

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import in_unit
 
 
-class Estimation(BaseModel):
+class Estimation(Options):
     """How point estimates are made."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     loss: Literal["squares", "huber"] = Field(
         "squares", description="huber: residuals beyond 1.345 sd count less, for outliers"
@@ -48,10 +47,8 @@ class Estimation(BaseModel):
     )
 
 
-class Reference(BaseModel):
+class Reference(Options):
     """A value from elsewhere to compare results with; it enters no fit."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     value: float = Field(
         allow_inf_nan=False,

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array, Flags
 
 # Relative size below which a singular value is rounding, for Jacobians exact to rounding.
 NULL = 1e-7
@@ -43,7 +43,7 @@ class Directions:
         return np.asarray((along - (along @ self.known_null) @ self.known_null.T) / self.units)
 
     @property
-    def null(self) -> NDArray[np.bool_]:
+    def null(self) -> Flags:
         """Which directions change no output."""
         largest = self.singular_values[0] if self.singular_values.size else 0.0
         return self.singular_values <= self.tolerance * largest
@@ -212,7 +212,7 @@ def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
     return max(float(total), 0.0)
 
 
-def lag_one(residual: Array, follows: NDArray[np.bool_]) -> float:
+def lag_one(residual: Array, follows: Flags) -> float:
     """Correlate each residual ``(M,)`` with the next where that follows one step later.
 
     ``follows`` is ``(M - 1,)``. ``nan`` with fewer than ten such pairs, or where all

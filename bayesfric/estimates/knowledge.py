@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.information import Information
@@ -15,6 +14,7 @@ from bayesfric.estimates.torque_form import OPEN, columns, filled, in_order, sho
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words
 from bayesfric.mechanism.quantities import SHAPES, TOTALS
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 
@@ -93,11 +93,11 @@ class TotalsProjection:
         # norm of each regressor, and which totals the motion cannot tell from others
         self.scale, self.open, self._solution, _ = shortest(self.regressors)
 
-    def solve(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, torque: Array) -> Array:
         """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
         return np.asarray(self._solution @ torque)
 
-    def of_samples(self) -> list[NDArray[np.float64]]:
+    def of_samples(self) -> list[Array]:
         """Give the same map of the samples of each recording's torque, ``(n_totals, n)``."""
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
         parts = np.split(self._solution, ends, axis=1)
@@ -169,7 +169,8 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
     ``mu`` is the load loss wherever there is one, ``share`` the motor's share of each total; the
     other elements and the load divide the rest.
     """
-    total = {name: totals[label].value for name, label in _labels(chain).items() if label in totals}
+    labels = {name: total_label(chain, name) for name in in_order(chain)}
+    total = {name: totals[label].value for name, label in labels.items() if label in totals}
     gain = total.get("added_load", 1.0)
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:
@@ -211,10 +212,6 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
     return values
 
 
-def _labels(chain: Joint) -> dict[str, str]:
-    return {name: total_label(chain, name) for name in in_order(chain)}
-
-
 def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
     others = peers - {motor}
     if not others:
@@ -224,9 +221,7 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
     return share if owner == motor else (1.0 - share) / len(others)
 
 
-def totals_regressors(
-    chain: Joint, observations: Sequence[Observation]
-) -> tuple[list[str], NDArray[np.float64]]:
+def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
     """Name the totals of eq. (11), and give their torques for a value of one, ``(n_outputs, k)``.
 
     Filtered like the measured torque.

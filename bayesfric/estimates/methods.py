@@ -40,14 +40,6 @@ class Estimator:
     simulates: bool = False  # whether it is dear, and some mechanisms have none
 
 
-def _least_squares(given: Given, _: Mapping[Method, Estimate]) -> Estimate:
-    return least_squares(given.chain, given.observations)
-
-
-def _input_error(given: Given, _: Mapping[Method, Estimate]) -> Estimate:
-    return input_error(given.chain, given.observations, given.knowledge, given.options)
-
-
 def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:
     known = given.observations, given.knowledge, given.options
     return output_error(given.chain, given.trajectories(), *known, found["input-error"])
@@ -60,10 +52,12 @@ ESTIMATORS = {
         Estimator(
             "least-squares",
             "Least squares, section 4.1, eq. (11): what the motor feels",
-            _least_squares,
+            lambda given, _: least_squares(given.chain, given.observations),
         ),
         Estimator(
-            "input-error", "Direct minimisation of the input error, section 4.2", _input_error
+            "input-error",
+            "Direct minimisation of the input error, section 4.2",
+            lambda at, _: input_error(at.chain, at.observations, at.knowledge, at.options),
         ),
         Estimator(
             "output-error",

@@ -28,11 +28,10 @@ from bayesfric.estimates.shooting_fit import (
 )  # fmt: skip
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
 from bayesfric.robust import HUBER, robust_sd
-
-Array = NDArray[np.float64]
 
 # Segment lengths to try, s. Noise of the torque is integrated, so short segments tell more
 # where the encoder is fine, long ones where it is coarse; measured: beyond 1 s drift rules.

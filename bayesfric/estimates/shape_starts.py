@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from itertools import cycle, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.descent import Found, Terms, TorqueProblem, descend
 from bayesfric.estimates.sizes import measured_scales, sizes_at
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Steps with shapes held: the torque is linear then but for products such as rise times loss.
 _STEPS = 3

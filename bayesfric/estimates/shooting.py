@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 # Most integration steps a sample; more do not pay where measured torque has kinks at samples.
 _MAX_SUBSTEPS = 64

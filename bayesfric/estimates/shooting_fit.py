@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from bayesfric.estimates.descent import bounded_step
 from bayesfric.estimates.shooting import Shooting
 from bayesfric.mechanism.scaling import Scaling
+from bayesfric.recordings.arrays import Array
 from bayesfric.robust import losses, shares
-
-Array = NDArray[np.float64]
 
 # Widths of finite differences, in units that change the torque (the position, the speed) by
 # all of itself: measured truncation and rounding are both below 1e-7 of the derivative.

@@ -7,13 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.quantities import Sizes
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 # Share of the samples that a size is the largest of: a glitch must not set a scale.
@@ -94,10 +94,10 @@ def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
     return 0.0
 
 
-def _at_outputs(carried: CarriedTerm, o: Observation) -> NDArray[np.float64]:
+def _at_outputs(carried: CarriedTerm, o: Observation) -> Array:
     at = o.filter.centres
     return along(carried.row, carried.reach, o.q[at], o.qd[at], o.stamps[at], o.inputs)
 
 
-def _rms(x: NDArray[np.float64]) -> float:
+def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(x**2)))

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 # Outputs further apart than this are taken to know nothing of each other.
 _FAR = 2000

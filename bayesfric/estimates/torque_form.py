@@ -11,16 +11,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import TOTALS, State
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Term = tuple[int, float]  # a parameter's index, and its torque at the motor for a value of one
 
 # Relative size below which a singular value of the regressors is rounding.
@@ -269,7 +268,7 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
     return np.stack(found) if found else np.empty((0, o.q.size))
 
 
-def shortest(regressors: Array) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+def shortest(regressors: Array) -> tuple[Array, Flags, Array, Array]:
     """Solve a linear least-squares problem ``(n, k)`` once for all targets.
 
     Gives norms of the columns ``(k,)``, which of them others can stand for, the map ``(k, n)`` to

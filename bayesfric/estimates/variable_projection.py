@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from bayesfric.estimates.torque_form import POSITIVE, TorqueForm, columns, shortest
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 _SAME = 1e-6  # two minima closer than this, relatively, are one
 

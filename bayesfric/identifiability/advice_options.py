@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from bayesfric.errors import Unfit
+from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import Kilograms, Metres, in_unit
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Mass(BaseModel):
+class Mass(Options):
     """A known mass on hand, and where on the load it can be bolted."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     mass: Kilograms = Field(gt=0, description="kg, or text such as '2 kg'")
     radius: Metres = Field(0.0, description="m, or text such as '35 cm'; of a turning load")
 
 
-class AdviceOptions(BaseModel):
+class AdviceOptions(Options):
     """What ``bayesfric identify --advise`` may propose."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     torque_limit: Positive | None = Field(
         None,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
@@ -29,10 +28,10 @@ from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import TURN
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 CandidateKind = Literal["excitation", "known mass", "longer"]
 Limit = Literal["torque", "speed", "angles", "positions", "runs_away"]
 

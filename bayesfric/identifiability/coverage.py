@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Array = NDArray[np.float64]
 
 # Share of the torque below which inertia does not show.
 _LITTLE = 0.05

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.torque import typical_load
@@ -33,11 +32,10 @@ from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
+from bayesfric.recordings.arrays import Array
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

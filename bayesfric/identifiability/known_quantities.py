@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import units_of
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
-
-Array = NDArray[np.float64]
 
 # Sine of the angle below which two columns of a Jacobian are one.
 _SAME = 1e-6

@@ -17,9 +17,9 @@ from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Verdict = Literal["data", "weak", "prior"]
 
 # Central differences of a torque that is linear are wrong by rounding alone: some 1e-16 of
@@ -51,7 +51,7 @@ class LocalUnits:
     # (d,) change of each parameter that counts as one: its own value, so that ones are changes of
     # logarithms; something else where the value is next to zero
     units: Array
-    shifted: NDArray[np.bool_]  # (d,) where it is something else
+    shifted: Flags  # (d,) where it is something else
 
     def moved(self, values: Array, step: Array) -> Array:
         """Move free parameters ``(d,)`` by a step in these units, along logarithms."""
@@ -133,8 +133,7 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     at = units_of(target, parameters)
     units = at.units
     values = target.chain_values(parameters[None])[0]
-    fixed = {n: float(x) for n, x in zip(chain.names, values, strict=True) if n not in target.free}
-    scalings = open_directions(chain, Knowledge(fixed), observations, values) / units
+    scalings = open_directions(chain, fixed_in(target, values), observations, values) / units
     jacobian = jacobian_of(target, parameters, units)
     if not np.isfinite(jacobian).all():
         raise BadInput(
@@ -151,6 +150,12 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     local = LocalInformation(**vars(at), data_sd=unknown, null_rows=rows, directions=found)
     sds = np.array([local.data_sd_of(one) for one in np.eye(units.size)])
     return replace(local, data_sd=sds, from_theory=len(scalings))
+
+
+def fixed_in(target: Target, values: Array) -> Knowledge:
+    """Tell which of the chain's ``values`` ``(n_parameters,)`` are known, as they are not free."""
+    named = zip(target.likelihood.chain.names, values.tolist(), strict=True)
+    return Knowledge({name: value for name, value in named if name not in target.free})
 
 
 def in_natural_units(

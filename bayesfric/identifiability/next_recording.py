@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import directions
-from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.candidates import (
@@ -33,17 +31,16 @@ from bayesfric.identifiability.candidates import (
 )
 from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.identification import moved_beside, prior_rows
-from bayesfric.identifiability.local import LocalInformation, local_information
+from bayesfric.identifiability.local import LocalInformation, fixed_in, local_information
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
 
 # Singular values below this share of the largest are rounding once null directions are out.
 _ROUNDING = 1e-13
@@ -318,11 +315,9 @@ def _sds(
     if added is not None and noise is not None:
         more = scaled_jacobian(target, added, at.values, at.local, noise)
         rows = np.concatenate([rows, more])
-        fixed = {
-            n: float(x) for n, x in zip(chain.names, at.values, strict=True) if n not in target.free
-        }
         # which scalings are open depends on the masses in all recordings together
-        open_ = open_directions(chain, Knowledge(fixed), [*observations, added], at.values)
+        fixed = fixed_in(target, at.values)
+        open_ = open_directions(chain, fixed, [*observations, added], at.values)
         known = open_ / at.local.units
         if not np.isfinite(rows).all():
             return float("inf"), float("inf")

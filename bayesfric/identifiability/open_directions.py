@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.identifiability.coverage import Coverage
 from bayesfric.identifiability.local import WEAK, LocalInformation, NullDirection
 from bayesfric.identifiability.remedies import HARDLY, Remedy, Trial, left_along, remedies
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.mechanism.parameter import Parameter
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Entries of a null direction smaller than this are rounding.
 _ROUNDING = 1e-5

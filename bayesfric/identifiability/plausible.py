@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalInformation, jacobian_of, units_of
 from bayesfric.inference.likelihood.autoregression import burg
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.target import Target
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Grid of the search for noise scales: points a scale, and how often it is made finer.
 _GRID = 7

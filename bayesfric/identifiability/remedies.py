@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import WEAK, LocalInformation
 from bayesfric.identifiability.sentences import Statement, stated
@@ -25,9 +24,9 @@ from bayesfric.identifiability.virtual_recording import (
 )
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 
-Array = NDArray[np.float64]
 RemedyKind = Literal["known value", "known mass", "excitation"]
 
 # The load drives an element in fewer of the moving samples than this: hardly ever.

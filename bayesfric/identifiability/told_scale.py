@@ -9,12 +9,10 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalInformation
 from bayesfric.inference.prior.priors import Prior
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # What is to be told by other priors is at most half as wide as its own, as in
 # bayesfric.identifiability.local.verdict, and without its own not much wider than it came out.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.identifiability.local import LocalUnits, torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -17,13 +16,12 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.inputs import AT_ROOM, Inputs
 from bayesfric.recordings.moving import moving_samples
 from bayesfric.recordings.observation import Observation, as_position
 from bayesfric.recordings.timing import retimed
-
-Array = NDArray[np.float64]
 
 # No more of a recording is simulated than this, in samples and in s.
 _LONGEST_SAMPLES = 20_000

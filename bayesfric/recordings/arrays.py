@@ -9,3 +9,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 # Half-open ranges of samples.
 Segments = tuple[tuple[int, int], ...]
+
+
+def runs(flags: Flags, begin: int = 0) -> Segments:
+    """Give the ranges of flagged samples, the first of all being number ``begin``."""
+    ends = begin + np.flatnonzero(np.diff(flags, prepend=False, append=False))
+    return tuple(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))

@@ -50,18 +50,12 @@ def check_columns(source: Columns, table: Table) -> None:
     for key, channel in source.channels.items():
         before = seen.setdefault(table.place(channel.column), key)
         if before != key:
-            raise BadInput(
-                table.label(channel.column),
-                f"is taken both for {before} and for {key}",
-                f"name another column for {key}",
-            )
+            what = f"is taken both for {before} and for {key}"
+            raise BadInput(table.label(channel.column), what, f"name another column for {key}")
     for column in source.columns:
         if len(table.column(column)) != count:
-            raise BadInput(
-                table.label(column),
-                f"has {len(table.column(column))} values, column '{first}' has {count}",
-                "give columns of one length",
-            )
+            what = f"has {len(table.column(column))} values, column '{first}' has {count}"
+            raise BadInput(table.label(column), what, "give columns of one length")
 
 
 def signed(channel: Channel, table: Table) -> Array:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.resolution import finest_step
 
 # A step below this share of the range is rounding of numbers.
@@ -229,7 +229,4 @@ def feedback(
 
 
 def _in_runs(flags: Flags) -> int:
-    padded = np.concatenate([[False], flags, [False]]).astype(np.int8)
-    change = np.diff(padded)
-    lengths = np.flatnonzero(change == -1) - np.flatnonzero(change == 1)
-    return int(lengths[lengths >= _RUN].sum())
+    return sum(b - a for a, b in runs(flags) if b - a >= _RUN)

@@ -104,20 +104,14 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
     gives, kp = _gain(target.kp, units.si(POSITION[side]), drive, f"{where}, kp")
     missing = [key for key in gives.constants if getattr(target, key) is None]
     if missing:
-        raise BadInput(
-            f"{where}, {missing[0]}",
-            f"is not given, and kp = '{target.kp}' makes a {gives.what}",
-            f"add {missing[0]} = ...",
-        )
+        what = f"is not given, and kp = '{target.kp}' makes a {gives.what}"
+        raise BadInput(f"{where}, {missing[0]}", what, f"add {missing[0]} = ...")
     kd = 0.0
     if target.kd is not None:
         other, kd = _gain(target.kd, units.si(VELOCITY[side]), drive, f"{where}, kd")
         if other is not gives:
-            raise BadInput(
-                f"{where}, kd",
-                f"makes a {other.what}, and kp a {gives.what}",
-                "give both per angle and per speed of the same",
-            )
+            what = f"makes a {other.what}, and kp a {gives.what}"
+            raise BadInput(f"{where}, kd", what, "give both per angle and per speed of the same")
     limit = np.inf
     if target.limit is not None:
         limit = units.scale([target.limit], gives.kind, f"{where}, limit")
@@ -149,7 +143,7 @@ def _gain(text: str, per: str, drive: Drive, where: str) -> tuple[_Gives, float]
     names = [TORQUE[drive.motor_motion], "current", "voltage", "share"]
     for name in names:
         try:
-            return _LAWS[name], units.quantity_of([text, per], _LAWS[name].kind)
+            return _LAWS[name], units.product([text, per], [_LAWS[name].kind])
         except Unfit:
             continue
     wanted = ", ".join(f"'{unit}/({per})'" for unit in ("N m", "A", "V", "1"))

@@ -47,11 +47,8 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
             "choose a higher cut-off, or 'off' for no low-pass",
         )
     if cutoff >= fs / 2:
-        raise BadInput(
-            where,
-            f"the cut-off {cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)",
-            "choose a lower cut-off, or 'off' for no low-pass",
-        )
+        what = f"the cut-off {cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)"
+        raise BadInput(where, what, "choose a lower cut-off, or 'off' for no low-pass")
 
 
 @lru_cache(maxsize=64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.measurement import Measurement
 
 
@@ -14,8 +14,13 @@ def compared_parts(recording: Measurement, trim: int) -> Segments:
     Without what is excluded, too, and as many samples beside that: the low-pass carries it a little
     way past its borders, as past a segment's.
     """
-    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in recording.segments)
+    kept = trimmed(recording.segments, trim)
     return without_excluded(kept, near(recording.excluded, trim))
+
+
+def trimmed(segments: Segments, trim: int) -> Segments:
+    """Take ``trim`` samples off both ends of every segment; nothing may be left of one."""
+    return tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
 
 
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
@@ -56,9 +61,4 @@ def near(flags: Flags, reach: int) -> Flags:
 
 def without_excluded(segments: Segments, excluded: Flags) -> Segments:
     """Split segments at excluded samples, so that no window touches one."""
-    parts: list[tuple[int, int]] = []
-    for a, b in segments:
-        change = np.diff(np.concatenate([[True], excluded[a:b], [True]]).astype(np.int8))
-        begins, ends = np.flatnonzero(change == -1), np.flatnonzero(change == 1)
-        parts.extend(zip((a + begins).tolist(), (a + ends).tolist(), strict=True))
-    return tuple(parts)
+    return tuple(part for a, b in segments for part in runs(~excluded[a:b], a))

@@ -31,7 +31,7 @@ from bayesfric.recordings.filters import (
 )
 from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import LeftOut, Measurement
-from bayesfric.recordings.moving import compared_parts, moving_samples, near, too_slow
+from bayesfric.recordings.moving import compared_parts, moving_samples, near, too_slow, trimmed
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
@@ -400,7 +400,7 @@ def _prepared(
         qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
         if recording.velocity_lag:
             qd = unlagged(qd, segments, recording.period, recording.velocity_lag, numbers.reach)
-    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
+    kept = trimmed(segments, trim)
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
         inside[a:b] = True
@@ -453,9 +453,9 @@ def _windows(
         return lay_windows(taps, segments, numbers.factor, usable, share)
 
     whole = lay(recording.segments, everything).n_outputs
-    trimmed = lay(kept, everything).n_outputs
+    inner = lay(kept, everything).n_outputs
     included = lay(parts, everything).n_outputs
-    if trimmed == 0:
+    if inner == 0:
         raise BadInput(
             f"{where}, trim",
             f"trim = {numbers.trim_samples * recording.period:.3g} s leaves no segment of {length} "
@@ -466,8 +466,8 @@ def _windows(
         raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
     final = lay(parts, moving)
     return final, {
-        "dropped_trim": whole - trimmed,
-        "dropped_excluded": trimmed - included,
+        "dropped_trim": whole - inner,
+        "dropped_excluded": inner - included,
         "dropped_dead_zone": included - final.n_outputs,
     }
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import channels, checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
 from bayesfric.recordings.effort import Told, measured_law, position_law
 from bayesfric.recordings.inputs import Inputs, Signal
@@ -219,11 +219,8 @@ def _chosen(source: Columns, time: Array, where: str) -> tuple[int, int]:
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
         end = time[-1] if len(time) else 0.0
-        raise BadInput(
-            where,
-            f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s",
-            "choose an earlier start",
-        )
+        what = f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s"
+        raise BadInput(where, what, "choose an earlier start")
     return first, last
 
 
@@ -279,8 +276,7 @@ def _cut(time: Array, first: int, last: int) -> Iterator[LeftOut]:
 
 def _spans(flags: Flags, time: Array, by: Literal["exclude", "valid"]) -> Iterator[LeftOut]:
     """Name the spans of flagged samples."""
-    change = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
-    for a, b in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
+    for a, b in runs(flags):
         yield LeftOut(float(time[a]), float(time[b - 1]), by)
 
 
@@ -307,11 +303,8 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
             continue
         matches = sorted(path for path in _matching(pattern, folder) if is_recording(path))
         if not matches:
-            raise BadInput(
-                f"file = '{pattern}'",
-                f"no file in {folder} matches it",
-                "check the pattern and the folder",
-            )
+            what = f"no file in {folder} matches it"
+            raise BadInput(f"file = '{pattern}'", what, "check the pattern and the folder")
         paths.extend(matches)
     for path in paths:
         try:

@@ -6,13 +6,12 @@ tells how slow it may creep unseen; a position that is never read the same twice
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.filters import lay_windows
 from bayesfric.recordings.resolution import finest_step
 
@@ -82,10 +81,5 @@ def rests(
 
 def _shrunk(still: Flags, parts: Segments, guard: int) -> Segments:
     """Give the stretches of rest inside parts, without ``guard`` samples at either end."""
-    found: list[tuple[int, int]] = []
-    for a, b in parts:
-        change = np.diff(np.concatenate([[False], still[a:b], [False]]).astype(np.int8))
-        begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
-        pairs: Sequence[tuple[int, int]] = list(zip(begins.tolist(), ends.tolist(), strict=True))
-        found += [(a + x + guard, a + y - guard) for x, y in pairs if y - x > 2 * guard]
-    return tuple(found)
+    found = (stretch for a, b in parts for stretch in runs(still[a:b], a))
+    return tuple((x + guard, y - guard) for x, y in found if y - x > 2 * guard)

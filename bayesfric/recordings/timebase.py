@@ -70,11 +70,8 @@ def check_order(time: Array, where: str, row: Callable[[int], str]) -> None:
             f"repeats the time stamp {time[index]:.9g} s of the row before",
             "cut the repeated rows out, or record time with finer resolution",
         )
-    raise BadInput(
-        f"{where}, {row(index)}",
-        f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s",
-        "sort the rows by time, or split the file there",
-    )
+    what = f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s"
+    raise BadInput(f"{where}, {row(index)}", what, "sort the rows by time, or split the file there")
 
 
 def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, where: str) -> Grid:
@@ -115,18 +112,12 @@ def _pieces(
     first, last = chosen
     count, least = last - first, processing.min_samples
     if count < max(least, 2):
-        raise BadInput(
-            where,
-            f"has {count} samples, fewer than min_samples = {least}",
-            "record longer, or check start and stop",
-        )
+        what = f"has {count} samples, fewer than min_samples = {least}"
+        raise BadInput(where, what, "record longer, or check start and stop")
     intervals = np.diff(time[first:last])
     if intervals.min() < _POSSIBLE[0]:
-        raise BadInput(
-            where,
-            f"two time stamps are only {float(intervals.min()):.3g} s apart",
-            "check the unit of time, or cut repeated rows out",
-        )
+        what = f"two time stamps are only {float(intervals.min()):.3g} s apart"
+        raise BadInput(where, what, "check the unit of time, or cut repeated rows out")
     median = float(np.median(intervals))
     borders = first + 1 + np.flatnonzero(intervals > processing.gap * median)
     found = list(pairwise([first, *borders.tolist(), last]))

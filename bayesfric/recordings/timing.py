@@ -51,6 +51,12 @@ def longest_delay(o: Observation, period: float) -> float:
     return float(o.settings.get("trim_samples", 0)) * period
 
 
+def filtered_rate(o: Observation) -> Array:
+    """Rate ``(M,)`` of the torque of a recording that was :func:`retimed`, N m/s or N/s."""
+    assert o.inputs.torque_rate is not None
+    return o.filter.apply(o.inputs.torque_rate.values)
+
+
 def retimed(
     o: Observation, segments: Segments, period: float, delay: float, back_emf: Array | None = None
 ) -> Observation:

@@ -57,11 +57,8 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
     (s; infinite for no division), at samples where the joint is fast.
     """
     if recording.back_emf is not None and observation.inputs.torque_rate is not None:
-        raise BadInput(
-            "mechanism.delay",
-            "a simulation does not know it of a torque that was computed from a voltage",
-            "give torque or current, or leave output-error out",
-        )
+        what = "a simulation does not know it of a torque that was computed from a voltage"
+        raise BadInput("mechanism.delay", what, "give torque or current, or leave output-error out")
     parts = without_excluded(recording.segments, recording.excluded)
     return Trajectory(
         name=recording.name,

@@ -63,12 +63,8 @@ _KINDS: dict[Kind, _Told] = {
     "torque": _Told("N m", "a torque like 'N m' or '9.84e-5 N m'", _ENERGY),
     "force": _Told("N", "a force like 'N'", _FORCE),
     "current": _Told("A", "a current like 'A' or 'mA'", (("ampere", 1),)),
-    "voltage": _Told(
-        "V", "a voltage like 'V' or 'V/885'", (("ampere", -1), *_ENERGY[:2], ("second", -3))
-    ),
-    "resistance": _Told(
-        "ohm", "a resistance like '3.4 ohm'", (("ampere", -2), *_ENERGY[:2], ("second", -3))
-    ),
+    "voltage": _Told("V", "a voltage like 'V' or 'V/885'", (("ampere", -1), *_POWER)),
+    "resistance": _Told("ohm", "a resistance like '3.4 ohm'", (("ampere", -2), *_POWER)),
     "frequency": _Told("Hz", "a frequency like '100 Hz'", (("second", -1),)),
     "mass": _Told("kg", "a mass like '2 kg'", (("kilogram", 1),)),
     "torque_constant": _Told(
@@ -141,7 +137,7 @@ def known(text: str) -> str:
 def quantity(text: str, *kinds: Kind) -> float:
     """Read a scalar with its unit, of one of some kinds, in SI and Hz, or raise `Unfit`."""
     known(text)
-    return _product([text], kinds)
+    return product([text], kinds)
 
 
 def is_of(text: str, kind: Kind) -> bool:
@@ -153,11 +149,6 @@ def is_of(text: str, kind: Kind) -> bool:
     return True
 
 
-def quantity_of(texts: Sequence[str], kind: Kind) -> float:
-    """Read a product of scalars with their units, in SI, or raise `Unfit`."""
-    return _product(texts, [kind])
-
-
 def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     """Return the positive SI value of one count of a channel, or of a constant.
 
@@ -165,7 +156,7 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     another kind is bad input at ``where``.
     """
     try:
-        factor = _product(units, [kind])
+        factor = product(units, [kind])
     except Unfit as error:
         mend = f"{'give' if len(units) == 1 else 'their product has to be'} {error.wanted}"
         with suppress(ValueError):
@@ -173,16 +164,13 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
                 mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
         raise BadInput(where, str(error), mend) from error
     if not factor > 0:
-        raise BadInput(
-            where,
-            f"{_listed(units)} is {factor:g}, not positive",
-            "give a positive value; use sign = -1",
-        )
+        what = f"{_listed(units)} is {factor:g}, not positive"
+        raise BadInput(where, what, "give a positive value; use sign = -1")
     return factor
 
 
-def _product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
-    """Return the SI factor of a product of units that is of one of some kinds."""
+def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
+    """Read a product of scalars with their units, of one of some kinds, in SI, or raise `Unfit`."""
     expected = " or ".join(_KINDS[kind].example for kind in kinds)
     factor = 1.0
     powers: dict[str, float] = {}

@@ -16,6 +16,7 @@ from bayesfric.mechanism.presets import PRESETS
 from tests.axis import AXIS, VALUES
 
 RATE, FINE = 500.0, 20
+LATE = replace(AXIS, offset=True, delay=True)
 
 
 def bench(late, seed, duration=10.0):
@@ -35,10 +36,6 @@ def bench(late, seed, duration=10.0):
     )
 
 
-def found_in(joint, recording, **options):
-    return by_totals(bf.Model(joint, recording, **options))
-
-
 def by_totals(model):
     chain = replace(model.chain, delay=True)
     pairs = list(zip(model.recordings, model.observations, strict=True))
@@ -47,18 +44,17 @@ def by_totals(model):
 
 @pytest.mark.parametrize("late", [0.3, 2.0, -1.0])
 def test_it_is_found_within_a_tenth(late):
-    assert found_in(AXIS, bench(late, 4)) * RATE == pytest.approx(late, rel=0.1)
+    assert by_totals(bf.Model(AXIS, bench(late, 4))) * RATE == pytest.approx(late, rel=0.1)
 
 
 def test_nothing_need_be_trimmed_for_it():
-    late = found_in(AXIS, bench(2.0, 4), processing={"trim": 0.0})
+    late = by_totals(bf.Model(AXIS, bench(2.0, 4), processing={"trim": 0.0}))
     assert late * RATE == pytest.approx(2.0, rel=0.1)
 
 
 @pytest.mark.parametrize("late", [0.3, 2.0])
 def test_every_estimate_finds_it_and_what_it_would_have_moved(late):
-    joint = bf.Joint(AXIS.elements, AXIS.load, offset=True, delay=True)
-    model = bf.Model(joint, bench(late, 5))
+    model = bf.Model(LATE, bench(late, 5))
     for method in ("least-squares", "input-error"):
         rows = model.estimate(method)
         row = rows.loc["drive.delay"]
@@ -113,15 +109,13 @@ def test_a_delay_more_leaves_no_more_of_a_measured_torque(real_data):
 
 
 def test_the_output_error_finds_it():
-    joint = bf.Joint(AXIS.elements, AXIS.load, offset=True, delay=True)
-    rows = bf.Model(joint, bench(2.0, 6, duration=4.0)).estimate("output-error")
+    rows = bf.Model(LATE, bench(2.0, 6, duration=4.0)).estimate("output-error")
     row = rows.loc["drive.delay"]
     assert row["value"] == pytest.approx(2.0 / RATE, rel=0.1)
 
 
 def test_a_fixed_one_is_taken_and_no_parameter_any_more():
-    joint = bf.Joint(AXIS.elements, AXIS.load, offset=True, delay=True)
-    model = bf.Model(joint, bench(2.0, 5), priors={"drive.delay": 0.004})
+    model = bf.Model(LATE, bench(2.0, 5), priors={"drive.delay": 0.004})
     assert model.observations[0].settings["delay"] == 0.004
     assert "drive.delay" not in model.white_target().free
     row = model.estimate("input-error").loc["motor.viscous"]
@@ -129,17 +123,15 @@ def test_a_fixed_one_is_taken_and_no_parameter_any_more():
 
 
 def test_one_that_is_longer_than_the_ends_is_refused():
-    joint = bf.Joint(AXIS.elements, AXIS.load, offset=True, delay=True)
     with pytest.raises(BadInput, match="correct the time stamps, or raise trim"):
-        bf.Model(joint, bench(0.0, 5), priors={"drive.delay": 1.0})
+        bf.Model(LATE, bench(0.0, 5), priors={"drive.delay": 1.0})
 
 
 def test_a_simulated_recording_is_late_by_its_true_delay():
-    joint = bf.Joint(AXIS.elements, AXIS.load, offset=True, delay=True)
-    frame = joint.simulate(
+    frame = LATE.simulate(
         VALUES | {"drive.delay": 0.0015}, rate=1000, excitation="multisine", amplitude=3.0, seed=2
     )
     assert isinstance(frame, pd.DataFrame)
     columns = (frame[name].to_numpy() for name in ("time", "position", "torque"))
-    late = found_in(AXIS, bf.Recording.from_arrays(*columns, name="one"))
+    late = by_totals(bf.Model(AXIS, bf.Recording.from_arrays(*columns, name="one")))
     assert late == pytest.approx(0.0015, rel=0.1)

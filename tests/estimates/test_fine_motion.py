@@ -15,20 +15,24 @@ from tests.axis import AXIS, VALUES
 RATE, FINE, COUNTS = 500.0, 20, 4096
 
 
-@pytest.fixture(scope="module")
-def bench():
-    """SIMULATED finely: friction takes a third of the torque; exact speed at the samples."""
-    rng = np.random.default_rng(8)
+def simulated(seed):
+    """SIMULATED finely: friction takes a third of the torque; exact speed at the samples, too."""
+    rng = np.random.default_rng(seed)
     step = 1.0 / (RATE * FINE)
     time = np.arange(round(10.0 * RATE) * FINE) * step
-    command = multisine(time, 0.63, (0.31, 0.73, 1.37, 2.9, 5.3), seed=8)
+    command = multisine(time, 0.63, (0.31, 0.73, 1.37, 2.9, 5.3), seed=seed)
     torque = current_loop(command, step, 0.003)
     motion = simulate(AXIS, AXIS.vector(VALUES), torque, step, substeps=1)
     counts = np.round(motion.q[::FINE] * COUNTS / (2 * np.pi))
     noise = 0.003 * rng.standard_normal(counts.size)
     columns = time[::FINE], counts * 2 * np.pi / COUNTS, torque[::FINE] + noise
-    recording = bf.Recording.from_arrays(*columns, name="bench")
+    recording = bf.Recording.from_arrays(*columns, name=f"bench-{seed}")
     return bf.Model(AXIS, recording), motion.qd[::FINE]
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return simulated(8)
 
 
 def turns(speed):
@@ -109,17 +113,8 @@ def test_a_joint_without_inertia_keeps_its_motion(bench):
 def test_the_inertia_is_where_it_belongs():
     """SIMULATED, eight recordings: 2 to 3 sds too large by the encoder's motion alone."""
     z = {"encoder": [], "fine": []}
-    step = 1.0 / (RATE * FINE)
-    time = np.arange(round(10.0 * RATE) * FINE) * step
     for seed in range(20, 28):
-        rng = np.random.default_rng(seed)
-        command = multisine(time, 0.63, (0.31, 0.73, 1.37, 2.9, 5.3), seed=seed)
-        torque = current_loop(command, step, 0.003)
-        motion = simulate(AXIS, AXIS.vector(VALUES), torque, step, substeps=1)
-        counts = np.round(motion.q[::FINE] * COUNTS / (2 * np.pi))
-        noise = 0.003 * rng.standard_normal(counts.size)
-        columns = time[::FINE], counts * 2 * np.pi / COUNTS, torque[::FINE] + noise
-        model = bf.Model(AXIS, bf.Recording.from_arrays(*columns, name=f"bench-{seed}"))
+        model, _ = simulated(seed)
         for name, observations in (("encoder", model.encoder), ("fine", model.observations)):
             found = least_squares(AXIS, observations)
             z[name].append((found["motor.inertia"].value - 0.05) / found["motor.inertia"].sd)

@@ -88,20 +88,6 @@ def test_without_a_scale_the_motor_side_comes_back_and_the_leg_is_open(knee):
     assert scalings(chain)[0].middle(vector) == pytest.approx(1.0, rel=1e-9)
 
 
-def test_the_same_known_mass_everywhere_leaves_the_scale_open(knee):
-    estimate = input_error(KNEE.chain(), [knee(mass=2.0)], Knowledge(), FEW)
-    assert np.isinf(estimate["load.first_moment"].sd)
-    assert np.isfinite(estimate["motor.inertia"].sd)
-
-
-def test_the_servo_comes_back(make_observation):
-    chain = SERVO.chain()
-    o = make_observation(chain, SERVO.values, sigma=0.0, n=800)
-    estimate = input_error(chain, [o], Knowledge(), FEW)
-    for name, value in estimate.point:
-        assert value == pytest.approx(SERVO.values[name], rel=1e-6), name
-
-
 def test_the_plain_axis_is_linear_least_squares(make_observation):
     chain = AXIS.chain()
     o = make_observation(chain, AXIS.values, sigma=0.02)
@@ -114,40 +100,43 @@ def test_the_plain_axis_is_linear_least_squares(make_observation):
         assert estimate[name].sd == pytest.approx(np.sqrt(covariance[i, i]), rel=1e-5)
 
 
-def test_a_chain_without_the_form_comes_back(make_observation):
-    """Stribeck rise and a second load loss: nothing to project, but to search."""
-    chain = Joint(
-        elements=(
-            Element("motor", inertia=True, coulomb="symmetric", viscous=True, stribeck=True),
-            Element("gearbox", load_loss="one"),
-        ),
-        load=Load(first_moment=True),
-    )
-    values = {
-        "motor.inertia": 2e-3,
-        "motor.viscous": 0.02,
-        "motor.coulomb": 0.05,
-        "motor.stribeck_ratio": 0.6,
-        "motor.stribeck_velocity": 1.5,
-        "gearbox.load": 0.2,
-        "load.first_moment": 0.05,
-    }
+# Stribeck rise and a load loss: nothing to project, but to search.
+FORMLESS = Joint(
+    elements=(
+        Element("motor", inertia=True, coulomb="symmetric", viscous=True, stribeck=True),
+        Element("gearbox", load_loss="one"),
+    ),
+    load=Load(first_moment=True),
+)
+FORMLESS_VALUES = {
+    "motor.inertia": 2e-3, "motor.viscous": 0.02, "motor.coulomb": 0.05,
+    "motor.stribeck_ratio": 0.6, "motor.stribeck_velocity": 1.5, "gearbox.load": 0.2,
+    "load.first_moment": 0.05,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("chain", "values"), [(SERVO.chain(), SERVO.values), (FORMLESS, FORMLESS_VALUES)]
+)
+def test_other_chains_come_back(make_observation, chain, values):
     o = make_observation(chain, values, sigma=0.0, n=800)
     estimate = input_error(chain, [o], Knowledge(), FEW)
     for name, value in estimate.point:
         assert value == pytest.approx(values[name], rel=1e-6), name
 
 
+SLOW = Joint(elements=(replace(AXIS.chain().elements[0], stribeck="either"),), offset=True)
+SLOW_VALUES = AXIS.values | {"motor.stribeck_change": -0.3, "motor.stribeck_velocity": 0.012}
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fall_at_low_speed_of_a_slow_axis_is_found(make_observation, seed):
     """From one unit of speed a search goes to zero, where no rise or fall shows."""
-    chain = Joint(elements=(replace(AXIS.chain().elements[0], stribeck="either"),), offset=True)
-    values = AXIS.values | {"motor.stribeck_change": -0.3, "motor.stribeck_velocity": 0.012}
-    o = make_observation(chain, values, sigma=0.0, amplitude=0.03, seed=seed)
+    o = make_observation(SLOW, SLOW_VALUES, sigma=0.0, amplitude=0.03, seed=seed)
     assert np.abs(o.qd).max() < 0.3
-    estimate = input_error(chain, [o], Knowledge(), Estimation(seed=seed))
+    estimate = input_error(SLOW, [o], Knowledge(), Estimation(seed=seed))
     for name, value in estimate.point:
-        assert value == pytest.approx(values[name], rel=1e-5), name
+        assert value == pytest.approx(SLOW_VALUES[name], rel=1e-5), name
         assert estimate[name].at_bound is None
     reached, said = estimate.notes[0].split(" starts reached the minimum")
     found, searched = map(int, reached.split(" of "))
@@ -156,14 +145,12 @@ def test_a_fall_at_low_speed_of_a_slow_axis_is_found(make_observation, seed):
 
 
 def test_a_shape_that_is_fixed_or_bounded_is_not_tried_elsewhere(make_observation):
-    chain = Joint(elements=(replace(AXIS.chain().elements[0], stribeck="either"),), offset=True)
-    values = AXIS.values | {"motor.stribeck_change": -0.3, "motor.stribeck_velocity": 0.012}
-    o = make_observation(chain, values, sigma=0.0, amplitude=0.03)
+    o = make_observation(SLOW, SLOW_VALUES, sigma=0.0, amplitude=0.03)
     name = "motor.stribeck_velocity"
-    fixed = input_error(chain, [o], Knowledge(fixed={name: 0.02}), FEW)
+    fixed = input_error(SLOW, [o], Knowledge(fixed={name: 0.02}), FEW)
     assert dict(fixed.point)[name] == 0.02
     assert "shapes" not in fixed.notes[0]
-    bounded = input_error(chain, [o], Knowledge(bounds={name: (0.02, 0.03)}), FEW)
+    bounded = input_error(SLOW, [o], Knowledge(bounds={name: (0.02, 0.03)}), FEW)
     assert dict(bounded.point)[name] == pytest.approx(0.02)
 
 

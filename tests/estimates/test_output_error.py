@@ -36,6 +36,12 @@ def simulated(preset):
     return chain, values, torque, move(chain, values, torque).q
 
 
+def fitted(chain, begin, parts, knowledge=None, **options):
+    """Output error of what :func:`prepare` made, one recording or several, from a start."""
+    (trajectories, observations), known = zip(*parts, strict=True), knowledge or Knowledge()
+    return output_error(chain, trajectories, observations, known, Estimation(**options), begin)
+
+
 @pytest.mark.parametrize(
     ("preset", "known"),
     [
@@ -47,11 +53,8 @@ def simulated(preset):
 def test_exact_recovery_from_twenty_per_cent_off(preset, known):
     chain, values, torque, q = simulated(preset)
     knowledge = Knowledge(fixed={n: values[n] for n in known})
-    trajectory, observation = prepare(q, torque)
-    options = Estimation(substeps=1, segment=0.2)
-    found = output_error(
-        chain, [trajectory], [observation], knowledge, options, start(chain, values, 0.2)
-    )
+    begin = start(chain, values, 0.2)
+    found = fitted(chain, begin, [prepare(q, torque)], knowledge, substeps=1, segment=0.2)
     assert found.residual_unit == "rad"
     assert found.residual_rms < 1e-8
     for name in chain.names:
@@ -65,23 +68,17 @@ def test_exact_recovery_from_twenty_per_cent_off(preset, known):
 def test_segments_or_none_give_the_same_answer_without_noise():
     chain, values, torque, q = simulated("rabbit-knee")
     knowledge = Knowledge(fixed={"load.first_moment": values["load.first_moment"]})
-    trajectory, observation = prepare(q, torque)
+    parts, begin = [prepare(q, torque)], start(chain, values, 0.01)
     for segment in (1.0, 1e5):
-        options = Estimation(substeps=1, segment=segment)
-        found = output_error(
-            chain, [trajectory], [observation], knowledge, options, start(chain, values, 0.01)
-        )
+        found = fitted(chain, begin, parts, knowledge, substeps=1, segment=segment)
         for name in set(chain.names) - set(knowledge.fixed):
             assert found[name].value == pytest.approx(values[name], rel=1e-6), (segment, name)
 
 
 def test_what_a_scaling_leaves_open_has_no_sd():
     chain, values, torque, q = simulated("rabbit-knee")
-    trajectory, observation = prepare(q, torque)
-    options = Estimation(substeps=1, segment=0.2)
-    found = output_error(
-        chain, [trajectory], [observation], Knowledge(), options, start(chain, values, 0.1)
-    )
+    begin = start(chain, values, 0.1)
+    found = fitted(chain, begin, [prepare(q, torque)], substeps=1, segment=0.2)
     (scaling,) = scalings(chain)
     for name in scaling.names:
         assert np.isinf(found[name].sd), name
@@ -105,14 +102,7 @@ def test_a_known_mass_takes_the_scaling_away():
         prepare(q, torque),
         prepare(q2, heavy, name="loaded", added_mass=2.0, radius=0.35),
     ]
-    found = output_error(
-        chain,
-        [t for t, _ in parts],
-        [o for _, o in parts],
-        Knowledge(),
-        Estimation(substeps=1, segment=0.2),
-        start(chain, values, 0.05),
-    )
+    found = fitted(chain, start(chain, values, 0.05), parts, substeps=1, segment=0.2)
     for name in chain.names:
         assert found[name].value == pytest.approx(values[name], rel=1e-5), name
         assert found[name].determined, name
@@ -124,14 +114,11 @@ def repeat(noise_of_position, noise_of_torque, segment, repeats):
     out = []
     for seed in range(repeats):
         rng = np.random.default_rng(seed)
-        trajectory, observation = prepare(
+        noisy = prepare(
             q + noise_of_position * rng.standard_normal(q.size),
             torque + noise_of_torque * rng.standard_normal(q.size),
         )
-        options = Estimation(substeps=1, segment=segment)
-        found = output_error(
-            chain, [trajectory], [observation], Knowledge(), options, start(chain, values)
-        )
+        found = fitted(chain, start(chain, values), [noisy], substeps=1, segment=segment)
         out.append([(found[n].value, found[n].sd, found[n].sd_robust) for n in chain.names])
     return np.array(out), np.array([values[n] for n in chain.names])
 
@@ -165,13 +152,9 @@ def test_outliers_count_less_under_huber():
     rng = np.random.default_rng(0)
     noisy = q + 1e-4 * rng.standard_normal(q.size)
     noisy[rng.choice(q.size, 30, replace=False)] += 0.02
-    trajectory, observation = prepare(noisy, torque)
-    off = {}
+    parts, begin, off = [prepare(noisy, torque)], start(chain, values, 0.02), {}
     for loss in ("squares", "huber"):
-        options = Estimation(loss=loss, substeps=1, segment=0.5)
-        found = output_error(
-            chain, [trajectory], [observation], Knowledge(), options, start(chain, values, 0.02)
-        )
+        found = fitted(chain, begin, parts, loss=loss, substeps=1, segment=0.5)
         off[loss] = max(abs(found[n].value / values[n] - 1.0) for n in chain.names)
     assert off["huber"] < 0.2 * off["squares"]
 
@@ -179,12 +162,9 @@ def test_outliers_count_less_under_huber():
 def test_a_told_value_settles_what_the_scaling_leaves_open():
     chain, values, torque, q = simulated("rabbit-knee")
     rng = np.random.default_rng(1)
-    trajectory, observation = prepare(q + 1e-5 * rng.standard_normal(q.size), torque)
+    parts = [prepare(q + 1e-5 * rng.standard_normal(q.size), torque)]
     told = Knowledge(told={"load.first_moment": (0.42, 0.021)})
-    options = Estimation(substeps=1, segment=0.2)
-    found = output_error(
-        chain, [trajectory], [observation], told, options, start(chain, values, 0.02)
-    )
+    found = fitted(chain, start(chain, values, 0.02), parts, told, substeps=1, segment=0.2)
     assert found["load.first_moment"].value == pytest.approx(0.42, rel=1e-4)
     # nothing but the told value knows the scale
     assert found["load.first_moment"].sd == pytest.approx(0.021, rel=0.01)
@@ -192,10 +172,7 @@ def test_a_told_value_settles_what_the_scaling_leaves_open():
 
 def test_what_it_did_is_in_the_notes():
     chain, values, torque, q = simulated("motor-axis")
-    trajectory, observation = prepare(np.round(q, 4), torque)
-    found = output_error(
-        chain, [trajectory], [observation], Knowledge(), Estimation(), start(chain, values)
-    )
+    found = fitted(chain, start(chain, values), [prepare(np.round(q, 4), torque)])
     assert re.search(r"in 10 segments of 0\.[12]\d* s", found.notes[0])
     assert "resolution 1.0e-04 rad" in found.notes[1]
 
@@ -208,21 +185,17 @@ def test_another_minimum_than_the_torques_is_said(times):
     (trajectory, _), (_, observation) = (
         prepare(x, torque) for x in (move(chain, heavy, torque).q, q)
     )
-    options = Estimation(substeps=1, segment=0.2)
-    begin = start(chain, values)
-    found = output_error(chain, [trajectory], [observation], Knowledge(), options, begin)
+    parts = [(trajectory, observation)]
+    found = fitted(chain, start(chain, values), parts, substeps=1, segment=0.2)
     assert ("ANOTHER MINIMUM" in found.notes[0]) == (times > 1.0)
 
 
 def test_a_joint_without_inertia_is_refused():
     chain = Joint(elements=(Element("motor", coulomb="symmetric", viscous=True),), load=Load())
     _, _, torque, q = simulated("motor-axis")
-    trajectory, observation = prepare(q, torque)
-    begin = Estimate(
-        "input-error", (), 0.0, 1, "", point=(("motor.coulomb", 0.2), ("motor.viscous", 0.05))
-    )
+    begin = start(chain, {"motor.coulomb": 0.2, "motor.viscous": 0.05})
     with pytest.raises(BadInput, match="no inertia"):
-        output_error(chain, [trajectory], [observation], Knowledge(), Estimation(), begin)
+        fitted(chain, begin, [prepare(q, torque)])
 
 
 def test_a_joint_that_runs_away_is_refused():
@@ -230,23 +203,19 @@ def test_a_joint_that_runs_away_is_refused():
     trajectory, observation = prepare(q, torque)
     mad = dataclasses.replace(trajectory, torque=np.full_like(torque, 1e12))
     with pytest.raises(BadInput, match="cannot be simulated"):
-        output_error(chain, [mad], [observation], Knowledge(), Estimation(), start(chain, values))
+        fitted(chain, start(chain, values), [(mad, observation)])
 
 
 def test_at_its_time_limit_it_gives_the_best_so_far_marked():
     chain, values, torque, q = simulated("motor-axis")
-    trajectory, observation = prepare(q, torque)
-    begin = start(chain, values, 0.2)
+    parts, begin = [prepare(q, torque)], start(chain, values, 0.2)
     for seconds in (1e-9, 0.02):
-        options = Estimation(max_seconds=seconds)
         began = time.process_time()
-        found = output_error(chain, [trajectory], [observation], Knowledge(), options, begin)
+        found = fitted(chain, begin, parts, max_seconds=seconds)
         assert time.process_time() - began < 5.0
         assert not found.converged
         assert "NOT CONVERGED" in found.notes[0]
         assert "estimation.max_seconds" in found.notes[0]
         assert not any(value.determined for value in found.values)
         assert set(dict(found.point)) == set(chain.names)
-    assert output_error(
-        chain, [trajectory], [observation], Knowledge(), Estimation(), begin
-    ).converged
+    assert fitted(chain, begin, parts).converged

@@ -136,15 +136,6 @@ def gradient_of(projection, theta2):
     return 2.0 * projection.jacobian(theta2).T @ projection.residual(theta2)
 
 
-def test_theta1_is_that_of_linear_least_squares(make_observation):
-    chain, (o,), form, projection = knee(make_observation)
-    theta2 = form.thetas(chain.vector(KNEE.values))[1]
-    psi = columns(chain, o, form.names1)
-    target = o.measured - o.filter.apply(np.sign(o.qd) * np.abs(theta2 @ psi))
-    expected = np.linalg.lstsq(o.filter.apply(psi).T, target, rcond=None)[0]
-    np.testing.assert_allclose(projection.theta1(theta2), expected, rtol=1e-9)
-
-
 def test_gradient_is_that_of_finite_differences(make_observation):
     chain, _, form, projection = knee(make_observation, masses=(0.0, 2.0))
     theta2 = 1.2 * form.thetas(chain.vector(KNEE.values))[1]

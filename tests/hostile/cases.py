@@ -53,20 +53,12 @@ class Case:
         return path
 
 
-def _edited_config(rng):
-    return random_configs.edited(rng)
-
-
-def _damaged_config(rng):
-    return random_configs.damaged(rng)
-
-
 def case(seed, index):
     """Case ``index`` of ``seed``; one in four is a configuration, the rest are recordings."""
     rng = np.random.default_rng([seed, index])
     if index % 4 == 0:
-        make = _edited_config if rng.random() < 0.7 else _damaged_config
-        return Case(make.__name__[1:], make(rng), "run.csv", good.content("csv"))
+        make = random_configs.edited if rng.random() < 0.7 else random_configs.damaged
+        return Case(f"{make.__name__} config", make(rng), "run.csv", good.content("csv"))
     if index % 4 == 1:
         form = list(random_files.ODD)[index // 4 % len(random_files.ODD)]
         recording, kind = random_files.ODD[form](rng), f"odd {form}"

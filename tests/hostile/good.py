@@ -17,24 +17,9 @@ from tests.recordings import logs
 
 N = 250
 FORMATS = (
-    "csv",
-    "tsv",
-    "json",
-    "rows.json",
-    "npz",
-    "deflated.npz",
-    "mat",
-    "deflated.mat",
-    "parquet",
-    "lists.parquet",
-    "jsonl",
-    "h5",
-    "7.3.mat",
-    "mcap",
-    "packed.mcap",
-    "bag",
-    "db3",
-)
+    "csv", "tsv", "json", "rows.json", "npz", "deflated.npz", "mat", "deflated.mat", "parquet",
+    "lists.parquet", "jsonl", "h5", "7.3.mat", "mcap", "packed.mcap", "bag", "db3",
+)  # fmt: skip
 # how the columns of the configurations are called where that is not t, q and tau
 NAMES = {
     form: {"t": "header.stamp", "q": "position[knee]", "tau": "effort[knee]"}

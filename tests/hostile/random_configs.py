@@ -20,27 +20,10 @@ ODD_VALUES = (
     "100000000000", '"1"', '"-"', '"1 N m"', '"rad"', '"s"', '"N m/A"',
 )  # fmt: skip
 ODD_KEYS = (
-    "x",
-    '""',
-    "preset",
-    "recordings",
-    "file",
-    "columns",
-    "__class__",
-    "model_config",
-    '"a.b"',
-    "given",
-    '"\\u001b"',
-    "a.b.c.d",
-    "1",
-    "-",
-    "lowpas",
-    "sampling.seed",
-    "é",
-    '"é"',
-    "priors",
+    "x", '""', "preset", "recordings", "file", "columns", "__class__", "model_config", '"a.b"',
+    "given", '"\\u001b"', "a.b.c.d", "1", "-", "lowpas", "sampling.seed", "é", '"é"', "priors",
     "distribution",
-)
+)  # fmt: skip
 
 
 @cache

@@ -25,23 +25,21 @@ ODD_VALUES = (
     np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200, 1e16, -1e16, 1e-320, 1e-200, 0.0, -0.0, 1e15,
 )  # fmt: skip
 ODD_NAMES = (
-    "",
-    "q",
-    "Q",
-    "t ",
-    "tau\n",
-    "a.b",
-    "q.",
-    "/q",
-    "../q",
-    "\ufeffq",
-    "q\0",
-    "é",
-    "t" * 400,
-)
+    "", "q", "Q", "t ", "tau\n", "a.b", "q.", "/q", "../q", "\ufeffq", "q\0", "é", "t" * 400,
+)  # fmt: skip
 ODD_JSON = (
     None, True, "x", "", "1", [], [1], {}, {"a": 1}, 10**400, -(10**30), float("nan"),
     float("inf"), 1e308, "\ud800", "\0", [[[]]],
+)  # fmt: skip
+# of .npy headers, which numpy reads as Python
+ODD_TYPES = (
+    "'<f8'", "'|O'", "'<U9999999'", "'|V0'", "'<f16'", "[('a','<f8')]", "'<f8,<i4'", "'x'",
+    "'<M8[ns]'", "'<f8'*9", "b'<f8'", "None", "[[['a']]]", "'<c16'", "'>f8'",
+)  # fmt: skip
+ODD_SHAPES = (
+    "(250,)", "(250,)", "()", "(0,)", "(-1,)", "(250, 1)", "(1e3,)", "(10**9,)",
+    "(99999999999999,)", "(9223372036854775807,)", "(2**70,)", "(1000000000000000000000,)",
+    "(250,)*9", "'a'", "(True,)", "250", "(((((250,),),),),)", "(3000000000,)",
 )  # fmt: skip
 
 
@@ -85,9 +83,8 @@ def odd_columns(rng):
             case 6:
                 values = np.sort(values)
             case 7 if values.dtype.kind == "f":
-                kind = _pick(
-                    rng, ["?", "i1", "u8", ">f4", "f2", "c16", "S5", "U3", "M8[ns]", "m8[s]"]
-                )
+                kinds = ["?", "i1", "u8", ">f4", "f2", "c16", "S5", "U3", "M8[ns]", "m8[s]"]
+                kind = _pick(rng, kinds)
                 with np.errstate(all="ignore"):
                     values = np.nan_to_num(values).astype("i8").astype(kind)
             case 8:
@@ -103,9 +100,8 @@ def odd_columns(rng):
                 values = np.empty(0)
             case _:
                 if values.dtype.kind == "f" and values.size:
-                    values = values + rng.standard_normal(values.shape) * 10.0 ** rng.uniform(
-                        -18, 2
-                    )
+                    noise = rng.standard_normal(values.shape)
+                    values = values + noise * 10.0 ** rng.uniform(-18, 2)
         data[name] = values
     return data
 
@@ -188,49 +184,7 @@ def odd_npz(rng):
         np.savez(out, **{k if k != "file" else "f": v for k, v in columns.items()})
         return out.getvalue()
     body = np.arange(good.N, dtype="<f8").tobytes()
-    descr = _pick(
-        rng,
-        [
-            "'<f8'",
-            "'|O'",
-            "'<U9999999'",
-            "'|V0'",
-            "'<f16'",
-            "[('a','<f8')]",
-            "'<f8,<i4'",
-            "'x'",
-            "'<M8[ns]'",
-            "'<f8'*9",
-            "b'<f8'",
-            "None",
-            "[[['a']]]",
-            "'<c16'",
-            "'>f8'",
-        ],
-    )
-    shape = _pick(
-        rng,
-        [
-            "(250,)",
-            "(250,)",
-            "()",
-            "(0,)",
-            "(-1,)",
-            "(250, 1)",
-            "(1e3,)",
-            "(10**9,)",
-            "(99999999999999,)",
-            "(9223372036854775807,)",
-            "(2**70,)",
-            "(1000000000000000000000,)",
-            "(250,)*9",
-            "'a'",
-            "(True,)",
-            "250",
-            "(((((250,),),),),)",
-            "(3000000000,)",
-        ],
-    )
+    descr, shape = _pick(rng, ODD_TYPES), _pick(rng, ODD_SHAPES)
     order = _pick(rng, ["False", "False", "True", "None", "'x'"])
     header = f"{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}"
     match int(rng.integers(8)):
@@ -245,19 +199,10 @@ def odd_npz(rng):
         member = member[: int(rng.integers(len(member)))]
     method = _pick(rng, [0, 8, 8, 12, 14])
     with zipfile.ZipFile(out, "w", method) as archive:
-        names = [
-            "t.npy",
-            "q.npy",
-            "tau.npy",
-            _pick(rng, ["../x.npy", "/etc/x.npy", "q", "a/", "x\n.npy"]),
-        ]
-        for name in names:
-            data = (
-                member
-                if rng.random() < 0.5
-                else _npy("{'descr': '<f8', 'fortran_order': False, 'shape': (250,), }\n", body)
-            )
-            archive.writestr(name, data)
+        odd = _pick(rng, ["../x.npy", "/etc/x.npy", "q", "a/", "x\n.npy"])
+        plain = _npy("{'descr': '<f8', 'fortran_order': False, 'shape': (250,), }\n", body)
+        for name in ("t.npy", "q.npy", "tau.npy", odd):
+            archive.writestr(name, member if rng.random() < 0.5 else plain)
     data = bytearray(out.getvalue())
     if rng.random() < 0.3:
         # the flags, method and sizes that local and central directory repeat
@@ -289,15 +234,9 @@ def odd_mat(rng):
             columns["s"] = deep
         case 4:
             columns["q"] = "text"
-    columns = {
-        k: np.ascontiguousarray(v)
-        if not isinstance(v, dict | str) and not hasattr(v, "tocsc")
-        else v
-        for k, v in columns.items()
-    }
-    savemat(
-        out, columns, do_compression=bool(rng.random() < 0.3), oned_as=_pick(rng, ["row", "column"])
-    )
+    arrays = {k: np.ascontiguousarray(v) for k, v in columns.items() if isinstance(v, np.ndarray)}
+    packed, way = bool(rng.random() < 0.3), _pick(rng, ["row", "column"])
+    savemat(out, columns | arrays, do_compression=packed, oned_as=way)
     data = out.getvalue()
     return mutated(data, rng) if rng.random() < 0.5 else data
 
@@ -353,10 +292,4 @@ def odd_parquet(rng):
     return out.getvalue()
 
 
-ODD = {
-    "csv": odd_csv,
-    "json": odd_json,
-    "npz": odd_npz,
-    "mat": odd_mat,
-    "parquet": odd_parquet,
-}
+ODD = {"csv": odd_csv, "json": odd_json, "npz": odd_npz, "mat": odd_mat, "parquet": odd_parquet}

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from unittest import mock
 
 from bayesfric import cli
+from tests.commands.bench import has
 
 # Of the processor; what waits for something takes none, and may take this much longer.
 SECONDS = 10
@@ -117,3 +118,12 @@ def broken_rule(config, *names, seconds=SECONDS, told=None):
     ]
     wrong = [problem for problem in problems if problem]
     return f"{'; '.join(map(str, wrong))}: {outcome.err[:600]}" if wrong else None
+
+
+def refuses(config, *parts, seconds=SECONDS):
+    """The command refuses in one line, which holds some words."""
+    told = []
+    assert broken_rule(config, seconds=seconds, told=told) is None
+    (outcome,) = told
+    assert outcome.code == 2, outcome
+    has(outcome.err, *parts)

@@ -15,7 +15,7 @@ from scipy.io import savemat
 from bayesfric.recordings.units import quantity
 from tests.commands.bench import cases, has
 from tests.hostile import good
-from tests.hostile.rule import SECONDS, at_most, broken_rule, check
+from tests.hostile.rule import SECONDS, at_most, broken_rule, check, refuses
 
 
 def refused(tmp_path, recording, form, *, extra="", parts=(), edit=("", "")):
@@ -24,11 +24,7 @@ def refused(tmp_path, recording, form, *, extra="", parts=(), edit=("", "")):
     text = good.config(f"run.{form}", extra)
     assert edit[0] in text
     path.write_text(text.replace(*edit, 1) if edit[0] else text)
-    told = []
-    assert broken_rule(path, told=told) is None
-    (outcome,) = told
-    assert outcome.code == 2, outcome
-    has(outcome.err, *parts)
+    refuses(path, *parts)
 
 
 def rows(n=60):
@@ -36,6 +32,7 @@ def rows(n=60):
 
 
 ROWS = "\n".join(rows()[1:]) + "\n"
+TIME = 'time = { column = "t", unit = "s" }'
 
 # -- text
 
@@ -88,12 +85,8 @@ def test_numbers_that_leave_floating_point(tmp_path, column, change, parts):
     name = list(data)[column]
     with np.errstate(all="ignore"):
         data[name] = change(data[name])
-    text = "\n".join(
-        [
-            "t,q,tau",
-            *(",".join(map(repr, map(float, row))) for row in zip(*data.values(), strict=True)),
-        ]
-    )
+    cells = zip(*(map(repr, values.tolist()) for values in data.values()), strict=True)
+    text = "\n".join(map(",".join, [tuple(data), *cells]))
     refused(tmp_path, text.encode(), "csv", parts=parts)
 
 
@@ -154,7 +147,7 @@ ARCHIVE = npz(t=npy(), q=npy(), tau=npy())
         (
             "sum",
             npz(q=npy("{'descr': '<f8'*9, 'fortran_order': 0, 'shape': ()}")),
-            ["run.npz", "'q'", "header"],
+            ["'q'", "header"],
         ),
         # a zip file behind a .npy header: numpy.load gives an array, which is no context
         ("array-then-zip", npy() + ARCHIVE, ["run.npz"]),
@@ -318,17 +311,11 @@ def test_json_half_of_a_character_pair(tmp_path):
 @pytest.mark.parametrize(
     "text",
     [
-        "9**9 **9 s",
-        "9^9 ^9 s",
-        "9²²²²²²²²² s",
-        "9**9² ² s",
-        "((((((((9**9)**9)**9)**9)**9)**9)**9)**9)s",
-        "s/((((((9**9)**9)**9)**9)**9)**9)**9",
-        "(" * 39 + ")" * 39,
-        "1" * 80,
+        "9**9 **9 s", "9^9 ^9 s", "9²²²²²²²²² s", "9**9² ² s", "(" * 39 + ")" * 39, "1" * 80,
+        "((((((((9**9)**9)**9)**9)**9)**9)**9)**9)s", "s/((((((9**9)**9)**9)**9)**9)**9)**9",
         "s" + "**2" * 25,
     ],
-)
+)  # fmt: skip
 def test_unit_that_would_be_computed_for_ever(text):
     with at_most(SECONDS), pytest.raises(ValueError, match="time"):
         quantity(text, "time")
@@ -337,14 +324,10 @@ def test_unit_that_would_be_computed_for_ever(text):
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("1e-3 s", 1e-3),
-        ("2 s", 2.0),
-        ("10**3 ms", 1.0),
-        ("1/50 s", 0.02),
-        ("3**2 s", 9.0),
+        ("1e-3 s", 1e-3), ("2 s", 2.0), ("10**3 ms", 1.0), ("1/50 s", 0.02), ("3**2 s", 9.0),
         ("5s", 5.0),
     ],
-)
+)  # fmt: skip
 def test_numbers_in_units_are_still_read(text, value):
     assert quantity(text, "time") == pytest.approx(value, rel=1e-15)
 
@@ -356,11 +339,7 @@ def test_numbers_in_units_are_still_read(text, value):
     ("edit", "parts"),
     cases(
         # tomllib would take hours
-        (
-            "long-key",
-            "[processing]\n" + "a." * 300_000 + "b = 1",
-            ["line 11", "more than 50 parts"],
-        ),
+        ("long-key", f"[processing]\n{'a.' * 300_000}b = 1", ["line 11", "more than 50 parts"]),
         ("long-key-spaced", "[processing]\n" + "a . " * 30_000 + "b = 1", ["more than 50 parts"]),
         ("long-table", "[" + "a." * 300_000 + "b]", ["more than 50 parts"]),
         ("long-word", f"[processing]\n{'a' * 400_000} = 1", ["c.toml", "unknown key"]),
@@ -374,11 +353,7 @@ def test_numbers_in_units_are_still_read(text, value):
         ("resample", '[processing]\nresample = "1e-300 s"', ["run.csv", "period"]),
         ("resample-denormal", '[processing]\nresample = "1e-320 s"', ["run.csv", "period"]),
         ("resample-fine", '[processing]\nresample = "1 ns"', ["run.csv", "more than 10000000"]),
-        (
-            "gap",
-            "[processing]\ngap = 1e308\nmin_samples = 10000000000000000000000",
-            ["min_samples"],
-        ),
+        ("gap", f"[processing]\ngap = 1e308\nmin_samples = 1{'0' * 22}", ["min_samples"]),
     ),
 )
 def test_processing(tmp_path, edit, parts):
@@ -393,13 +368,8 @@ def test_processing(tmp_path, edit, parts):
         ("unit-tiny", '"rad"', '"1e-320 rad"', ["'q'"]),
         ("unit-huge", '"rad"', '"1e300 rad"', ["'q'", "check its unit"]),
         ("unit-time", 'unit = "s"', 'unit = "1e-300 s"', ["run.csv", "unit of time"]),
-        (
-            "rate",
-            'time = { column = "t", unit = "s" }',
-            "rate = 1e300",
-            ["run.csv", "unit of time"],
-        ),
-        ("rate-slow", 'time = { column = "t", unit = "s" }', 'rate = "1e-300 Hz"', ["run.csv"]),
+        ("rate", TIME, "rate = 1e300", ["run.csv", "unit of time"]),
+        ("rate-slow", TIME, 'rate = "1e-300 Hz"', ["run.csv"]),
         ("column", 'column = "q"', 'column = "' + "q" * 300_000 + '"', ["does not exist"]),
         ("column-400", 'column = "q"', f"column = 1{'0' * 400}", ["does not exist"]),
         ("times", 'unit = "rad"', 'unit = "1e200 rad", times = "q", times_unit = "1e200"', ["'q'"]),

@@ -16,7 +16,7 @@ from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.tables import read_table
 from tests.commands.bench import CONFIG, has
 from tests.hostile import good
-from tests.hostile.rule import SECONDS, at_most, broken_rule, check
+from tests.hostile.rule import SECONDS, at_most, check, refuses
 
 FORMATS = ("csv", "json", "jsonl", "npz", "mat", "parquet", "hdf5", "mcap", "bag")
 _READERS = {"mcap": "ros", "bag": "ros"}
@@ -36,12 +36,7 @@ def folder(tmp_path):
 def refused(folder, file, *, extra="", parts=(), seconds=SECONDS):
     path = folder / "c.toml"
     path.write_text(good.config(file, extra))
-    told = []
-    assert broken_rule(path, seconds=seconds, told=told) is None
-    (outcome,) = told
-    assert outcome.code == 2, outcome
-    has(outcome.err, *parts)
-    return outcome.err
+    refuses(path, *parts, seconds=seconds)
 
 
 # -- pipes, devices, folders, links
@@ -150,6 +145,14 @@ def test_file_names_that_are_not_text(folder):
     outcome = check(os.fsdecode(name))
     assert outcome.code == 2
     has(outcome.err, "c\\udcff.toml", "not UTF-8")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+@pytest.mark.parametrize("form", [f for f in good.FORMATS if f not in ("csv", "tsv", "jsonl")])
+def test_file_that_is_cut_off(folder, form, share):
+    path, data = folder / f"run.{form}", good.content(form)
+    path.write_bytes(data[: int(share * len(data))])
+    refused(folder, path.name, parts=[path.name])
 
 
 # -- larger than they look

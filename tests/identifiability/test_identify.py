@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -264,23 +265,12 @@ def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
 def test_a_flat_improper_scale_is_infinite_not_large(lagged):
     """Where neither data nor prior confine a direction there is no sd at all."""
     target, parameters = problem(recorded(LAGGED))
-    wide = replace_sds(target)
+    flat = SimpleNamespace(sd=lambda: np.inf)
+    wide = SimpleNamespace(free=target.free, priors=(flat,) * len(target.priors))
     covariance = expected_covariance(wide, local_information(target, parameters))
     named = np.array([label in SCALED for label in lagged.local.labels])
     assert np.isinf(np.diag(covariance)[named]).all()
     assert np.isfinite(np.diag(covariance)[~named]).all()
-
-
-def replace_sds(target):
-    class Flat:
-        def sd(self):
-            return np.inf
-
-    class Wide:
-        free = target.free
-        priors = (Flat(),) * len(target.priors)
-
-    return Wide()
 
 
 def test_noise_of_the_estimate_is_its_residual():

@@ -66,6 +66,19 @@ def read(folder, used=None, *, ratio=1.0, motion="rotary", processing=None, **mo
     )
 
 
+def measured(recording, *, ratio=1.0, motion="rotary", number=1, **processing):
+    """Read the one recording of a file or table; a load that slides has a motor that slides."""
+    (found,) = read_recordings(
+        recording,
+        ratio=ratio,
+        motion=motion,
+        motor_motion=motion,
+        processing=Processing(**processing),
+        number=number,
+    )
+    return found
+
+
 def refused(folder, used=None, **more):
     with pytest.raises(BadInput) as caught:
         read(folder, used, **more)

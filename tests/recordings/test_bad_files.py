@@ -87,50 +87,35 @@ def test_at_most_twenty_names_are_listed(tmp_path):
     assert "'c20'" not in message
 
 
-def test_column_number_out_of_range(tmp_path):
-    write(tmp_path, "\n".join(lines()))
-    has(refused(tmp_path, numbered(velocity={"column": 9, "unit": "rad/s"})), "column 9", "1 to 3")
+PLAIN = "\n".join(lines())
+COMMAS = "\n".join(line.replace(",", ";").replace(".", ",") for line in lines())
+PROSE = "This is a letter,\nnot a recording.\nYours, nobody\n\nP.S. none"
+VELOCITY = {"column": 9, "unit": "rad/s"}
 
 
-def test_column_name_without_header(tmp_path):
-    write(tmp_path, "\n".join(lines(header=None)))
-    has(refused(tmp_path), "'q'", "no names", "1 to 3")
-
-
-def test_doubled_names(tmp_path):
-    write(tmp_path, "\n".join(lines(header="t,q,q")))
-    has(refused(tmp_path), "run.csv", "line 1", "2 and 3", "'q'")
+@pytest.mark.parametrize(
+    ("text", "used", "parts"),
+    [
+        (PLAIN, numbered(velocity=VELOCITY), ["column 9", "1 to 3"]),
+        ("\n".join(lines(header=None)), source(), ["'q'", "no names", "1 to 3"]),
+        ("\n".join(lines(header="t,q,q")), source(), ["line 1", "2 and 3", "'q'"]),
+        ("t,q,tau\n", source(), ["no row of numbers"]),
+        ("t,q,tau\n", source(header=True), ["no row of numbers"]),
+        (PROSE, source(), ["no cell is a number"]),
+        (PLAIN, source(skip_rows=500), ["500"]),
+        (COMMAS, source(), ["line ", "decimal"]),
+        (PLAIN.replace("\n", '\n"', 9), source(), []),  # an open quote
+    ],
+)
+def test_text_that_is_no_such_table(tmp_path, text, used, parts):
+    write(tmp_path, text)
+    has(refused(tmp_path, used), "run.csv", *parts)
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "\ufeff", "  "])
 def test_empty_file(tmp_path, text):
     write(tmp_path, text)
     has(refused(tmp_path), "run.csv", "empty")
-
-
-@pytest.mark.parametrize("header", [None, True])
-def test_only_a_header(tmp_path, header):
-    write(tmp_path, "t,q,tau\n")
-    has(refused(tmp_path, source(header=header)), "run.csv", "no row of numbers")
-
-
-def test_prose_is_no_table(tmp_path):
-    write(tmp_path, "This is a letter,\nnot a recording.\nYours, nobody\n\nP.S. none")
-    has(refused(tmp_path), "run.csv", "no cell is a number")
-
-
-def test_skipping_everything(tmp_path):
-    write(tmp_path, "\n".join(lines()))
-    has(refused(tmp_path, source(skip_rows=500)), "run.csv", "500")
-
-
-def test_missing_file(tmp_path):
-    has(refused(tmp_path), "run.csv", "does not exist")
-
-
-def test_directory(tmp_path):
-    (tmp_path / "run.csv").mkdir()
-    has(refused(tmp_path), "run.csv", "directory")
 
 
 def test_no_permission(tmp_path, monkeypatch):
@@ -154,33 +139,19 @@ def test_unknown_suffix(tmp_path):
     has(refused(tmp_path, source("run.xyz")), "run.xyz", "'.xyz'", "format")
 
 
-def test_latin_1_names_the_byte(tmp_path):
-    write(tmp_path, "\n".join(lines(header="t,q°,tau")), encoding="latin-1")
-    has(refused(tmp_path), "run.csv", "byte 3", "UTF-8")
-
-
-def test_utf_16_without_mark(tmp_path):
-    write(tmp_path, "\n".join(lines()), encoding="utf-16-le")
-    has(refused(tmp_path), "run.csv", "NUL", "UTF-8")
-
-
-def test_cut_utf_16(tmp_path):
-    path = write(tmp_path, "\n".join(lines()), encoding="utf-16")
-    path.write_bytes(path.read_bytes()[:-1])
-    has(refused(tmp_path), "run.csv", "UTF-16")
-
-
-def test_decimal_comma_is_told(tmp_path):
-    text = [line.replace(",", ";").replace(".", ",") for line in lines()]
-    write(tmp_path, "\n".join(text))
-    has(refused(tmp_path), "run.csv", "line ", "decimal")
-
-
-def test_open_quote(tmp_path):
-    text = lines()
-    text[9] = '"' + text[9]
-    write(tmp_path, "\n".join(text))
-    has(refused(tmp_path), "run.csv")
+@pytest.mark.parametrize(
+    ("encoding", "lost", "parts"),
+    [
+        ("latin-1", 0, ["byte 3", "UTF-8"]),
+        ("utf-16-le", 0, ["NUL", "UTF-8"]),  # without a mark
+        ("utf-16", 1, ["UTF-16"]),
+    ],
+)
+def test_another_encoding(tmp_path, encoding, lost, parts):
+    header = "t,q°,tau" if encoding == "latin-1" else "t,q,tau"
+    path = write(tmp_path, "\n".join(lines(header=header)), encoding=encoding)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size - lost])
+    has(refused(tmp_path), "run.csv", *parts)
 
 
 # -- the hand-edited files of a real data set

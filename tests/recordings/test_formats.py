@@ -24,10 +24,6 @@ def same(recording):
     np.testing.assert_allclose(recording.torque, tau, rtol=1e-14)
 
 
-def comma_free(line):
-    return line.replace(",", ";").replace(".", ",")
-
-
 DIALECTS = {
     "plain": lines(),
     "tab": [line.replace(",", "\t") for line in lines()],
@@ -58,15 +54,13 @@ def test_encodings(tmp_path, encoding):
     same(read(tmp_path, source(position=Position(column="winkel°", unit="rad")))[0])
 
 
-@pytest.mark.parametrize("delimiter", [None, ";"])
-def test_decimal_comma(tmp_path, delimiter):
-    write(tmp_path, "\n".join(comma_free(line) for line in lines()))
+@pytest.mark.parametrize(
+    ("mark", "delimiter"), [(";", None), (";", ";"), ("\t", None)], ids=["found", "given", "tabs"]
+)
+def test_decimal_comma(tmp_path, mark, delimiter):
+    text = [line.replace(",", mark).replace(".", ",") for line in lines()]
+    write(tmp_path, "\n".join(text))
     same(read(tmp_path, source(decimal=",", delimiter=delimiter))[0])
-
-
-def test_decimal_comma_with_tabs(tmp_path):
-    write(tmp_path, "\n".join(comma_free(line).replace(";", "\t") for line in lines()))
-    same(read(tmp_path, source(decimal=","))[0])
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".dat", ".CSV"])

@@ -5,16 +5,10 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
-from bayesfric.recordings import Processing, read_recordings
 
-from .samples import swing
+from .samples import measured, swing
 
 MOTOR = {"torque_constant": "0.3 N m/A", "resistance": "2 ohm"}
-
-
-def read(recording, ratio=1.0):
-    (found,) = read_recordings(recording, ratio=ratio, motion="rotary", processing=Processing())
-    return found
 
 
 def recording(target, **more):
@@ -32,7 +26,7 @@ def test_gains_make_the_torque():
     target, q = aims()
     speed = np.gradient(q, 0.01)
     given = {"kp": "8 N m/rad", "kd": "0.5 N m s/rad", "limit": "1.1 N m", "velocity": speed}
-    found = read(recording(target, **given))
+    found = measured(recording(target, **given))
     wanted = np.clip(8.0 * (target - q) - 0.5 * speed, -1.1, 1.1)
     assert np.abs(wanted).max() == 1.1
     assert found.torque == pytest.approx(wanted, abs=1e-12)
@@ -42,8 +36,8 @@ def test_gains_make_the_torque():
 
 def test_degrees_and_radians_are_the_same_gain():
     target, _ = aims()
-    plain = read(recording(target, kp="8 N m/rad"))
-    other = read(recording(np.rad2deg(target), kp=f"{8.0 * np.pi / 180:.17g} N m/deg",
+    plain = measured(recording(target, kp="8 N m/rad"))
+    other = measured(recording(np.rad2deg(target), kp=f"{8.0 * np.pi / 180:.17g} N m/deg",
                            units={"target": "deg"}))  # fmt: skip
     assert other.torque == pytest.approx(plain.torque, rel=1e-12)
 
@@ -63,9 +57,9 @@ def test_a_voltage_from_targets_is_that_voltage(supply):
     import pandas as pd
 
     frame = pd.DataFrame(table)
-    by_target = read(bf.Recording.from_dataframe(frame, target=aimed, **channels))
-    by_voltage = read(bf.Recording.from_dataframe(frame, voltage="u", **MOTOR, **channels))
-    both = read(bf.Recording.from_dataframe(frame, voltage={"column": "u", **MOTOR},
+    by_target = measured(bf.Recording.from_dataframe(frame, target=aimed, **channels))
+    by_voltage = measured(bf.Recording.from_dataframe(frame, voltage="u", **MOTOR, **channels))
+    both = measured(bf.Recording.from_dataframe(frame, voltage={"column": "u", **MOTOR},
                                             target=aimed, **channels))  # fmt: skip
     assert by_target.torque == pytest.approx(by_voltage.torque, abs=1e-12)
     assert by_target.back_emf == pytest.approx(by_voltage.back_emf, abs=1e-12)
@@ -81,13 +75,13 @@ def test_a_target_of_the_motor_counts_its_turns():
     t, q, _ = swing()
     target, _ = aims()
     given = {"target": 50.0 * target, "kp": "0.1 N m/rad", "side": "motor", "units": {}}
-    found = read(bf.Recording.from_arrays(t, 50.0 * q, None, **given), ratio=50.0)
+    found = measured(bf.Recording.from_arrays(t, 50.0 * q, None, **given), ratio=50.0)
     assert found.torque == pytest.approx(0.1 * 50.0 * (target - q), rel=1e-9, abs=1e-12)
 
 
 def test_current_and_its_constant():
     target, q = aims()
-    found = read(recording(target, kp="8 A/rad", torque_constant="0.3 N m/A"))
+    found = measured(recording(target, kp="8 A/rad", torque_constant="0.3 N m/A"))
     assert found.torque == pytest.approx(0.3 * 8.0 * (target - q), abs=1e-12)
     assert found.drive == "current"
 
@@ -95,7 +89,7 @@ def test_current_and_its_constant():
 def test_samples_without_a_drive_are_known():
     t, _, _ = swing()
     target, _ = aims()
-    found = read(recording(target, kp="8 N m/rad", valid=t < 1.0))
+    found = measured(recording(target, kp="8 N m/rad", valid=t < 1.0))
     assert np.array_equal(found.law.off, t >= 1.0)
 
 
@@ -113,7 +107,7 @@ def test_samples_without_a_drive_are_known():
 )
 def test_what_makes_no_torque_is_refused(changes, said):
     with pytest.raises(BadInput) as refused:
-        read(recording(aims()[0], **changes))
+        measured(recording(aims()[0], **changes))
     assert said in str(refused.value)
 
 
@@ -135,7 +129,5 @@ def test_a_signal_in_place_of_a_torque_is_refused(motion, unit, said):
     given = {"units": {"torque": unit, "position": "m" if motion == "linear" else "rad"}}
     recording = bf.Recording.from_arrays(t, q, np.sin(t), **given)
     with pytest.raises(BadInput) as caught:
-        read_recordings(
-            recording, ratio=1, motion=motion, motor_motion=motion, processing=Processing()
-        )
+        measured(recording, motion=motion)
     assert said in str(caught.value)

@@ -8,9 +8,9 @@ import bayesfric as bf
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings import Processing, read_recordings
 from bayesfric.recordings.inputs import Inputs, Signal
 from tests.axis import swing
+from tests.recordings.samples import measured
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()
@@ -65,8 +65,7 @@ def pushed(load_torque, ratio=50.0, **columns):
         table_of(**columns), time="t", position="q", torque="tau", side="joint",
         load_torque=load_torque,
     )  # fmt: skip
-    (found,) = read_recordings(recording, ratio=ratio, motion="rotary", processing=Processing())
-    return found
+    return measured(recording, ratio=ratio)
 
 
 A, B = np.linspace(-1.0, 2.0, 400), np.sin(np.arange(400))
@@ -112,8 +111,5 @@ def test_several_are_saved_with_a_run(tmp_path):
         load_torque=[{"column": "a"}, {"column": 5, "side": "motor"}],
     )  # fmt: skip
     again = recording.saved(tmp_path / "one.csv")
-    one, two = (
-        read_recordings(r, ratio=1.0, motion="rotary", processing=Processing())[0]
-        for r in (recording, again)
-    )
+    one, two = map(measured, (recording, again))
     np.testing.assert_array_equal(one.inputs.load_torque.values, two.inputs.load_torque.values)

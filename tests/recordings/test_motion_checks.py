@@ -78,19 +78,10 @@ def test_one_column_as_two_signals_is_refused(tmp_path):
     has(message, "velocity", "torque")
 
 
-@pytest.mark.parametrize(("factor", "says"), [(180 / np.pi, "deg/s"), (-1.0, "sign"), (1.2, "1.2")])
-def test_a_velocity_in_another_unit_is_said(factor, says):
-    """In deg/s read as rad/s the inertia came out as 36 for 2,083, without a word."""
-    q, v = np.sin(3 * T), 3 * np.cos(3 * T)
-    torque = -9 * np.sin(3 * T) + v
-    wrong = observe(made_recording(T, q, torque, 0.005, velocity=factor * v), Processing())
-    assert [w for w in wrong.warnings if w.startswith("velocity") and says in w]
-    right = observe(made_recording(T, q, torque, 0.005, velocity=v), Processing())
-    assert not [w for w in right.warnings if w.startswith("velocity")]
-
-
-def test_a_noisy_velocity_is_no_wrong_one():
-    v = 3 * np.cos(3 * T) + np.random.default_rng(1).normal(0, 0.3, T.size)
+@pytest.mark.parametrize("sd", [0.0, 0.3])
+def test_a_velocity_that_is_right_or_noisy_is_no_wrong_one(sd):
+    """Of wrong ones :mod:`tests.recordings.test_notices` tells."""
+    v = 3 * np.cos(3 * T) + np.random.default_rng(1).normal(0, sd, T.size)
     seen = observe(made_recording(T, np.sin(3 * T), v, 0.005, velocity=v), Processing())
     assert not [w for w in seen.warnings if "differentiated position" in w]
 

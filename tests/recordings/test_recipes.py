@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings import Processing, Recording, Source, read_recordings
+from bayesfric.recordings import Recording, Source
 from tests.conftest import REPOSITORY
+from tests.recordings.samples import measured
 
 TURN = 2 * np.pi
 
@@ -81,9 +82,7 @@ def test_every_recipe_is_tried():
 def test_a_recipe_gives_back_what_was_simulated(tmp_path, simulated, file):
     LOGS[file](tmp_path / file, simulated)
     source = Source.model_validate(recipes()[file])
-    (found,) = read_recordings(
-        Recording(source, tmp_path), ratio=1.0, motion="rotary", processing=Processing()
-    )
+    found = measured(Recording(source, tmp_path))
     # stamps of a controller that is up for a while lose digits
     np.testing.assert_allclose(found.time, simulated.time, atol=1e-9)
     for name in ("position", "velocity", "torque"):

@@ -5,24 +5,12 @@ import pandas as pd
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import Channel, Processing, Recording, Source, Torque, read_recordings
+from bayesfric.recordings import Channel, Recording, Source, Torque
 
-from .samples import has, lines, source, swing, write
+from .samples import has, lines, measured, source, swing, write
 
 T, Q, TAU = swing()
 ARRAYS = ("time", "position", "torque", "excluded")
-
-
-def measured(recording, *, ratio=1.0, motion="rotary", number=1, **processing):
-    (found,) = read_recordings(
-        recording,
-        ratio=ratio,
-        motion=motion,
-        motor_motion=motion,
-        processing=Processing(**processing),
-        number=number,
-    )
-    return found
 
 
 def same(one, other):

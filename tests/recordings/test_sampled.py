@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings import Position, Processing, Torque, read_recordings
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings import Position, Recording, Torque
 
-from .samples import source, write
+from .samples import measured, source, write
 
 PERIOD, W = 0.01, 2 * np.pi * 2.0  # rad/s
 T = np.round(np.arange(400) * PERIOD, 9)
@@ -22,13 +21,7 @@ def read(folder, sampled, torque, **more):
     rows = zip(T.tolist(), np.sin(W * T).tolist(), torque.tolist(), strict=True)
     write(folder, "\n".join(["t,q,tau", *(f"{a!r},{b!r},{c!r}" for a, b, c in rows)]))
     channel = Torque(column="tau", unit="N m", **({"sampled": sampled} if sampled else {}), **more)
-    (found,) = read_recordings(
-        Recording(source(torque=channel), folder),
-        ratio=1.0,
-        motion="rotary",
-        processing=Processing(),
-    )
-    return found
+    return measured(Recording(source(torque=channel), folder))
 
 
 @pytest.mark.parametrize("sampled", SHIFTS)

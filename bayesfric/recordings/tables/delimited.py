@@ -7,19 +7,18 @@ their line; lines above the table and a row of units are skipped and told.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table, check_names, column_cells, is_number, row_name
 
 # What tells the layout.
@@ -49,7 +48,7 @@ class _Layout(NamedTuple):
 
 def read_delimited(path: Path, options: TableOptions) -> Table:
     """Read UTF-8, or UTF-16 with a byte order mark; pandas takes the numbers out."""
-    text = enumerate(_decode(path).split("\n"), start=1)
+    text = enumerate(_lines(path), start=1)
     numbered = [(n, line) for n, line in text if n > options.skip_rows and line.strip()]
     if not numbered:
         after = f" after {options.skip_rows:.10g} skipped lines" if options.skip_rows else ""
@@ -77,33 +76,20 @@ def read_delimited(path: Path, options: TableOptions) -> Table:
     )
 
 
-def _decode(path: Path) -> str:
-    data = path.read_bytes()
-    utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        text = data.decode("utf-16" if utf16 else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        name = "UTF-16" if utf16 else "UTF-8"
-        raise BadInput(
-            f"{path}, byte {error.start}", f"is not {name} text", "save it as UTF-8"
-        ) from error
+def _lines(path: Path) -> list[str]:
+    text = read_text(path)
     if "\0" in text:
         raise BadInput(
             f"{path}, character {text.index(chr(0))}",
             "is a NUL, so this is no text file",
             "give its format, or save it as UTF-8",
         )
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def _head(lines: Sequence[tuple[int, str]]) -> list[tuple[int, str]]:
-    head, size = list[tuple[int, str]](), 0
-    for number, line in lines[:_HEAD_LINES]:
-        head.append((number, line))
-        size += len(line)
-        if size > _HEAD_CHARACTERS:
-            break
-    return head
+def _head(lines: Sequence[tuple[int, str]]) -> Sequence[tuple[int, str]]:
+    sizes = accumulate(len(line) for _, line in lines[:_HEAD_LINES])
+    return lines[: 1 + sum(size <= _HEAD_CHARACTERS for size in sizes)][:_HEAD_LINES]
 
 
 def _split(line: str, delimiter: str) -> list[str]:
@@ -141,11 +127,8 @@ def _find_layout(
     else:
         width = _width([row.numbers for row in rows])
         if width == 0 and len(rows) > 2:
-            raise BadInput(
-                f"{path}, line {rows[-1].line}",
-                f"no cell is a number ('{rows[-1].cells[0][:40]}')",
-                _NO_TABLE,
-            )
+            what = f"no cell is a number ('{rows[-1].cells[0][:40]}')"
+            raise BadInput(f"{path}, line {rows[-1].line}", what, _NO_TABLE)
         header, first, notes = _find_header(path, rows, width) if width else (0, len(rows), [])
     if first >= len(rows):
         raise BadInput(

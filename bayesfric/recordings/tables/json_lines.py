@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from bayesfric.recordings.tables.json_rows import decode, from_rows, inside, parse
-from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.json_rows import from_rows, inside, parse
+from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table
 
 
@@ -14,7 +14,7 @@ def read_json_lines(path: Path, options: TableOptions) -> Table:
 
     ``options.table`` is the path of keys to the object with the columns, the same in each line.
     """
-    text = enumerate(decode(path).split("\n"), start=1)
+    text = enumerate(read_text(path).split("\n"), start=1)
     lines = {number: line for number, line in text if line.strip()}
     places = {number: f"{path}, line {number}" for number in lines}
     rows = [inside(places[n], parse(places[n], line), options.table) for n, line in lines.items()]

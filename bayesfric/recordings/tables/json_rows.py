@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings.tables.reader import Reader, TableOptions
+from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table, row_name
 
 
@@ -21,24 +21,18 @@ def read_json(path: Path, options: TableOptions) -> Table:
     Either lies at the path of keys that ``options.table`` gives, or is the file's own, or the
     only list of objects in it. True and false become 1 and 0.
     """
-    data = inside(str(path), parse(str(path), decode(path)), options.table)
+    data = inside(str(path), parse(str(path), read_text(path)), options.table)
     if options.table is None and isinstance(data, dict):
         rows = [key for key, value in data.items() if _is_rows(value)]
         if len(rows) > 1:
-            raise BadInput(
-                str(path),
-                f"holds several tables ({', '.join(repr(key) for key in rows[:20])})",
-                "name one with table",
-            )
+            what = f"holds several tables ({', '.join(repr(key) for key in rows[:20])})"
+            raise BadInput(str(path), what, "name one with table")
         data = data[rows[0]] if rows else data
     if isinstance(data, list):
         return from_rows(path, data)
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
-        raise BadInput(
-            str(path),
-            "is neither a list of objects nor an object of lists",
-            "give the dotted path to it with table",
-        )
+        what = "is neither a list of objects nor an object of lists"
+        raise BadInput(str(path), what, "give the dotted path to it with table")
     values = list(data.values())
 
     def load(index: int) -> NDArray[Any]:
@@ -46,16 +40,6 @@ def read_json(path: Path, options: TableOptions) -> Table:
         return _objects(value) if isinstance(value, list) else np.asarray(None)
 
     return Table(str(path), list(data), load)
-
-
-def decode(path: Path) -> str:
-    """Return a file's text, which must be UTF-8."""
-    try:
-        return path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(
-            f"{path}, byte {error.start}", "is not UTF-8 text", "save it as UTF-8"
-        ) from error
 
 
 def parse(where: str, text: str) -> Any:

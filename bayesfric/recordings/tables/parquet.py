@@ -30,11 +30,8 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
         is_any = (pa.types.is_nested, pa.types.is_temporal, pa.types.is_binary)
         plain = kind.value_type if lists else kind
         if any(is_kind(plain) for is_kind in is_any):
-            raise BadInput(
-                f"{path}, column '{names[index]}'",
-                f"holds {str(kind)[:60]}, not numbers",
-                "export it as numbers",
-            )
+            what = f"holds {str(kind)[:60]}, not numbers"
+            raise BadInput(f"{path}, column '{names[index]}'", what, "export it as numbers")
         with pq.ParquetFile(path) as file:
             # by name: a name with a dot also selects a field inside a table
             column = file.read(columns=[names[index]]).column(names[index])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import pkgutil
 import stat
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -113,11 +114,8 @@ def read_table(path: Path, options: TableOptions) -> Table:
         if reader is None or not _is_folder_of(reader, path):
             _check_file(path)
         if reader is None:
-            raise BadInput(
-                str(path),
-                f"the suffix '{path.suffix}' says nothing about its format",
-                f"set format to {', '.join(known)}",
-            )
+            what = f"the suffix '{path.suffix}' says nothing about its format"
+            raise BadInput(str(path), what, f"set format to {', '.join(known)}")
         with _damage_named(path, reader.name):
             table = reader.read(path, options)
 
@@ -130,6 +128,17 @@ def read_table(path: Path, options: TableOptions) -> Table:
         raise _unreadable(path, error) from error
 
 
+def read_text(path: Path) -> str:
+    """Return a file's text, which must be UTF-8, or UTF-16 with a byte order mark."""
+    data = path.read_bytes()
+    kind = "UTF-16" if data.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "UTF-8"
+    try:
+        return data.decode("utf-16" if kind == "UTF-16" else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        where = f"{path}, byte {error.start}"
+        raise BadInput(where, f"is not {kind} text", "save it as UTF-8") from error
+
+
 @contextmanager
 def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
     """Name the file whatever a library raises: of damaged files they raise dozens of types."""
@@ -140,11 +149,8 @@ def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
     except Exception as error:
         text = str(error).replace(f"{path}/", "")
         text = text if " object at 0x" not in text else "damaged header"
-        raise BadInput(
-            where or str(path),
-            f"is not a readable {kind} file ({type(error).__name__}: {text})",
-            "export it again; it may be cut off",
-        ) from error
+        what = f"is not a readable {kind} file ({type(error).__name__}: {text})"
+        raise BadInput(where or str(path), what, "export it again; it may be cut off") from error
 
 
 def is_recording(path: Path) -> bool:

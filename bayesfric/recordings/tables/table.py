@@ -116,11 +116,8 @@ class Table:
         if self.kept is None or cells.ndim != 1:
             return cells
         if len(cells) != self.rows:
-            raise BadInput(
-                self.label(key),
-                f"has {len(cells)} values, the column in where has {self.rows}",
-                "give columns of one length",
-            )
+            what = f"has {len(cells)} values, the column in where has {self.rows}"
+            raise BadInput(self.label(key), what, "give columns of one length")
         return cells[self.kept]
 
     def _signal(self, cells: NDArray[Any], index: int, key: str | int) -> NDArray[Any]:
@@ -261,11 +258,8 @@ def check_names(where: str, names: Sequence[str], names_at: str) -> None:
     seen: dict[str, int] = {}
     for number, name in enumerate(names, start=1):
         if name and name in seen:
-            raise BadInput(
-                f"{where}, {names_at}",
-                f"columns {seen[name]} and {number} are both named '{name}'",
-                "rename one of them",
-            )
+            what = f"columns {seen[name]} and {number} are both named '{name}'"
+            raise BadInput(f"{where}, {names_at}", what, "rename one of them")
         seen[name] = number
 
 
