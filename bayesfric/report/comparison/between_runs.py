@@ -20,6 +20,7 @@ from bayesfric.report.summary.record import Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import csv_text
 
+_NONE = Interval(0.0, 0.0, 0.0)
 # Fewer runs whose data determine a quantity are no population.
 _LEAST = 2
 
@@ -144,7 +145,7 @@ def _likelihood(
 
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
-    """Lay pooled values, of which there are some, out as CSV text, every number in full."""
+    """Lay pooled values out as CSV text, every number in full."""
     lines = [
         {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "doubted": one.doubted}
         | {"level": one.told.level}
@@ -154,7 +155,9 @@ def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
         | {"q": one.pool.q, "p_value": one.pool.p_value, "agree": one.pool.agree}
         for one in found
     ]
-    return csv_text(lines, [*lines[0]])
+    between, following = (list(_ends(key, _NONE)) for key in ("between_sd", "next"))
+    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high", *between]
+    return csv_text(lines, [*columns, *following, "q", "p_value", "agree"])
 
 
 def each_run_csv(found: Sequence[PooledQuantity]) -> str:
@@ -166,7 +169,9 @@ def each_run_csv(found: Sequence[PooledQuantity]) -> str:
         for one in found
         for (run, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True)
     ]
-    return csv_text(lines, [*lines[0]])
+    return csv_text(
+        lines, ["name", "unit", "run", "median", "low", "high", *_ends("pooled", _NONE)]
+    )
 
 
 def _ends(key: str, interval: Interval) -> dict[str, float]:
