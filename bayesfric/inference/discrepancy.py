@@ -44,8 +44,8 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# How often a move to where nothing can be is drawn anew.
-_TRIES = 12
+# How often that is halved where it leads to where nothing can be; and a move there drawn anew.
+_HALVINGS, _TRIES = 12, 12
 # Rounds of the Gibbs sampler of a normal that bounds cut.
 _ROUNDS = 20
 # Scales of a candidate, as shares of the torque's rms.
@@ -356,12 +356,16 @@ class _Around:
         middle, covariance = v.mean(axis=0), np.atleast_2d(np.cov(v[:, :k].T))
         root = np.linalg.cholesky(covariance)
         # central differences over a sizeable step: what a kink does to a draw counts, not its slope
-        steps = np.zeros((2 * k + 1, v.shape[1]))
-        steps[:k, :k], steps[k : 2 * k, :k] = _STEP * root.T, -_STEP * root.T
-        parameters = target.from_unbounded(middle + steps)
+        steps, size = np.zeros((2 * k + 1, v.shape[1])), _STEP
+        steps[:k, :k], steps[k : 2 * k, :k] = root.T, -root.T
+        for _ in range(_HALVINGS):
+            parameters = target.from_unbounded(middle + size * steps)
+            if np.isfinite(parameters).all():
+                break
+            size *= 0.5
         predicted = likelihood.predict(target.chain_values(parameters))
         scales = target.noise.scales(parameters[-1:, k:])[0]
-        changes = [(p[:k] - p[k : 2 * k]) / (2.0 * _STEP) for p in predicted]
+        changes = [(p[:k] - p[k : 2 * k]) / (2.0 * size) for p in predicted]
         unit = np.concatenate(likelihood.innovations(changes, scales), axis=1)
         rows = np.linalg.solve(root.T, unit).T
         left = [o.measured - p[-1] for o, p in zip(likelihood.outputs, predicted, strict=True)]
