@@ -355,7 +355,7 @@ def compare(
 ) -> None:
     """Put runs side by side, or the methods and the posterior of one run."""
     from bayesfric.commands.compare import compare as run
-    from bayesfric.report.comparison.table import comparison_dict, comparison_text
+    from bayesfric.report.comparison.layout import comparison_dict, comparison_text
 
     found = run(runs, output, estimates=estimates or None)
     written = [f"Written to {output}"] if output else []

@@ -18,13 +18,13 @@ from bayesfric.problem.problem import Problem
 from bayesfric.problem.starting_point import StartingPoint
 from bayesfric.report.shown import Summary
 from bayesfric.report.summary.bounds import limits_of_losses
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart
-from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import BackEmfPart, RestsPart
-from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
+from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
 

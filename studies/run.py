@@ -15,7 +15,7 @@ from pathlib import Path
 from bayesfric.commands.fit import fit, fit_text
 from bayesfric.problem.config import read_config
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.table import comparison_text
+from bayesfric.report.comparison.layout import comparison_text
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.style import save
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.table import comparison_csv, comparison_dict, comparison_markdown
+from bayesfric.report.comparison.layout import comparison_csv, comparison_dict, comparison_markdown
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from bayesfric.commands.unfinished import asked_to_stop
 from bayesfric.errors import Interrupted
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
-from bayesfric.fleet.population import sure
+from bayesfric.fleet.fleet_population import sure
 from bayesfric.population.population import Interval
 from bayesfric.progress import Shown, silent
 from bayesfric.report.text_templates import filled

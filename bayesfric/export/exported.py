@@ -18,15 +18,15 @@ from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.error import SPAN, wrong
 from bayesfric.export.figure import ExportPicture, export_figure
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of
-from bayesfric.export.law import unwritten
 from bayesfric.export.pendulum import pendulum
+from bayesfric.export.written_law import unwritten
 from bayesfric.finished_run import Finished, finished
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL
-from bayesfric.report.summary.reported import put_reported
 from bayesfric.results.reported import ORDER
 from bayesfric.version import __version__
 

@@ -15,6 +15,8 @@ from pydantic import BaseModel, ValidationError
 from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput
 from bayesfric.fleet.crew import check_engine, work_through
+from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
+from bayesfric.fleet.fleet_units import cells_of, read_units, units_of
 from bayesfric.fleet.plan import (
     ClusterOptions,
     Plan,
@@ -23,9 +25,7 @@ from bayesfric.fleet.plan import (
     read_plan,
     read_template,
 )
-from bayesfric.fleet.population import FleetPopulation, fleet_population
 from bayesfric.fleet.results import FAILED, Record, Results, failure
-from bayesfric.fleet.units import cells_of, read_units, units_of
 from bayesfric.fleet.work import Done, Task
 from bayesfric.progress import Progress, Shown, progress_shown
 from bayesfric.report.files import parents_made, write_beside

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.fleet.figures import fleet_figures, shown
-from bayesfric.fleet.population import OUTLIER, FleetPopulation, sure
+from bayesfric.fleet.fleet_figures import fleet_figures, shown
+from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, sure
+from bayesfric.fleet.fleet_units import Unit
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
-from bayesfric.fleet.units import Unit
 from bayesfric.report.figures.style import save
-from bayesfric.report.page.figures import PageFigure, inline_svg
+from bayesfric.report.page.page_figures import PageFigure, inline_svg
 from bayesfric.report.page.rendering import render
 from bayesfric.version import __version__
 

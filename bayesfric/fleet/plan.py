@@ -12,8 +12,8 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.fleet.fleet_units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.fleet.results import COLUMNS
-from bayesfric.fleet.units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.problem.config import checked_toml, parse_config, read_toml
 from bayesfric.problem.config_text import document_text
 from bayesfric.recordings.tables.reader import Options

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.errors import BadInput
-from bayesfric.fleet.units import Unit
+from bayesfric.fleet.fleet_units import Unit
 from bayesfric.report.summary.record import Summary
 
 if TYPE_CHECKING:

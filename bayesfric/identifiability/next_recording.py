@@ -20,7 +20,10 @@ from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import directions
 from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.candidates import (
+from bayesfric.identifiability.coverage import back_driven
+from bayesfric.identifiability.identification import moved_beside, prior_rows
+from bayesfric.identifiability.local import LocalInformation, fixed_in, local_information
+from bayesfric.identifiability.proposals import (
     Candidate,
     Limits,
     candidates,
@@ -29,9 +32,6 @@ from bayesfric.identifiability.candidates import (
     longest,
     try_out,
 )
-from bayesfric.identifiability.coverage import back_driven
-from bayesfric.identifiability.identification import moved_beside, prior_rows
-from bayesfric.identifiability.local import LocalInformation, fixed_in, local_information
 from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target

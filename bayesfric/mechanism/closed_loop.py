@@ -13,8 +13,8 @@ from bayesfric.mechanism.dynamics import CarriedValues, carried_by, moved
 from bayesfric.mechanism.forward import carried_values, possible
 from bayesfric.mechanism.integrate import integrate
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.law import Law
 
 
 class _Drive(NamedTuple):

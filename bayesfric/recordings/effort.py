@@ -11,7 +11,7 @@ import numpy as np
 from bayesfric.errors import BadInput, Unfit
 from bayesfric.recordings import channels, units
 from bayesfric.recordings.channels import CONSTANT, POSITION, TORQUE, VELOCITY, Drive
-from bayesfric.recordings.law import Law
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.source import Columns, Effort, Target
 from bayesfric.recordings.tables.table import Table
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.law import Law
 
 # How a torque goes between its samples.
 Hold = Literal["zero", "linear", "cubic"]

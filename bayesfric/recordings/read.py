@@ -16,9 +16,9 @@ from bayesfric.errors import BadInput
 from bayesfric.recordings import channels, checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.effort import Told, measured_law, position_law
 from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.law import Law
 from bayesfric.recordings.measurement import LeftOut, Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.brief import Brief, brief
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.reported import put_reported
-from bayesfric.report.summary.self_check import self_check_lines
-from bayesfric.report.summary.validation import validation_lines
+from bayesfric.report.summary.self_check_part import self_check_lines
+from bayesfric.report.summary.validation_part import validation_lines
 from bayesfric.report.text_templates import filled
 
 WIDTH = 100  # columns

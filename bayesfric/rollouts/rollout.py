@@ -15,8 +15,8 @@ from bayesfric.finished_run import Finished, finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.progress import Progress, Shown, silent
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.law import Law
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.recording import Recording
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut

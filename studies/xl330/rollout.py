@@ -18,7 +18,7 @@ from held_out import GAINS
 import bayesfric as bf
 from bayesfric.problem.config import parse_config
 from bayesfric.problem.config_text import document_text
-from bayesfric.report.summary.rollout import rollout_part
+from bayesfric.report.summary.rollout_part import rollout_part
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")
 # What `bayesfric explain` asks for first on these runs.

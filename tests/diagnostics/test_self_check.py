@@ -13,7 +13,7 @@ from bayesfric.inference.likelihood.position_likelihood import PositionLikelihoo
 from bayesfric.model import Model
 from bayesfric.problem.config import Tables
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.self_check import self_check_part
+from bayesfric.report.summary.self_check_part import self_check_part
 from bayesfric.report.terminal import fit_text
 from tests.diagnostics.bench import CENTRAL, TRUTH, model, table
 

@@ -14,7 +14,7 @@ from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import Moved, torque_along
 from bayesfric.export.central import vectors
 from bayesfric.export.format import filled
-from bayesfric.export.law import law
+from bayesfric.export.written_law import law
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint

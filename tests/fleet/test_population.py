@@ -5,7 +5,7 @@ import json
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.fleet.units import places_of, units_of
+from bayesfric.fleet.fleet_units import places_of, units_of
 from tests.report.made_fleet import WORN, write_fleet
 from tests.report.made_summaries import LEG
 

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 import pytest
 
 from bayesfric.errors import BadInput
+from bayesfric.fleet.fleet_units import find_units, read_units
 from bayesfric.fleet.plan import read_plan
-from bayesfric.fleet.units import find_units, read_units
 
 from ..commands.bench import has
 from .made import TEMPLATE, write_fleet

@@ -11,16 +11,16 @@ import pytest
 
 from bayesfric.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.candidates import (
+from bayesfric.identifiability.local import local_information
+from bayesfric.identifiability.next_recording import ranking
+from bayesfric.identifiability.plausible import points_around
+from bayesfric.identifiability.proposals import (
     candidates,
     fastest,
     limits_of,
     longest,
     try_out,
 )
-from bayesfric.identifiability.local import local_information
-from bayesfric.identifiability.next_recording import ranking
-from bayesfric.identifiability.plausible import points_around
 from bayesfric.identifiability.sentences import page
 from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
 from bayesfric.inference.fitting import make_target, read_priors

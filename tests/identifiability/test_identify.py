@@ -20,9 +20,9 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.law import Law
 from bayesfric.recordings.observation import Observation
 from tests.conftest import made_recording
 

@@ -9,8 +9,8 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.law import Law
 
 PERIOD = 0.004
 N = 500

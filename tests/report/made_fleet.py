@@ -5,10 +5,10 @@ import json
 
 import numpy as np
 
+from bayesfric.fleet.fleet_population import fleet_population
+from bayesfric.fleet.fleet_units import units_of
 from bayesfric.fleet.page import draw, fleet_page
-from bayesfric.fleet.population import fleet_population
 from bayesfric.fleet.results import failure, record_of
-from bayesfric.fleet.units import units_of
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import knee, write_draws

@@ -5,7 +5,7 @@ import copy
 import h5py
 import numpy as np
 
-from bayesfric.report.summary.reported import put_reported
+from bayesfric.report.summary.conclusions import put_reported
 
 # name: unit, symbol, value, plain sd, sd for correlated residuals
 TOTALS = {

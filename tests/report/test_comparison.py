@@ -15,7 +15,7 @@ from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.table import (
+from bayesfric.report.comparison.layout import (
     comparison_csv,
     comparison_dict,
     comparison_markdown,

@@ -8,8 +8,8 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.reported import put_reported
 
 from .made_summaries import loaded, posterior_row
 

@@ -13,7 +13,7 @@ import pytest
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.figures import inline_svg
+from bayesfric.report.page.page_figures import inline_svg
 from bayesfric.report.page.rendering import html_symbol
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import (

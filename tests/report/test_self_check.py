@@ -20,7 +20,7 @@ from bayesfric.report.paper.tables import latex_texts, parameter_table, paramete
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.record import ModelError
-from bayesfric.report.summary.self_check import self_check_doubts, self_check_part
+from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.terminal import fit_text
 from tests.diagnostics.bench import model
 from tests.report.made_summaries import concluded

@@ -16,7 +16,7 @@ from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.report.figures.style import COLUMN, save
 from bayesfric.report.figures.validation import validation_figure
 from bayesfric.report.summary.record import Validation as Told
-from bayesfric.report.summary.validation import share_of, validation_lines, validation_record
+from bayesfric.report.summary.validation_part import share_of, validation_lines, validation_record
 
 from .conftest import NOISE, recording
 

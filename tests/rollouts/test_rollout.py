@@ -14,10 +14,10 @@ from bayesfric.commands.rollout import rollout_text
 from bayesfric.finished_run import finished
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.law import Law
+from bayesfric.recordings.drive_law import Law
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.rollout import rollout_figure
-from bayesfric.report.summary.rollout import rollout_part
+from bayesfric.report.summary.rollout_part import rollout_part
 from bayesfric.result import result_of
 from bayesfric.rollouts.recordings import Recorded
 from bayesfric.rollouts.rollout import _over, _rolled, moving_share, rollout

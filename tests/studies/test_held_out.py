@@ -9,7 +9,7 @@ import pytest
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.model import Model
 from bayesfric.problem.config import read_config
-from bayesfric.report.summary.validation import validation_record
+from bayesfric.report.summary.validation_part import validation_record
 from tests.conftest import DATA, REPOSITORY
 
 from .test_real_recordings import run

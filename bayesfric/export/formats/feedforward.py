@@ -9,7 +9,7 @@ import numpy as np
 from bayesfric.export.at_joint import NUMBERS, Moved, torque_along
 from bayesfric.export.carried import left_out
 from bayesfric.export.format import Content, Files, Format
-from bayesfric.export.law import Language, law
+from bayesfric.export.written_law import Language, law
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 

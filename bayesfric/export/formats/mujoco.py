@@ -10,7 +10,7 @@ from xml.parsers import expat
 from bayesfric.errors import BadInput, nearest
 from bayesfric.export.carried import AROUND
 from bayesfric.export.format import Content, Files, Format, Options
-from bayesfric.export.law import law, unwritten
+from bayesfric.export.written_law import law, unwritten
 
 # Step of the model that is written, s. With a friction constraint as stiff as two steps allow,
 # motion is that of the fitted joint to a tenth of a milliradian.

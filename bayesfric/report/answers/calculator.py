@@ -27,7 +27,7 @@ from bayesfric.mechanism.quantities import (
 )
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.answers.formula import Formula, Unwritten, formula_of, mentions
-from bayesfric.report.answers.record import Calculator, ElementRow, GroupRow, Seen, TermRow
+from bayesfric.report.answers.page_record import Calculator, ElementRow, GroupRow, Seen, TermRow
 from bayesfric.report.summary.derived_quantities import LEVEL
 
 # Ends of a 90 % band of so many draws are known to a tenth of its width.

@@ -20,7 +20,7 @@ from bayesfric.report.figures.style import (
     shortened,
 )
 from bayesfric.report.summary.record import HeldOut, Validation
-from bayesfric.report.summary.validation import covered
+from bayesfric.report.summary.validation_part import covered
 
 _LEVEL = 0.9
 _BINS = 10

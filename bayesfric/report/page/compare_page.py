@@ -8,9 +8,9 @@ from pathlib import Path
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.comparison.table import explained
+from bayesfric.report.comparison.layout import explained
 from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
-from bayesfric.report.page.figures import page_figures
+from bayesfric.report.page.page_figures import page_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.summary.record import Summary

@@ -10,13 +10,13 @@ from typing import Any
 
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
-from bayesfric.report.answers.record import Calculator, read_calculator
+from bayesfric.report.answers.page_record import Calculator, read_calculator
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.table import explained
+from bayesfric.report.comparison.layout import explained
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
-from bayesfric.report.page.figures import page_figures
+from bayesfric.report.page.page_figures import page_figures
 from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table

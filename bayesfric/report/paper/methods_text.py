@@ -26,7 +26,7 @@ from bayesfric.report.paper.equation import latex_equations, of_eq_13, plain_equ
 from bayesfric.report.paper.tables import counts, parameter_table
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.self_check import biased, seldom_held_sentence
+from bayesfric.report.summary.self_check_part import biased, seldom_held_sentence
 from bayesfric.report.text_templates import filled
 from bayesfric.version import __version__
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.table import comparison_csv, comparison_markdown, markdown_table
+from bayesfric.report.comparison.layout import comparison_csv, comparison_markdown, markdown_table
 from bayesfric.report.numbers import (
     LATEX,
     TEXT,
@@ -22,12 +22,12 @@ from bayesfric.report.numbers import (
 )
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.reported import put_reported
 from bayesfric.report.summary.rows import PosteriorRow, is_skewed
-from bayesfric.report.summary.self_check import seldom_held_sentence
+from bayesfric.report.summary.self_check_part import seldom_held_sentence
 from bayesfric.report.text_templates import csv_text, filled
 
 # Of a normal's 90 % interval, by which its ends are rounded.

@@ -25,7 +25,7 @@ from bayesfric.report.summary.part import (
     Part,
     Share,
 )
-from bayesfric.report.summary.rollout import RollOutPart
+from bayesfric.report.summary.rollout_part import RollOutPart
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,

@@ -35,7 +35,7 @@ from bayesfric.report.summary.derived_quantities import (
 )
 from bayesfric.report.summary.record import of_noise
 from bayesfric.report.summary.rows import EstimatedRow
-from bayesfric.report.summary.validation import validation_record
+from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import line_of
 from bayesfric.version import __version__
 

@@ -7,7 +7,7 @@ from typing import Any
 from bayesfric.report.summary.bounds import told_by_data
 from bayesfric.report.summary.record import Own, Summary
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.summary.self_check import cited
+from bayesfric.report.summary.self_check_part import cited
 from bayesfric.results.reported import Reported, Spread, concluded
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.fleet.units import Unit, places_of
+from bayesfric.fleet.fleet_units import Unit, places_of
 from bayesfric.population.levels import Levels, levels
 from bayesfric.population.outliers import WithOutliers, with_outliers
 from bayesfric.problem.config import chain_of

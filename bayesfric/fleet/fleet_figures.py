@@ -13,7 +13,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from bayesfric.estimates.point_estimate import HALF
-from bayesfric.fleet.population import OUTLIER, FleetPopulation, FleetQuantity
+from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.report.figures import style
 
 # Panels beside each other and in all; inches of one.
