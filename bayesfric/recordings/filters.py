@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Literal
 
@@ -236,12 +236,6 @@ class ParallelFilter:
         return csr_array((weights.ravel(), samples.ravel(), ends), (n, self.used.size))
 
 
-def _windowed(x: Array, taps: Array, starts: NDArray[np.int64]) -> Array:
-    """Weigh the windows of signals ``(..., N)`` that begin at ``starts``."""
-    windows = np.lib.stride_tricks.sliding_window_view(x, len(taps), axis=-1)
-    return np.asarray(windows[..., starts, :] @ taps)
-
-
 def decimation(band: float, fs: float) -> int:
     """Give the samples an output with which white noise of a band in Hz stays white, or nearly."""
     return max(1, round(_WHITE * fs / (2.0 * band)))
@@ -292,11 +286,13 @@ def lay_windows(
     length = len(taps)
     parts = [np.arange(a, b - length + 1, factor, dtype=np.int64) for a, b in segments]
     starts = np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
-    used, gains = usable.astype(np.float64), np.ones(len(starts))
+    used, every = usable.astype(np.float64), np.ones(usable.size)
     if len(starts) and not usable.all():
         sizes = np.abs(taps) / np.abs(taps).sum()
-        kept = _windowed(1.0 - used, sizes, starts) <= largest_share
-        starts = starts[kept]
-        # divided by nothing near zero: two thirds of the absolute weight are there
-        gains = 1.0 / _windowed(used, taps, starts)
-    return ParallelFilter(taps, starts, used, gains)
+        lost = ParallelFilter(sizes, starts, every, np.ones(len(starts))).apply(1.0 - used)
+        starts = starts[lost <= largest_share]
+    whole = ParallelFilter(taps, starts, used, np.ones(len(starts)))
+    if usable.all():
+        return whole
+    # divided by nothing near zero: two thirds of the absolute weight are there
+    return replace(whole, gains=1.0 / whole.apply(every))
