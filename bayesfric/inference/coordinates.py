@@ -35,8 +35,8 @@ class Coordinates(Protocol):
         ...
 
     @property
-    def apart(self) -> tuple[slice, BoundedCoordinates]:
-        """Coordinates of parameters that go each by itself, and how."""
+    def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
+        """Coordinates of parameters that go each by itself, which these are, and how."""
         ...
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
@@ -120,9 +120,9 @@ class BoundedCoordinates:
     bends = False
 
     @property
-    def apart(self) -> tuple[slice, BoundedCoordinates]:
+    def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
         """See :class:`Coordinates`: these are all."""
-        return slice(0, self.lower.size), self
+        return slice(0, self.lower.size), np.arange(self.lower.size), self
 
     def unbounded(self, u: Array) -> Array:
         """Give values ``(n, d)`` that a bound cuts off, instead of bending towards it.

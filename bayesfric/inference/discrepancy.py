@@ -370,12 +370,7 @@ class _Around:
         rows = np.linalg.solve(root.T, unit).T
         left = [o.measured - p[-1] for o, p in zip(likelihood.outputs, predicted, strict=True)]
         white = np.concatenate(likelihood.innovations(left, scales))
-        pull = np.zeros(k)  # of the priors, on what a bound holds
-        for i, prior in enumerate(target.priors[:k]):
-            if side := bound_of(draws[:, i], *prior.limits):
-                low, high = prior.limits
-                pull[i] = (high if side == "upper" else low) - middle[i]
-        known = np.array([prior.sd() for prior in target.priors[:k]]) ** -2.0
+        pull, known = _held(target, v)
         return cls(likelihood, scales, rows, *_without_bounds(covariance, rows, white, pull, known))
 
     def follows(self, columns: Array) -> Array:
@@ -384,6 +379,20 @@ class _Around:
         parts = [part.T for part in np.split(columns, ends)]
         white = np.concatenate(self.likelihood.innovations(parts, self.scales), axis=1).T
         return np.asarray(self.covariance @ (self.rows.T @ white))
+
+
+def _held(target: Target, v: Array) -> tuple[Array, Array]:
+    """Give the way to the bound that holds a coordinate, else zero, and its prior's information.
+
+    Of unbounded coordinates ``(n, d)``, ``(k,)`` each.
+    """
+    pull, known = np.zeros(len(target.free)), np.zeros(len(target.free))
+    here, own, _ = target.coordinates.apart
+    known[here] = [target.priors[i].sd() ** -2.0 for i in own]
+    for i, (low, high) in enumerate(zip(*target.limits(), strict=True)):
+        if side := bound_of(v[:, i], low, high):
+            pull[i] = (high if side == "upper" else low) - v[:, i].mean()
+    return pull, known
 
 
 def _without_bounds(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from bayesfric.inference.coordinates import BoundedCoordinates, Coordinates, log_normal
@@ -150,9 +151,9 @@ class GearboxCoordinates:
         return self._scale not in ("known", "one", "known drive", "known back")
 
     @property
-    def apart(self) -> tuple[slice, BoundedCoordinates]:
+    def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
         """See :class:`Coordinates`."""
-        return slice(int(self._ends[3]), int(self._ends[4])), self._bounded
+        return slice(int(self._ends[3]), int(self._ends[4])), self._others, self._bounded
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """Map to coordinates in which the torque is linear, and ``log|d straight / d u|``.

@@ -169,13 +169,13 @@ class Target(LogPosterior):
     def unbounded(self, parameters: Array) -> Array:
         """Map parameters ``(n, d)`` to straight coordinates in which bounds cut and do not bend."""
         u = self.from_parameters(parameters)
-        v, (here, bounded) = self.straighten(u)[0].copy(), self.coordinates.apart
+        v, (here, _, bounded) = self.straighten(u)[0].copy(), self.coordinates.apart
         v[:, here] = bounded.unbounded(u[:, here])
         return v
 
     def from_unbounded(self, v: Array) -> Array:
         """Undo :meth:`unbounded`; rows that are impossible are not finite."""
-        here, bounded = self.coordinates.apart
+        here, _, bounded = self.coordinates.apart
         u, out = v.copy(), np.full(v.shape, np.nan)
         u[:, here] = bounded.from_unbounded(v[:, here])
         u = self.bend(u)
@@ -192,7 +192,7 @@ class Target(LogPosterior):
     def limits(self) -> tuple[Array, Array]:
         """Bounds of the model's unbounded coordinates, ``(k,)`` each."""
         low, high = np.full(len(self.free), -np.inf), np.full(len(self.free), np.inf)
-        here, bounded = self.coordinates.apart
+        here, _, bounded = self.coordinates.apart
         low[here], high[here] = bounded.ends()
         return low, high
 

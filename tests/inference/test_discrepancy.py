@@ -13,11 +13,14 @@ from bayesfric.inference.discrepancy import (
     Discrepancy,
     Missing,
     Sizes,
+    _held,
     _without_bounds,
     chance_missing,
     cut_normal,
     discrepancy,
 )
+from bayesfric.inference.fitting import make_target, read_priors
+from bayesfric.mechanism.presets import PRESETS
 from tests.axis import AXIS, VALUES, swing
 
 QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
@@ -224,3 +227,24 @@ def test_what_no_candidate_moves_stays(right):
     straight = fit.target.unbounded(fit.posterior.flat(500))
     steps = np.abs(room.moves.mean(axis=0)) / straight[:, :-1].std(axis=0)
     assert steps.max() < 4.0 * most * np.sqrt(steps.size)
+
+
+def test_what_a_bound_holds_is_found_among_a_gearbox_s_coordinates(make_observation):
+    """Coordinates stand in another order than parameters, and only some are one of these each."""
+    preset = PRESETS["servo-pendulum"]
+    chain = preset.chain()
+    o = make_observation(chain, preset.values, n=500)
+    target = make_target(chain, [o], read_priors(chain, {}, [o]), "shared")
+    rng = np.random.default_rng(8)
+    draws = np.array([*preset.values.values(), 0.01]) * (
+        1.0 + 1e-3 * rng.standard_normal((4000, 1))
+    )
+    leans = target.names.index("motor.coulomb")
+    draws[:, leans] = rng.exponential(0.01, 4000)
+    v = target.unbounded(draws)
+    pull, known = _held(target, v)
+    (at,) = np.flatnonzero(pull)
+    np.testing.assert_allclose(v[:, at], draws[:, leans])
+    assert pull[at] == pytest.approx(-draws[:, leans].mean())
+    assert known[at] == pytest.approx(target.priors[leans].sd() ** -2.0)
+    assert not np.allclose(v[:, leans], draws[:, leans])  # where parameters have it is another
