@@ -10,7 +10,8 @@ from scipy import fft
 
 from bayesfric.recordings.arrays import Array
 
-# A run is trusted when it is this many autocorrelation times long.
+# A run is trusted when its ensembles together are this many autocorrelation times long: then they
+# tell that time (Goodman and Weare 2010, emcee's rule); that each has forgotten its start, R-hat.
 LONG_ENOUGH = 50.0
 # Share of all walkers that may be left out where they never moved: if each stood for its share
 # of the posterior, a 90 % interval of the others still held 89 %. And of an ensemble, so that
@@ -131,14 +132,16 @@ def without_stuck(draws: Array, acceptance: Array) -> Array:
     return np.stack([own[np.flatnonzero(m)[:kept]] for own, m in zip(draws, moved, strict=True)])
 
 
-def steps_needed(steps: int, rhat: Array, max_rhat: float, tau: Array) -> Array:
+def steps_needed(
+    steps: int, ensembles: int, rhat: Array, max_rhat: float, tau: Array | float = 0.0
+) -> Array:
     """Predict after how many steps each parameter would have converged, ``(d,)``.
 
     The variance between ensembles falls with the number of steps; an autocorrelation time
     that is not yet seen whole grows with it, so for what mixes slowly this is too few.
     """
     agree = steps * (rhat**2 - 1.0) / (max_rhat**2 - 1.0)
-    return np.maximum(agree, LONG_ENOUGH * tau)
+    return np.maximum(agree, LONG_ENOUGH * tau / ensembles)
 
 
 def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:

@@ -68,7 +68,7 @@ class Sampling(BaseModel):
         "64 where the likelihood is cheap",
     )
     min_ess: float = Field(
-        4000.0,
+        2000.0,  # ends of 90 % intervals to a twentieth of an sd
         gt=0,
         le=1e8,
         description="independent draws wanted of every parameter",
@@ -233,7 +233,7 @@ def _warm_up(
         rhats = nested_rhat(half)
         agree = warm.steps >= _LEAST_BLOCKS * block and rhats.max() < _WARM_RHAT
         settled = agree and warm.settled()
-        needed = convergence.steps_needed(warm.steps, rhats, _WARM_RHAT, np.zeros(rhats.size))
+        needed = convergence.steps_needed(warm.steps, len(half), rhats, _WARM_RHAT)
         seen.append((warm.steps, float(needed.max())))
         if settled or warm.steps >= most or hopeless(seen, most):
             return half, settled
@@ -276,9 +276,9 @@ def _walk(main: _Ensembles, settings: Sampling, most: int, progress: Shown) -> _
         done = (
             ess.min() >= settings.min_ess
             and rhats.max() <= settings.max_rhat
-            and main.steps >= LONG_ENOUGH * tau.max()
+            and len(moving) * main.steps >= LONG_ENOUGH * tau.max()
         )
-        needed = convergence.steps_needed(main.steps, rhats, settings.max_rhat, tau)
+        needed = convergence.steps_needed(main.steps, len(moving), rhats, settings.max_rhat, tau)
         enough = float(needed.max())
         seen.append((main.steps, enough))
         lost = not done and hopeless(seen, most)
@@ -447,9 +447,10 @@ def _problems(
             f"only {ess.min():.0f} independent draws of {names[int(ess.argmin())]} where "
             f"{settings.min_ess:.0f} were wanted: raise sampling.max_steps"
         )
-    if not short.size and main.steps < LONG_ENOUGH * tau.max():
+    long = len(draws) * main.steps / tau.max()
+    if not short.size and long < LONG_ENOUGH:
         yield (
-            f"the run is only {main.steps / tau.max():.0f} autocorrelation times long, "
+            f"the run is only {long:.0f} autocorrelation times long, "
             f"{LONG_ENOUGH:g} are needed to trust them: raise sampling.max_steps"
         )
 

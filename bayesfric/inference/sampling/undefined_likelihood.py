@@ -19,7 +19,7 @@ _TELLING = 0.8
 # Share of such places that may lie beside the posterior. The proposal is the posterior's
 # own shape, so about this share of the posterior may be missing, and the tail beyond an end
 # of a 90 % interval, 5 %, may be off by as much. Below this it drowns in what chance leaves:
-# 4000 independent draws know that tail to 0.3 %. Warm-up starts far out on purpose, and what it
+# 2000 independent draws know that tail to 0.5 %. Warm-up starts far out on purpose, and what it
 # meets there says nothing.
 TROUBLE = 0.01
 
