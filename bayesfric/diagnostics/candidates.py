@@ -54,6 +54,7 @@ class Scales:
     reach: float  # twice the typical distance from a reversal
     carried: float  # rms of the torque that a transmission carries
     torque: float  # rms of the measured
+    lost: float  # rms of what the model loses of it
     duration: float
     cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
     push: float  # width of one, s
@@ -88,6 +89,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         reach=2.0 * float(np.median(np.concatenate(reach))),
         carried=_rms(carried),
         torque=_rms(np.concatenate([o.measured for o in observations])),
+        lost=_rms(np.concatenate([_lost(chain, values, o) for o in observations])),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles=cycles,
         push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
@@ -110,6 +112,12 @@ def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False
     qdd = np.zeros_like(o.q) if still else o.qdd
     own = np.where(kept, values, 0.0)
     return inverse_torque(chain, own, o.q, o.qd, qdd, inputs=o.inputs, time=o.stamps)
+
+
+def _lost(chain: Joint, values: Array, o: Observation) -> Array:
+    """Motor torque of everything else, at the outputs."""
+    whole = inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
+    return np.asarray((whole - _carried(chain, values, o))[o.filter.centres])
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +212,7 @@ class Kind:
     choice: str | bool = True
     positive: bool = False  # whether that must be positive, in every column
     other: str = ""  # choice that may be negative, where there is one
+    loss: bool = False  # whether it is friction, so of its size
 
 
 def _late(a: Along) -> Sets:
@@ -363,13 +372,25 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.torque**3, a.torque**5],
     ),
     Kind("offset", _one(lambda a: np.ones_like(a.o.q)), option="offset"),
-    Kind("coulomb", _one(lambda a: a.direction), option="coulomb", choice="symmetric"),
-    Kind("viscous", _one(lambda a: a.o.qd), option="viscous"),
+    Kind(
+        "coulomb",
+        _one(lambda a: a.direction),
+        option="coulomb",
+        choice="symmetric",
+        loss=True,
+    ),
+    Kind(
+        "viscous",
+        _one(lambda a: a.o.qd),
+        option="viscous",
+        loss=True,
+    ),
     Kind(
         "viscous_by_direction",
         _one(lambda a: np.abs(a.o.qd)),
         option="viscous",
         choice="by-direction",
+        loss=True,
     ),
     Kind(
         "quadratic",
@@ -377,12 +398,28 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.o.qd * np.abs(a.o.qd) ** 0.5, a.o.qd**3],
         option="quadratic",
         positive=True,
+        loss=True,
     ),
-    Kind("power", _term("power"), _concave, option="power", positive=True),
-    Kind("stribeck", _stribeck, option="stribeck", positive=True, other="either"),
+    Kind(
+        "power",
+        _term("power"),
+        _concave,
+        option="power",
+        positive=True,
+        loss=True,
+    ),
+    Kind(
+        "stribeck",
+        _stribeck,
+        option="stribeck",
+        positive=True,
+        other="either",
+        loss=True,
+    ),
     Kind(
         "stribeck_by_direction",
         _one(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
+        loss=True,
     ),
     Kind(
         "load_loss",
@@ -390,29 +427,45 @@ KINDS: tuple[Kind, ...] = (
         option="load_loss",
         choice="one",
         positive=True,
+        loss=True,
     ),
-    Kind("load_loss_by_power", _loads(_two), option="load_loss", choice="two", positive=True),
+    Kind(
+        "load_loss_by_power",
+        _loads(_two),
+        option="load_loss",
+        choice="two",
+        positive=True,
+        loss=True,
+    ),
     Kind(
         "load_loss_by_direction",
         _loads(lambda _, carried: [np.abs(carried)]),
         option="load_direction",
+        loss=True,
     ),
     Kind(
         "load_square",
         _loads(lambda a, carried: [carried**2 * a.direction]),
         option="load_square",
         positive=True,
+        loss=True,
     ),
     Kind(
         "load_speed",
         _loads(lambda a, carried: [np.abs(carried) * a.o.qd]),
         option="load_speed",
         positive=True,
+        loss=True,
     ),
     Kind("inertia", _one(lambda a: a.o.qdd), option="inertia"),
     Kind("gravity", _gravity, option="gravity_angle"),
     Kind("spring", _term("spring"), option="spring"),
-    Kind("friction_by_angle", _friction_by_angle, option="periodic_friction"),
+    Kind(
+        "friction_by_angle",
+        _friction_by_angle,
+        option="periodic_friction",
+        loss=True,
+    ),
     Kind("inertia_by_angle", _inertia_by_angle),
     Kind("repeating", _repeating, option="cogging"),
     Kind(
@@ -421,7 +474,11 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.rate(column) for sets in a.elastic.values() for column in sets],
     ),
     Kind("backlash", _gap),
-    Kind("presliding", _bristles),
+    Kind(
+        "presliding",
+        _bristles,
+        loss=True,
+    ),
     Kind("drift", _one(lambda a: a.clock), lambda a: [a.clock**2, a.clock**3]),
     Kind(
         "coulomb_warming",
@@ -429,6 +486,7 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.clock * a.direction, a.clock**2 * a.direction],
         option="warming",
         choice="constant",
+        loss=True,
     ),
     Kind(
         "viscous_warming",
@@ -436,8 +494,15 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.clock * a.o.qd, a.clock**2 * a.o.qd],
         option="warming",
         choice="viscous",
+        loss=True,
     ),
-    Kind("temperature", _temperature, option="temperature", choice="both"),
+    Kind(
+        "temperature",
+        _temperature,
+        option="temperature",
+        choice="both",
+        loss=True,
+    ),
     Kind("load_torque", _load_torque),
     Kind("another_signal", _another_signal),
 )

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from bayesfric.diagnostics.candidates import KINDS, Along, Scales, late, scales_of
+from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, late, scales_of
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -283,9 +283,12 @@ class Regression:
         """
         d = self.data.whitened
         base = basis_of(d.base)
-        # what is there for a moment only is no larger for that
+        # what is there for a moment only is no larger for that; and what more is lost is of the
+        # size of what the model loses
         size = np.abs(self.data.others).max(axis=0)
-        size = np.where(size > 0.0, self.scales.torque / np.where(size > 0.0, size, 1.0), 0.0)
+        losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
+        most = np.where(losses, self.scales.lost, self.scales.torque)
+        size = np.where(size > 0.0, most / np.where(size > 0.0, size, 1.0), 0.0)
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
         seen = (rest**2).sum(axis=0) >= TESTABLE**2 * ((d.others * size) ** 2).sum(axis=0)
         wanted = [(key.kind, tuple(own)) for key, own in self._groups] + self._placed_scans
