@@ -97,7 +97,7 @@ def test_a_regression_has_its_exact_posterior(studies):
 
 @pytest.mark.slow
 def test_a_model_that_lacks_a_term_again(studies):
-    case = next(name for name in studies["lacking"].CASES if name.startswith("quadratic loss"))
+    case = next(name for name in studies["lacking"].CASES if name.startswith("load loss"))
     rows = [row for k in range(3) for row in studies["lacking"].one((case, k))["rows"]]
     held, plain = (np.mean([row[name] for row in rows]) for name in ("held", "plain"))
     assert held > max(plain, 0.8)
