@@ -13,12 +13,14 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_expit, ndtr, ndtri
+from scipy.special import erf, log_ndtr, ndtr, ndtri, ndtri_exp
 
 Array = NDArray[np.float64]
 
 # Between two bounds, a posterior wider than this share of them feels both.
 _WIDE = 0.1
+# Below this a half-normal's quantile is told to rounding by two terms of its series.
+_NEAR = -4.0
 
 
 class Coordinates(Protocol):
@@ -62,13 +64,12 @@ class Coordinates(Protocol):
 class BoundedCoordinates:
     """Each parameter by itself: bounded ones bent, free ones as they are.
 
-    A parameter above a bound is ``lower + w softplus(u)``: a straight line where
-    the posterior lies several widths ``w`` above the bound, a logarithm next to it.
-    A posterior that keeps away from the bound stays normal, one that leans on it
-    needs no wall. (A plain logarithm would give the first a long left tail, in
-    which walkers get lost.) Of a parameter between two bounds that are not far apart the
-    normal quantile of its place between them is sampled: next to a bound a posterior is flat,
-    and its quantile normal. (A logit would have a long tail there, in which walkers hang on.)
+    A parameter above a bound is ``lower + w h(u)``, ``h`` what a half-normal variable is where a
+    normal one is ``u``: a straight line where the posterior lies several widths ``w`` above the
+    bound, a normal's distribution function next to it. So a normal stays one that keeps away from
+    the bound, and becomes one that is cut by it in its middle. (A logarithm would give either a
+    long left tail, in which walkers hang on.) Of a parameter between two bounds that are not far
+    apart the normal quantile of its place between them is sampled, for the same reason.
 
     ``widths`` ``(d,)`` are about the posterior sds; plain logarithms if they are not known yet.
     """
@@ -87,14 +88,23 @@ class BoundedCoordinates:
         self._between = low & high & ((self._widths > _WIDE * span) | (not self._bend))
         self._above = low & ~self._between
         self._below = ~low & high
+        self._alone = self._above | self._below  # at one bound
         self._span = np.where(self._between, span, 1.0)
         self._low = np.where(low, self.lower, 0.0)
         self._high = np.where(high, self.upper, 0.0)
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`."""
+        x, slope = self._mapped(u)
+        # so far out that rounding puts a parameter on its bound, where a noise model may end
+        on_bound = (x <= self.lower) | (x >= self.upper)
+        return x, np.where(on_bound.any(axis=1), -np.inf, slope.sum(axis=1))
+
+    def _mapped(self, u: Array) -> tuple[Array, Array]:
+        """Give parameters ``(n, d)`` and the log slope of each."""
         if self._bend:
-            distance, log_slope = np.logaddexp(0.0, u), log_expit(u)
+            distance = half_normal(u)
+            log_slope = log_normal(u) - log_normal(distance) - math.log(2.0)
         else:
             # exp saturates far out; the density there is zero anyway
             distance, log_slope = np.exp(np.clip(u, -700.0, 700.0)), u
@@ -102,11 +112,8 @@ class BoundedCoordinates:
         x = np.where(self._above, self._low + distance, u)
         x = np.where(self._below, self._high - distance, x)
         x = np.where(self._between, self._low + self._span * ndtr(u), x)
-        slope = np.where(self._above | self._below, np.log(self._widths) + log_slope, 0.0)
-        slope = np.where(self._between, np.log(self._span) + log_normal(u), slope)
-        # so far out that rounding puts a parameter on its bound, where a noise model may end
-        on_bound = (x <= self.lower) | (x >= self.upper)
-        return x, np.where(on_bound.any(axis=1), -np.inf, slope.sum(axis=1))
+        slope = np.where(self._alone, np.log(self._widths) + log_slope, 0.0)
+        return x, np.where(self._between, np.log(self._span) + log_normal(u), slope)
 
     def from_parameters(self, parameters: Array) -> Array:
         """See :class:`Coordinates`."""
@@ -117,43 +124,49 @@ class BoundedCoordinates:
             share = (parameters - self._low) / self._span
             return np.where(self._between, ndtri(share), u)
 
-    bends = False
+    @property
+    def bends(self) -> bool:
+        """See :class:`Coordinates`: towards bounds."""
+        return bool(self._alone.any())
 
     @property
     def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
         """See :class:`Coordinates`: these are all."""
         return slice(0, self.lower.size), np.arange(self.lower.size), self
 
-    def unbounded(self, u: Array) -> Array:
-        """Give values ``(n, d)`` that a bound cuts off, instead of bending towards it.
+    def straighten(self, u: Array) -> tuple[Array, Array]:
+        """See :class:`Coordinates`: values that a bound cuts off, instead of bending towards it.
 
         Those between two bounds that are near stay quantiles.
         """
-        return np.where(self._between, u, self.to_parameters(u)[0])
-
-    def from_unbounded(self, x: Array) -> Array:
-        """Undo :meth:`unbounded`; not finite beyond a bound."""
-        return np.where(self._between, x, self.from_parameters(x))
-
-    def ends(self) -> tuple[Array, Array]:
-        """Give the bounds of unbounded values, ``(d,)`` each."""
-        between = self._between
-        return np.where(between, -np.inf, self.lower), np.where(between, np.inf, self.upper)
-
-    def straighten(self, u: Array) -> tuple[Array, Array]:
-        """See :class:`Coordinates`: these are straight."""
-        return u, np.zeros(len(u))
+        x, slope = self._mapped(u)
+        slope = np.where(self._alone, slope, 0.0).sum(axis=1)
+        on_bound = self._alone & ((x <= self.lower) | (x >= self.upper))
+        return np.where(self._alone, x, u), np.where(on_bound.any(axis=1), -np.inf, slope)
 
     def bend(self, v: Array) -> Array:
-        """See :class:`Coordinates`."""
-        return v
+        """See :class:`Coordinates`; not finite beyond a bound."""
+        return np.where(self._alone, self.from_parameters(v), v)
+
+    def ends(self) -> tuple[Array, Array]:
+        """Give the bounds of straight values, ``(d,)`` each."""
+        between = self._between
+        return np.where(between, -np.inf, self.lower), np.where(between, np.inf, self.upper)
 
     def _unbent(self, distance: Array) -> Array:
         scaled = distance / self._widths
         if not self._bend:
             return np.asarray(np.log(scaled))
-        # log(expm1(y)) without overflow
-        return np.asarray(scaled + np.log(-np.expm1(-scaled)))
+        # each where it does not cancel
+        near = ndtri(erf(scaled / math.sqrt(2.0)))
+        return np.where(scaled < 1.0, near, -ndtri_exp(math.log(2.0) + log_ndtr(-scaled)))
+
+
+def half_normal(u: Array) -> Array:
+    """Give what a half-normal variable is where a normal one is ``u``."""
+    below = ndtr(u)
+    near = math.sqrt(math.pi / 2.0) * (below + math.pi / 12.0 * below**3)
+    return np.where(u < _NEAR, near, -ndtri_exp(log_ndtr(-u) - math.log(2.0)))
 
 
 def log_normal(u: Array) -> Array:

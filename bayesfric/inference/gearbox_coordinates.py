@@ -148,7 +148,7 @@ class GearboxCoordinates:
     @property
     def bends(self) -> bool:
         """Whether :meth:`straighten` does anything."""
-        return self._scale not in ("known", "one", "known drive", "known back")
+        return self._bounded.bends or self._scale not in _STRAIGHT
 
     @property
     def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
@@ -161,22 +161,25 @@ class GearboxCoordinates:
         Shares give way to what is missing of the leg's torques when the load drives, and ``m`` to
         that of the first torque that is only behind the loss.
         """
+        v, (here, _, bounded) = u.copy(), self.apart
+        v[:, here], cut = bounded.straighten(u[:, here])
         if self._scale in _STRAIGHT:
-            return u, np.zeros(len(u))
-        v = u.copy()
+            return v, cut
         felt, places, m_at = self._parts(u)
         m, whole = ndtr(u[:, m_at]), self._whole(u)
         with np.errstate(all="ignore"):
             v[:, felt.stop : 2 * felt.stop] = u[:, felt] * ndtr(places) * m[:, None]
             v[:, m_at] = whole * m
             slope = log_normal(places).sum(axis=1) + np.log(u[:, felt] * m[:, None]).sum(axis=1)
-            return v, np.asarray(slope + np.log(whole) + log_normal(u[:, m_at]))
+            return v, np.asarray(cut + slope + np.log(whole) + log_normal(u[:, m_at]))
 
     def bend(self, v: Array) -> Array:
         """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
+        u, (here, _, bounded) = v.copy(), self.apart
+        with np.errstate(all="ignore"):
+            u[:, here] = bounded.bend(v[:, here])
         if self._scale in _STRAIGHT:
-            return v
-        u = v.copy()
+            return u
         felt, missing, m_at = self._parts(v)
         with np.errstate(all="ignore"):
             m = v[:, m_at] / self._whole(v)

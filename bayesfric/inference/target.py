@@ -167,18 +167,12 @@ class Target(LogPosterior):
         return np.concatenate([self.coordinates.bend(v[:, :k]), v[:, k:]], axis=1)
 
     def unbounded(self, parameters: Array) -> Array:
-        """Map parameters ``(n, d)`` to straight coordinates in which bounds cut and do not bend."""
-        u = self.from_parameters(parameters)
-        v, (here, _, bounded) = self.straighten(u)[0].copy(), self.coordinates.apart
-        v[:, here] = bounded.unbounded(u[:, here])
-        return v
+        """Map parameters ``(n, d)`` to straight coordinates, which bounds cut and do not bend."""
+        return self.straighten(self.from_parameters(parameters))[0]
 
     def from_unbounded(self, v: Array) -> Array:
         """Undo :meth:`unbounded`; rows that are impossible are not finite."""
-        here, _, bounded = self.coordinates.apart
-        u, out = v.copy(), np.full(v.shape, np.nan)
-        u[:, here] = bounded.from_unbounded(v[:, here])
-        u = self.bend(u)
+        u, out = self.bend(v), np.full(v.shape, np.nan)
         possible = np.isfinite(u).all(axis=1)
         parameters, slope = self.to_parameters(u[possible])
         parameters[~np.isfinite(slope)] = np.nan
