@@ -38,7 +38,7 @@ def test_sampling_that_cannot_mix_stops_early_and_says_why():
     named = told.partition("slowest are ")[2].partition(":")[0].split(", ")
     assert 1 <= len(named) <= 4
     assert set(named) <= set(names)
-    need = steps_needed(d.steps, d.rhat, PATIENT.max_rhat, d.tau)
+    need = steps_needed(d.steps, d.ensembles, d.rhat, PATIENT.max_rhat, d.tau)
     assert named[0] == names[int(need.argmax())]
     said = told.partition("would need ")[2].removeprefix("about ").partition(" ")[0]
     assert (np.inf if said == "endless" else float(said)) == pytest.approx(need.max(), rel=0.5)
