@@ -46,7 +46,8 @@ Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and
 Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
 RunOption = Annotated[Path | None, Option("-o", "--output", help="run directory to make")]
 
-FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, csv, parquet, npz, c or python"
+FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, ros2-control, csv, parquet, npz, c "
+"or python"
 DEMO = "The demo recording is simulated, from Table 3 of the paper."
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
 

@@ -134,8 +134,8 @@ def export(
     posterior
         From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
     to
-        ``mujoco``, ``urdf``, ``sdf``, ``drake``, ``pinocchio``, ``isaac``, ``bam``, ``csv``,
-        ``parquet``, ``npz``, ``c`` or ``python``.
+        ``mujoco``, ``urdf``, ``sdf``, ``drake``, ``pinocchio``, ``isaac``, ``bam``,
+        ``ros2-control``, ``csv``, ``parquet``, ``npz``, ``c`` or ``python``.
     output
         Folder to make, or main file; nothing is written if left out.
     **options

@@ -25,6 +25,7 @@ from ..mechanism.joints import EVERYTHING, everything
 from .made import found
 
 FLAGS = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-ffp-contract=off", "-O1"]
+MOVING = ("q", "qd", "qdd")
 NAMES = ("plain", "rabbit-knee", "servo-pendulum", "motor-axis")
 
 
@@ -131,7 +132,7 @@ def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, com
     motions = [Moved.of(o) for o in done.model.observations]
     vector = vectors(done, motions, 10).middle
     wanted = torque_along(done.joint, vector[None], motions)[0]
-    moving = [np.concatenate([getattr(m, x) for m in motions]) for x in ("q", "qd", "qdd")]
+    moving = [np.concatenate([getattr(m, x) for m in motions]) for x in MOVING]
     largest = np.abs(wanted).max()
     double = along(call("joint_torque", ctypes.c_double), *moving)
     np.testing.assert_allclose(double, wanted, rtol=1e-6)
@@ -156,6 +157,45 @@ def test_every_term_is_written_out(case, compiler, tmp_path):
     largest = np.abs(wanted).max()
     single = along(call("j_torque_f", ctypes.c_float), q, qd, qdd)
     np.testing.assert_allclose(single, wanted, atol=3e-6 * largest)
+
+
+MAIN = """
+#include <cstdio>
+#include "knee_feedforward.h"
+int main() {
+    double q, v, a;
+    while (std::scanf("%lf %lf %lf", &q, &v, &a) == 3)
+        std::printf("%.17g\\n", knee_torque(q, v, a, nullptr));
+}
+"""
+
+
+def test_ros2_control_has_a_file_of_parameters_and_a_law_that_cpp_compiles(tmp_path):
+    yaml = pytest.importorskip("yaml")
+    if not shutil.which("g++"):
+        pytest.skip("there is no g++")
+    done = found("rabbit-knee")
+    exported = bf.export(done, "ros2-control", joint="knee")
+    told = {one["attribute"]: one["value"] for one in exported.record["numbers"]}
+    parameters = yaml.safe_load(exported.main)
+    gains = parameters["joint_trajectory_controller"]["ros__parameters"]["gains"]["knee"]
+    own = parameters["friction_compensation"]["ros__parameters"]["knee"]["friction"]
+    assert gains == {"ff_velocity_scale": told["ff_velocity_scale"]}
+    assert own["coulomb"] == told["friction.coulomb"] > 0.0
+    assert own["viscous"] == gains["ff_velocity_scale"]
+    for name, text in exported.files.items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / "main.cpp").write_text(MAIN)
+    run = lambda *words: subprocess.run(words, cwd=tmp_path, check=True)  # noqa: E731
+    run("gcc", *FLAGS, "-c", "knee_feedforward.c")
+    run("g++", "-Wall", "-Wextra", "-Werror", "main.cpp", "knee_feedforward.o", "-lm", "-o", "law")
+    motions = [Moved.of(o) for o in done.model.observations]
+    vector = vectors(done, motions, 10).middle
+    wanted = torque_along(done.joint, vector[None], motions)[0]
+    moving = np.column_stack([np.concatenate([getattr(m, x) for m in motions]) for x in MOVING])
+    text = "\n".join(" ".join(map(repr, row)) for row in moving.tolist())
+    got = subprocess.run([tmp_path / "law"], input=text, text=True, capture_output=True, check=True)
+    np.testing.assert_allclose(np.array(got.stdout.split(), float), wanted, rtol=1e-6)
 
 
 def test_friction_is_what_losses_add():

@@ -22,7 +22,8 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     return np.asarray(torque_along(chain, np.where(kept, vector, 0.0)[None], motions)[0])
 
 
-def _c(content: Content) -> Files:
+def c_files(content: Content) -> Files:
+    """Write the whole law in C99, source and header."""
     chain, vector = content.found.joint, content.vectors.middle
     languages: tuple[Language, ...] = ("double", "float")
     given = {
@@ -51,7 +52,7 @@ FORMATS = tuple(
         torque=_torque,
     )
     for name, meaning, write in (
-        ("c", "feed-forward in C99", _c),
+        ("c", "feed-forward in C99", c_files),
         ("python", "feed-forward in Python", _python),
     )
 )
