@@ -79,7 +79,7 @@ def may_be_simulated(problem: Problem) -> bool:
 
 def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding]) -> Summary:
     """Put in what else explains the torque, and how that was asked."""
-    asked: dict[str, Any] = {"twins": found.twins, "asked": len(found.kinds)}
+    asked: dict[str, Any] = {"twins": len(found.twins), "asked": len(found.kinds)}
     asked |= {"reason": found.reason} if found.reason else {}
     # what is marginalised is in the intervals, and no doubt
     room = found.missing.kinds if found.missing and summary.widened else {}

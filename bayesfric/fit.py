@@ -92,13 +92,12 @@ def _examine(
     taken: Sequence[Finding],
     progress: Shown,
 ) -> Examination:
-    tables, median, recordings = problem.config.tables, found.posterior.median, problem.recordings
+    target, median, recordings = found.target, found.posterior.median, problem.recordings
     usable = found.posterior.diagnostics.status != "unusable"
     checked: Checked | None = None
-    if number := tables.self_check.number(sum(r.time.size for r in recordings)):
-        progress(Progress("self-check"))
-        seen = recordings, problem.observations
-        checked = self_check(found.target, found.posterior, *seen, tables.processing, number)
+    if problem.config.tables.self_check.recordings != 0:
+        seen = problem.observations
+        checked = self_check(target, found.posterior, seen, explained, recordings[0].period)
     progress(Progress("identifiability"))
     identified: Identification | None = None
     with suppress(BadInput):  # a simulation that fails there takes no result away
@@ -106,8 +105,10 @@ def _examine(
     return Examination(
         explained=explained,
         taken=taken,
-        back_emf=speed_term(found.target, median, recordings),
-        rests=[*rests_beyond(found, recordings, tables.processing)] if usable else [],
+        back_emf=speed_term(target, median, recordings),
+        rests=[*rests_beyond(found, recordings, problem.config.tables.processing)]
+        if usable
+        else [],
         self_check=checked,
         identified=identified,
     )

@@ -118,14 +118,6 @@ def made_recording(time, position, torque, period, **more):
     return Measurement(time=time, position=position, torque=torque, period=period, **(given | more))
 
 
-@pytest.fixture(scope="session", autouse=True)
-def unchecked():
-    """Let fits simulate no recordings that do not ask for them: it takes seconds each."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesfric.diagnostics.self_check._RECORDINGS", 0)
-        yield
-
-
 @contextmanager
 def _no_explanation():
     with pytest.MonkeyPatch.context() as patch:

@@ -14,7 +14,7 @@ from bayesfric.diagnostics.policy import (
     LONGEST,
     MOVES,
 )
-from bayesfric.diagnostics.regression import Regression, Step
+from bayesfric.diagnostics.regression import Regression, Step, Twin
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.estimates.descent import few_threads
 from bayesfric.inference.discrepancy import Missing
@@ -43,7 +43,7 @@ class Explanation:
     untold
         Kinds that this motion does not tell from what the model has.
     twins
-        How many simulated recordings judge.
+        Simulated recordings that judge.
     largest, limit
         Of all candidates' statistics, a standard normal's; and what 95 % of the twins stay below.
     missing
@@ -56,7 +56,7 @@ class Explanation:
     findings: tuple[Finding, ...] = ()
     kinds: tuple[str, ...] = ()
     untold: tuple[str, ...] = ()
-    twins: int = 0
+    twins: tuple[Twin, ...] = ()
     largest: float = 0.0
     limit: float = 0.0
     cpu_seconds: float = 0.0
@@ -77,7 +77,7 @@ class Explanation:
 
     def as_json(self) -> dict[str, Any]:
         """Give all of it as JSON holds it."""
-        told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": self.twins}
+        told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": len(self.twins)}
         told |= {"largest": self.largest, "limit": self.limit}
         told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason}
         return {"findings": [one.as_dict() for one in self.findings], **told}
@@ -124,7 +124,7 @@ def explain(
         tuple(finding(chain, step) for step in steps if step.sure),
         asked.kinds,
         asked.untold,
-        len(asked.twins),
+        asked.simulated,
         steps[0].largest,
         steps[0].limit,
         time.process_time() - begun,

@@ -97,6 +97,16 @@ class _Choice:
 
 
 @dataclass(frozen=True, eq=False)
+class Twin:
+    """A simulated recording whose truth is known, and whose torque has no noise."""
+
+    values: Array  # (n_parameters,) it was made with
+    base: Array  # (n, n_parameters) derivatives of its outputs there
+    left: Array  # (n,) what the model leaves of its torque
+    layout: Layout
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
     """One candidate that is taken in."""
 
@@ -149,6 +159,7 @@ class Regression:
     scales: Scales = field(init=False)
     data: Columns = field(init=False)
     twins: list[Columns] = field(init=False)
+    simulated: tuple[Twin, ...] = field(init=False)
     _placed_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
@@ -159,7 +170,9 @@ class Regression:
         self._groups = testable(self.data)
         vectors = self._near(np.random.default_rng(draws))
         self.modelled = self._modelled(probes)
-        self.twins = list(self._twins(vectors, others))
+        made = list(self._twins(vectors, others))
+        self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
+        self.twins = [twin for _, twin in made]
         if len(self.twins) < _ENOUGH * self.number:
             raise NoTwin("with parameters like these it hardly moves")
         self._clean = [twin.left for twin in self.twins]
@@ -201,11 +214,13 @@ class Regression:
         """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
         some = np.tile(self.values, (_PROBES, 1))
         self.modelled = False
-        own = [mean_square(t.rest([])) for t in self._twins(some, stream)]
+        own = [mean_square(t.rest([])) for _, t in self._twins(some, stream)]
         mine = mean_square(self.data.rest([]))
         return bool(own) and float(np.mean(own)) <= _BY_ENCODER * mine
 
-    def _twins(self, vectors: Array, stream: np.random.SeedSequence) -> Iterator[Columns]:
+    def _twins(
+        self, vectors: Array, stream: np.random.SeedSequence
+    ) -> Iterator[tuple[Array, Columns]]:
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -217,7 +232,7 @@ class Regression:
             made = [o for o in seen if o is not None]
             least = len(self.chain.names) + LEAST_OUTPUTS
             if len(made) == len(seen) and sum(o.measured.size for o in made) >= least:
-                yield self._columns(values, made)
+                yield values, self._columns(values, made)
 
     # Noise
 

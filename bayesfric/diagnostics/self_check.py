@@ -1,8 +1,7 @@
-"""What a fit makes of recordings like its own whose truth is known.
+"""What a fit makes of recordings like its own whose truth is known: the twins'.
 
-The true parameters are draws of the posterior, so that every recording that is simulated is one
-that this fit holds possible. It is asked how far estimates lie from them, nothing else: whether the
-joint is what the model takes it for, no simulation of the model can tell.
+It is asked how far estimates lie from the truth, nothing else: whether the joint is what the model
+takes it for, no simulation of the model can tell.
 """
 
 from __future__ import annotations
@@ -13,57 +12,47 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from bayesfric.diagnostics.quick_fit import QuickFit, quick_fit
-from bayesfric.diagnostics.twins import NoTwin, twins
-from bayesfric.errors import Unfit
-from bayesfric.estimates.descent import few_threads
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Twin
+from bayesfric.identifiability.local import units_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.tables.reader import Options
 
-# Recordings that are simulated where none are asked for, and samples in all: of long recordings
-# fewer are made, as the check should never take longer than the sampling.
-_RECORDINGS, _SAMPLES = 40, 1_500_000
-# With fewer, the spread of a bias is not known.
-_LEAST = 10
-# Share of the recordings that must have come to a fit.
-_ENOUGH = 0.5
+# Longest step, in units of the parameters, along which quantities are taken to be linear.
+_SMALL = 1e-3
 
-Reason = Literal["likelihood", "rest", "sampling", "still", "simulation"]
+Reason = Literal["likelihood", "rest", "sampling", "still", "simulation", "few", "long"]
 
 
 class SelfCheckOptions(Options):
-    """The ``[self_check]`` table: how the fit is tried on recordings simulated like its own."""
+    """The ``[self_check]`` table: whether the fit is tried on recordings like its own."""
 
     recordings: int | None = Field(
         None,
         ge=0,
-        examples=[40],
-        description="that are simulated at draws of the posterior, with the recording's own "
-        "torque, encoder and filters, and fitted anew; 0 for none; if left out 40, fewer of very "
-        "long recordings",
+        examples=[0],
+        description="0 for none; else the twins, recordings simulated like the fitted ones, are "
+        "fitted anew",
     )
 
-    @field_validator("recordings")
-    @classmethod
-    def _enough(cls, value: int | None) -> int | None:
-        if value is not None and 0 < value < _LEAST:
-            raise Unfit(f"0, or at least {_LEAST}", f"got {value}")
-        return value
 
-    def number(self, samples: int) -> int:
-        """Say how many to simulate of recordings with so many samples in all."""
-        if self.recordings is not None:
-            return self.recordings
-        return int(np.clip(_SAMPLES // max(samples, 1), _LEAST, _RECORDINGS))
+@dataclass(frozen=True, eq=False)
+class QuickFit:
+    """What a fit finds of a twin without noise in the torque."""
+
+    # (d,) sampled parameters a small ``share`` of the way from the truth to the estimate: how
+    # any quantity changes is asked there, since steps along what is open may be of any length
+    nearby: Array
+    share: float
+    # mean square of what the model then cannot explain, over the variance of the noise
+    unexplained: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +60,11 @@ class Checked:
     """What came of it: truths, and where fits went from them.
 
     Where it could not be made, ``reason`` is why: the ``likelihood`` is not of the torque, samples
-    at ``rest`` say what a quick fit cannot use, the
-    ``sampling`` failed, most simulated joints stood ``still``, or the ``simulation`` is
-    impossible, for which ``said`` has the words.
+    at ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most simulated joints
+    stood ``still``, the ``simulation`` is impossible, for which ``said`` has the words, or
+    recordings are too ``few`` or too ``long`` for twins.
     """
 
-    asked: int
     truth: Array  # (n, d) sampled parameters
     fits: tuple[QuickFit, ...]  # of each
     seconds: float
@@ -88,20 +76,13 @@ class Checked:
 def self_check(
     target: Target,
     posterior: Posterior,
-    recordings: Sequence[Measurement],
     observations: Sequence[Observation],
-    processing: Processing,
-    number: int,
+    explained: Explanation,
+    period: float,
 ) -> Checked:
-    """Simulate ``number`` recordings like these at draws of the posterior, and fit each.
-
-    Random numbers are of the posterior's seed, a stream for each simulated recording: the
-    result does not depend on how work is shared out.
-    """
+    """Fit the twins of recordings, one sample every ``period`` s, from where their truth is."""
     begun, worked = time.perf_counter(), time.process_time()
-    truth = posterior.flat(number)
-    fits: list[QuickFit | None] = []
-    reason: Reason | None = None
+    reason: Reason | None = explained.reason
     said = ""
     if not isinstance(target.likelihood, TorqueLikelihood):
         reason = "likelihood"
@@ -109,50 +90,56 @@ def self_check(
         reason = "rest"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
-    else:
-        try:
-            fits = _fits(target, truth, recordings, observations, processing, posterior.seed)
-        except NoTwin as error:
-            reason, said = "simulation", str(error)
-    made = np.array([fit is not None for fit in fits], dtype=np.bool_)
-    if reason is None and made.sum() < _ENOUGH * number:
-        said = _obstacle(target, posterior.median, recordings[0].period)
-        reason = "simulation" if said else "still"
-    return Checked(
-        asked=number,
-        truth=truth[made] if reason is None else truth[:0],
-        fits=tuple(fit for fit in fits if fit is not None) if reason is None else (),
-        seconds=time.perf_counter() - begun,
-        cpu_seconds=time.process_time() - worked,
-        reason=reason,
-        said=said,
-    )
-
-
-def _fits(
-    target: Target,
-    truth: Array,
-    recordings: Sequence[Measurement],
-    observations: Sequence[Observation],
-    processing: Processing,
-    seed: int,
-) -> list[QuickFit | None]:
-    """Fit replays at each truth ``(n, d)``; ``None`` where one could not be made."""
-    chain, values = target.likelihood.chain, target.chain_values(truth)
-    streams = np.random.SeedSequence(seed, spawn_key=(7,)).spawn(len(recordings))
-    parts = [
-        twins(chain, values, recording, observation, processing, stream.spawn(len(truth)))
-        for recording, observation, stream in zip(recordings, observations, streams, strict=True)
-    ]
+    elif reason == "simulation":
+        said = _obstacle(target, posterior.median, period)
+        reason = reason if said else "still"
+    twins = () if reason else explained.twins
     # a prior that is cut takes a quadrature
     sds = np.array([prior.sd() for prior in target.priors[: len(target.free)]])
     sds = np.where(np.isfinite(sds), sds, np.inf)
-    found: list[QuickFit | None] = []
-    for one, seen in zip(truth, zip(*parts, strict=True), strict=True):
-        made = [o for o in seen if o is not None]
-        with few_threads(observations):
-            found.append(quick_fit(target, one, made, sds) if len(made) == len(seen) else None)
-    return found
+    truth = np.tile(posterior.median, (len(twins), 1))
+    columns = [target.likelihood.chain.names.index(name) for name in target.free]
+    truth[:, : len(columns)] = [one.values[columns] for one in twins] or truth[:, : len(columns)]
+    return Checked(
+        truth,
+        tuple(_fit(target, *pair, sds, columns) for pair in zip(truth, twins, strict=True)),
+        time.perf_counter() - begun,
+        time.process_time() - worked,
+        reason,
+        said,
+    )
+
+
+def _fit(
+    target: Target, truth: Array, twin: Twin, prior_sds: Array, columns: Sequence[int]
+) -> QuickFit:
+    """Take one Gauss-Newton step from the truth ``(d,)`` that a twin was made with.
+
+    Filters, steps of the encoder and differentiation make the modelled torque differ from the
+    simulated one. By how much that moves an estimate is asked of a posterior with the noise of
+    the truth, as a normal about it: the torque is linear in nearly every parameter. The prior
+    counts as one more measurement, of sd ``prior_sds`` ``(free,)`` and centred on the truth: its
+    pull is meant, and no bias.
+    """
+    assert isinstance(target.likelihood, TorqueLikelihood)
+    k = len(target.free)
+    at, noise = units_of(target, truth), target.likelihood.noise
+    scales = target.noise.scales(truth[None, k:])[0]
+    rows = np.column_stack([twin.base[:, columns] * at.units, twin.left])
+    pieces = [
+        noise.standard(piece.T, runs, scale)[0].T
+        for piece, runs, scale in zip(
+            twin.layout.split(rows), twin.layout.runs, scales, strict=True
+        )
+    ]
+    white = np.concatenate(pieces)
+    jacobian, error = white[:, :-1], white[:, -1]
+    information = jacobian.T @ jacobian + np.diag((at.units / prior_sds) ** 2)
+    step = np.asarray(np.linalg.lstsq(information, jacobian.T @ error)[0], dtype=np.float64)
+    share = _SMALL / max(float(np.abs(step).max(initial=0.0)), _SMALL)
+    nearby = np.concatenate([at.moved(truth[:k], share * step), truth[k:]])
+    left = error - jacobian @ step
+    return QuickFit(nearby, share, float(np.mean(left**2)))
 
 
 def _obstacle(target: Target, parameters: Array, period: float) -> str:

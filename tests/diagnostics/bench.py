@@ -51,12 +51,12 @@ def recording(side="motor"):
     )
 
 
-def model(recordings=20, processing=None, joint=None, **tables):
+def model(recordings=None, processing=None, joint=None, **tables):
     return Model(
         joint or axis(),
         recording(),
         processing=processing or {},
-        self_check={"recordings": recordings},
+        self_check={} if recordings is None else {"recordings": recordings},
         sampling=QUICK | tables.pop("sampling", {}),
         **tables,
     )

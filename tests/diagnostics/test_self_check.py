@@ -7,8 +7,9 @@ import pytest
 from numba import get_num_threads, set_num_threads
 
 import bayesfric as bf
-from bayesfric.diagnostics.self_check import SelfCheckOptions, self_check
-from bayesfric.errors import BadInput
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.policy import TWINS
+from bayesfric.diagnostics.self_check import self_check
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.model import Model
 from bayesfric.problem.config import Tables
@@ -16,8 +17,6 @@ from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.self_check_part import self_check_part
 from bayesfric.report.terminal import fit_text
 from tests.diagnostics.bench import CENTRAL, TRUTH, model, table
-
-pytestmark = pytest.mark.usefixtures("nothing_explained")
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +57,7 @@ def test_what_is_corrected_is_no_doubt_and_said(central):
 def test_exact_derivatives_have_next_to_no_bias(exact):
     """What is left, the low-pass does at reversals: 0.02 % of the viscous loss."""
     check = exact.summary.self_check
-    assert check.made == check.asked == 20
+    assert check.made == check.asked == TWINS
     assert check.unexplained < 0.2
     for name, row in check.rows.items():
         assert abs(row.bias) < 0.5, name
@@ -93,10 +92,10 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_threads(exact):
 
 def test_the_output_error_has_none_and_says_so(exact):
     found = exact.fit
-    simulating = SimpleNamespace(likelihood=object.__new__(PositionLikelihood))
+    likelihood = object.__new__(PositionLikelihood)
+    simulating = SimpleNamespace(likelihood=likelihood, free=(), priors=())
     model = exact.model
-    given = (model.recordings, model.observations, model.config.tables.processing)
-    checked = self_check(simulating, found.posterior, *given, 20)
+    checked = self_check(simulating, found.posterior, model.observations, Explanation(), 1e-3)
     part = self_check_part(found, exact.summary, checked, groups(found))
     assert (part.made, part.reason, part.rows) == (0, "likelihood", {})
     told = fit_text(exact.summary.model_copy(update={"self_check": part}), verbose=True)
@@ -118,7 +117,6 @@ def test_a_joint_that_cannot_be_simulated_says_why():
         bf.Recording.from_arrays(*arrays, side="motor"),
         priors=irreversible,
         sampling={"min_ess": 200, "ensembles": 2, "walkers": 24, "max_steps": 500},
-        self_check={"recordings": 10},
     ).fit(seed=1)
     check = found.summary.self_check
     assert check.reason == "simulation"
@@ -128,21 +126,6 @@ def test_a_joint_that_cannot_be_simulated_says_why():
 
 def test_none_is_made_where_none_is_wanted():
     assert model(recordings=0).fit(seed=1).summary.self_check is None
-
-
-@pytest.mark.parametrize("wrong", [1, 9, -1])
-def test_too_few_to_tell_a_spread_are_refused(wrong):
-    with pytest.raises(BadInput, match=r"self_check\.recordings"):
-        model(recordings=wrong)
-
-
-@pytest.mark.parametrize(
-    ("samples", "number"), [(0, 40), (10_000, 40), (60_000, 25), (10_000_000, 10)]
-)
-def test_of_long_recordings_fewer_are_made(samples, number, monkeypatch):
-    monkeypatch.setattr("bayesfric.diagnostics.self_check._RECORDINGS", 40)
-    assert SelfCheckOptions().number(samples) == number
-    assert SelfCheckOptions(recordings=100).number(samples) == 100
 
 
 def test_it_is_a_table_of_the_configuration():

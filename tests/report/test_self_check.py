@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.diagnostics.quick_fit import QuickFit
-from bayesfric.diagnostics.self_check import Checked
+from bayesfric.diagnostics.self_check import Checked, QuickFit
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
@@ -46,7 +45,7 @@ def checked(result, missed, unexplained=0.0, n=40):
         nearby = one.copy()
         nearby[j] += 1e-3 * z * sd
         fits.append(QuickFit(nearby, 1e-3, unexplained))
-    return Checked(n, truth, tuple(fits), 1.0, 2.0)
+    return Checked(truth, tuple(fits), 1.0, 2.0)
 
 
 def told(result, found):

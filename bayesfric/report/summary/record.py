@@ -246,7 +246,7 @@ class SelfCheckRow(Part):
 
 
 class SelfCheck(Part):
-    """How fits of recordings like this one, simulated at draws of the posterior, came out.
+    """How fits of recordings like this one, simulated where the truth is known, came out.
 
     ``made`` of the ``asked`` could be simulated and fitted; where that are too few, ``reason`` is
     why and ``rows`` are empty. ``unexplained`` is what filters, encoder and differentiation leave
@@ -255,7 +255,9 @@ class SelfCheck(Part):
 
     asked: int
     made: int
-    reason: Literal["likelihood", "rest", "sampling", "still", "simulation"] | None = None
+    reason: (
+        Literal["likelihood", "rest", "sampling", "still", "simulation", "few", "long"] | None
+    ) = None
     said: str = ""
     rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
     unexplained: NotNegative | None = None
