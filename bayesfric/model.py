@@ -52,8 +52,8 @@ class Model(Problem):
     recordings
         One or more.
     noise
-        The model of the torque residuals (``"auto"``, ``"white"``, ``"autoregressive"``,
-        ``"student-t"``), or a whole ``[noise]`` table.
+        The model of the torque residuals (``"auto"``, ``"white"``, ``"autoregressive"``),
+        or a whole ``[noise]`` table.
     priors
         By parameter: a number fixes, a pair is uniform; a frozen distribution of
         :mod:`scipy.stats`, or the text of a configuration.

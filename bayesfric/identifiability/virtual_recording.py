@@ -10,7 +10,6 @@ from bayesfric.identifiability.local import LocalUnits, torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
@@ -101,7 +100,7 @@ def pace(observation: Observation) -> float:
 class TorqueNoise:
     """Noise of the filtered torque: its model, and the model's scales ``(Q,)``."""
 
-    model: ResidualNoise
+    model: Autoregressive
     scales: Array
 
     def whitened(self, rows: Array, observation: Observation) -> Array:

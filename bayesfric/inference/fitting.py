@@ -18,7 +18,7 @@ from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.linearisation import linearisation_change
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
@@ -153,7 +153,7 @@ def make_target(
     observations: Sequence[Observation],
     priors: Mapping[str, Prior],
     noise_scale: NoiseScale,
-    noise: ResidualNoise | None = None,
+    noise: Autoregressive | None = None,
 ) -> Target:
     """Put the likelihood of the torque, priors and noise together; white if left out."""
     return target_of(TorqueLikelihood(chain, observations, noise), priors, noise_scale)

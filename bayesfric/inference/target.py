@@ -36,10 +36,6 @@ class LogPosterior(ABC):
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood of physical parameters ``(n, d)``."""
 
-    def log_prior_in_coordinates(self, u: Array) -> Array:
-        """Log prior density in coordinates, ``(n, d)`` to ``(n,)``; nothing is simulated."""
-        return self._prior_and_parameters(u)[0]
-
     def __call__(self, u: Array) -> Array:
         """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
         density, bad = self._density(u)
@@ -52,7 +48,11 @@ class LogPosterior(ABC):
 
     def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Log posterior density, and where priors allow what the likelihood cannot tell."""
-        out, parameters = self._prior_and_parameters(u)
+        parameters, jacobian = self.to_parameters(u)
+        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
+        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
+        possible = np.isfinite(out)
+        out[possible] += self.log_prior(parameters[possible])
         possible = np.isfinite(out)
         out[~possible] = -np.inf
         bad = np.zeros(out.size, dtype=np.bool_)
@@ -61,14 +61,6 @@ class LogPosterior(ABC):
             bad[possible] = ~np.isfinite(density)
             out[possible] += np.where(np.isfinite(density), density, -np.inf)
         return out, bad
-
-    def _prior_and_parameters(self, u: Array) -> tuple[Array, Array]:
-        parameters, jacobian = self.to_parameters(u)
-        out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
-        out[~np.isfinite(parameters).all(axis=1)] = -np.inf
-        possible = np.isfinite(out)
-        out[possible] += self.log_prior(parameters[possible])
-        return out, parameters
 
 
 class Target(LogPosterior):

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -20,8 +20,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
-from bayesfric.inference.noise import NOISE_MODELS
-from bayesfric.inference.noise.autoregressive import MOST
+from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
 from bayesfric.inference.noise.scale import NoiseScale
 from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
@@ -35,11 +34,6 @@ from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
 from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import in_unit
-
-if TYPE_CHECKING:
-    NoiseName = str
-else:
-    NoiseName = Literal[tuple(NOISE_MODELS)]
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -58,7 +52,7 @@ class NoiseOptions(Options):
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
     )
-    model: NoiseName = Field(
+    model: Literal["auto", "white", "autoregressive"] = Field(
         "auto",
         description="of torque residuals; auto is autoregressive with the order that the "
         "residuals of the estimate ask for, white where they ask for none",
@@ -69,6 +63,15 @@ class NoiseOptions(Options):
         le=MOST,
         description="of the autoregressive noise; from the residuals if left out",
     )
+
+    @property
+    def chosen(self) -> bool:
+        """Whether residuals are asked for the order."""
+        return self.model == "auto" or (self.model == "autoregressive" and self.order is None)
+
+    def of_order(self, chosen: int) -> Autoregressive:
+        """Make the noise; of order ``chosen`` where the configuration names none."""
+        return Autoregressive(0 if self.model == "white" else self.order or chosen)
 
 
 class LikelihoodOptions(Options):

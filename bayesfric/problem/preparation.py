@@ -16,14 +16,12 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.noise import NOISE_MODELS
 from bayesfric.inference.noise.autoregressive import MOST
-from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.problem.config import Config, NoiseOptions
+from bayesfric.problem.config import Config
 from bayesfric.recordings.held_out import Divided, HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -215,15 +213,9 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities
     noise = tables.noise
-    if noise.order is not None and NOISE_MODELS[noise.model].order == "none":
+    if noise.order is not None and noise.model == "white":
         raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
-    return residual_noise(noise, MOST).quantities
-
-
-def residual_noise(noise: NoiseOptions, chosen: int) -> ResidualNoise:
-    """Make the noise that a configuration asks for; of order ``chosen`` where it names none."""
-    model = NOISE_MODELS[noise.model]
-    return model.make(0 if model.order == "none" else noise.order or chosen)
+    return noise.of_order(MOST).quantities
 
 
 def _read(config: Config, chain: Joint, recording: Recording, number: int) -> list[Measurement]:

@@ -22,8 +22,7 @@ from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.noise import NOISE_MODELS
-from bayesfric.inference.noise.residual_noise import ResidualNoise
+from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
@@ -31,7 +30,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, read_config
 from bayesfric.problem.config_text import with_settings, with_terms
-from bayesfric.problem.preparation import prepare, residual_noise
+from bayesfric.problem.preparation import prepare
 from bayesfric.progress import Progress, Shown, by_method, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
@@ -281,9 +280,9 @@ class Problem:
                 )
         return target_of(likelihood, priors, tables.noise.scale).uncut_at(point or {})
 
-    def remembering(self, choice: Choice | None) -> tuple[ResidualNoise, dict[str, Prior]]:
+    def remembering(self, choice: Choice | None) -> tuple[Autoregressive, dict[str, Prior]]:
         """Give the torque's noise of a choice, and priors in which it remembers as that says."""
-        noise = residual_noise(self.config.tables.noise, choice.order if choice else 0)
+        noise = self.config.tables.noise.of_order(choice.order if choice else 0)
         return noise, choice.priors(self.priors) if choice else self.priors
 
     def white_target(self) -> Target:
@@ -301,5 +300,4 @@ class Problem:
     @property
     def _chooses_noise(self) -> bool:
         tables = self.config.tables
-        wanted = NOISE_MODELS[tables.noise.model].chooses(tables.noise.order)
-        return wanted and tables.likelihood.method == "input-error"
+        return tables.noise.chosen and tables.likelihood.method == "input-error"

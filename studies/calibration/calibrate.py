@@ -34,8 +34,6 @@ from ranks import summary_of
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.residual_noise import ResidualNoise
-from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.sampling import Sampling
@@ -63,8 +61,8 @@ SETTINGS = Sampling(min_ess=500.0, max_steps=4000, block=25, walkers=64, max_rha
 class Case:
     """What makes the torque noise, and what is believed of it; None for the output error."""
 
-    made: ResidualNoise | None
-    believed: ResidualNoise | None
+    made: Autoregressive | None
+    believed: Autoregressive | None
     move: str = "own"
 
 
@@ -72,7 +70,6 @@ CASES = {
     "white": Case(Autoregressive(0), Autoregressive(0)),
     "AR(1)": Case(Autoregressive(1), Autoregressive(1)),
     "AR(2)": Case(Autoregressive(2), Autoregressive(2)),
-    "Student-t": Case(StudentT(), StudentT()),
     "output error": Case(None, None),
     "control: white noise on AR(1) data": Case(Autoregressive(1), Autoregressive(0)),
     "control: snooker move": Case(Autoregressive(0), Autoregressive(0), "snooker"),
@@ -120,7 +117,7 @@ def motions() -> tuple[Observation, Observation]:
     return found[0], found[1]
 
 
-def priors(noise: ResidualNoise) -> dict[str, Prior]:
+def priors(noise: Autoregressive) -> dict[str, Prior]:
     """Priors of the joint and of one noise model."""
     infinite = float("inf")
     found = {}

@@ -9,7 +9,6 @@ from scipy import stats
 
 from bayesfric.inference.likelihood.autoregression import autocovariance
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.predictive import Prediction, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.held_out import HeldOut
@@ -75,11 +74,6 @@ def test_one_residual_of_each_noise():
     for i, s in enumerate(scales):
         assert sd[i, 0] == pytest.approx(s[0] * np.sqrt(autocovariance(s[1:])[0]), rel=1e-12)
     assert Autoregressive().marginal(np.array([[0.7]])).std() == pytest.approx(0.7)
-    student = StudentT().marginal(np.array([[0.5, 3.0], [0.5, 1.5]]))
-    np.testing.assert_allclose(
-        student.logpdf(0.2)[:, 0], [stats.t(df, scale=0.5).logpdf(0.2) for df in (3.0, 1.5)]
-    )
-    np.testing.assert_allclose(student.var()[:, 0], [0.25 * 3.0, np.inf])
 
 
 @pytest.fixture(scope="module")

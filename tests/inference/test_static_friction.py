@@ -91,7 +91,8 @@ def test_the_density_has_the_rests_as_a_factor(with_rests):
     scales = np.full((3, 1, target.noise.places.shape[1]), 0.05)
     likelihood = target.likelihood
     (one,) = likelihood._static
-    moving = likelihood.noise.log_density_of(likelihood._plain, likelihood.moments, values, scales)
+    plain, moments = likelihood._plain, likelihood.moments.at(values)
+    moving = likelihood.noise.log_density(moments, plain.counts, plain.head_counts, scales)
     terms = one.log_terms(values, likelihood.noise.marginal(scales[:, 0]))
     found = likelihood.log_density(values, scales)
     assert found - moving == pytest.approx(terms.sum(axis=1))

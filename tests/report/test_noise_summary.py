@@ -9,7 +9,6 @@ from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.methods_text import methods_text
@@ -21,7 +20,7 @@ from bayesfric.report.summary.summary import estimate_summary, summarise
 
 @pytest.mark.parametrize(
     ("noise", "order", "accounts"),
-    [(Autoregressive(0), 0, False), (Autoregressive(2), 2, True), (StudentT(), 0, False)],
+    [(Autoregressive(0), 0, False), (Autoregressive(2), 2, True)],
 )
 def test_the_record_says_whether_noise_has_a_memory(make_observation, noise, order, accounts):
     chain = PRESETS["motor-axis"].chain()

@@ -15,9 +15,8 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.likelihood.static_friction import StaticFriction
 from bayesfric.inference.moments.fast_moments import FastMoments, fast_moments
-from bayesfric.inference.moments.residual_moments import PlainMoments, ResidualMoments, follows
+from bayesfric.inference.moments.residual_moments import PlainMoments, follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.residual_noise import ResidualNoise
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
@@ -32,7 +31,7 @@ class TorqueLikelihood(Likelihood):
         self,
         chain: Joint,
         observations: Sequence[Observation],
-        noise: ResidualNoise | None = None,
+        noise: Autoregressive | None = None,
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)
         rotary = chain.motor_motion == "rotary"
@@ -42,14 +41,14 @@ class TorqueLikelihood(Likelihood):
             for o in self.observations
         )
         self.sizes = np.array([o.measured.size for o in self.observations])
-        self.noise: ResidualNoise = Autoregressive() if noise is None else noise
+        self.noise: Autoregressive = Autoregressive() if noise is None else noise
         self._plain = PlainMoments(chain, self.observations, self.noise.order)
         self._static = [
             None if o.rest is None else StaticFriction(chain, o.rest, o.inputs)
             for o in self.observations
         ]
         # sample by sample; see :meth:`prepared`
-        self.moments: ResidualMoments = self._plain
+        self.moments: PlainMoments | FastMoments = self._plain
 
     @property
     def outside(self) -> int:
@@ -74,8 +73,6 @@ class TorqueLikelihood(Likelihood):
         the faster the result. It is itself for a chain whose torque has no such form;
         :attr:`evaluation` tells.
         """
-        if not self.noise.gaussian:
-            return self
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain
         )
@@ -91,7 +88,8 @@ class TorqueLikelihood(Likelihood):
 
     def log_density(self, values: Array, scales: Array) -> Array:
         """See :class:`Likelihood`; what rests say is a factor of its own."""
-        found = self.noise.log_density_of(self._plain, self.moments, values, scales)
+        moments, counts = self.moments.at(values), (self._plain.counts, self._plain.head_counts)
+        found = self.noise.log_density(moments, *counts, scales)
         for r, static in enumerate(self._static):
             if static is not None:
                 found = found + static.log_terms(values, self.noise.marginal(scales[:, r])).sum(1)
@@ -102,7 +100,7 @@ class TorqueLikelihood(Likelihood):
         return [
             np.stack(
                 [
-                    self.noise.log_terms(*self.noise.standard(row, o.follows, s), s)
+                    self.noise.log_terms(*self.noise.standard(row, o.follows, s))
                     for row, s in zip(o.measured - torque, scales[:, r], strict=True)
                 ]
             )

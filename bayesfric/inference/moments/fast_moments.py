@@ -51,8 +51,7 @@ _CELL = 8
 class FastMoments:
     """Moments from matrices, with the exact correction where a sample's sign differs.
 
-    See :class:`bayesfric.inference.moments.residual_moments.ResidualMoments`; made by
-    :func:`fast_moments`.
+    Made by :func:`fast_moments`.
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ class FastMoments:
         observations: Sequence[Observation],
         radius: float = RADIUS,
     ) -> None:
-        self.order, self.counts, self.head_counts = plain.order, plain.counts, plain.head_counts
+        self.order = plain.order
         self._linear, self._region, self._plain = linear, region, plain
         self._recordings = [
             moment_matrices(linear, o, plain.order, region, radius) for o in observations
@@ -112,7 +111,7 @@ class FastMoments:
         )
 
     def at(self, values: Array) -> Moments:
-        """See :class:`bayesfric.inference.moments.residual_moments.ResidualMoments`."""
+        """Moments at parameter vectors ``(n, n_parameters)``."""
         n = values.shape[0]
         flat = np.empty((n, len(self._recordings), n_entries(self.order)))
         with np.errstate(all="ignore"):

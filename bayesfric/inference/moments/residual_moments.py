@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -51,35 +51,6 @@ class Moments:
         for head in self.heads:
             total += np.trace(head, axis1=2, axis2=3)
         return total
-
-
-class ResidualMoments(Protocol):
-    """Whatever computes :class:`Moments` of parameter vectors.
-
-    Attributes
-    ----------
-    order
-        p; zero for the sum of squares alone.
-    counts
-        ``(R,)`` outputs that have at least p predecessors in their run.
-    head_counts
-        ``(R, p)`` runs whose head has the length 1 to p.
-    description
-        How it is computed, in words, for the record.
-    """
-
-    order: int
-    counts: NDArray[np.int64]
-    head_counts: NDArray[np.int64]
-
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        ...
-
-    def at(self, values: Array) -> Moments:
-        """Moments at parameter vectors ``(n, n_parameters)``."""
-        ...
 
 
 def follows(o: Observation) -> NDArray[np.bool_]:
@@ -166,8 +137,6 @@ class _Outputs(NamedTuple):
 class PlainMoments:
     """Moments by going through every sample for every vector; holds for every chain.
 
-    See :class:`ResidualMoments`.
-
     Parameters
     ----------
     chain
@@ -176,6 +145,13 @@ class PlainMoments:
         One or more prepared recordings.
     order
         Of the autoregressive noise, 0 for white.
+
+    Attributes
+    ----------
+    counts
+        ``(R,)`` outputs that have at least as many predecessors in their run.
+    head_counts
+        ``(R, order)`` runs whose head has the length 1 to that.
     """
 
     description = "every sample"
@@ -193,7 +169,7 @@ class PlainMoments:
         ]
 
     def at(self, values: Array) -> Moments:
-        """See :class:`ResidualMoments`."""
+        """Moments at parameter vectors ``(n, n_parameters)``."""
         n = values.shape[0]
         flat = np.zeros((n, len(self._recordings), n_entries(self.order)))
         for i, (samples, outputs) in enumerate(self._recordings):
@@ -203,28 +179,6 @@ class PlainMoments:
             (_in_threads if many else _in_line)(out, self.order, *tables, samples, outputs)
             flat[:, i] = out
         return unpacked(flat, self.order)
-
-    def student_terms(self, values: Array, scales: Array) -> Array:
-        """Sum ``log(1 + r²/(dof sigma²))`` over the residuals of every recording.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``
-        scales
-            ``(n, R, 2)`` sigma and degrees of freedom.
-
-        Returns
-        -------
-        ndarray
-            ``(n, R)``
-        """
-        out = np.empty(scales.shape[:2])
-        for i, (samples, outputs) in enumerate(self._recordings):
-            tables = self.chain.tables(values, self._inputs[i])
-            weight = 1.0 / (scales[:, i, 1] * scales[:, i, 0] ** 2)
-            out[:, i] = _student(weight, *tables, samples, outputs)
-        return out
 
 
 def _blocks(starts: NDArray[np.int64], length: int) -> NDArray[np.int64]:
@@ -358,32 +312,6 @@ def _one_vector(
         # the next block's first outputs look back at these
         for i in range(order):
             residual[i] = residual[n + i]
-
-
-@njit(cache=True, parallel=True)
-def _student(
-    weight: Array,
-    elements: Array,
-    load: Array,
-    carried: Array,
-    samples: kernels.Samples,
-    outputs: _Outputs,
-) -> Array:
-    """Sum ``log(1 + weight r²)`` over the outputs, for each vector."""
-    out = np.empty(elements.shape[0])
-    longest, most = _working_space(outputs)
-    borders = outputs.borders
-    for v in prange(elements.shape[0]):
-        torque = np.empty(longest)
-        residual = np.empty(most)
-        total = 0.0
-        for b in range(borders.shape[0] - 1):
-            first, n = borders[b], borders[b + 1] - borders[b]
-            _block(residual, torque, first, n, elements[v], load[v], carried[v], samples, outputs)
-            for i in range(n):
-                total += np.log1p(weight[v] * residual[i] * residual[i])
-        out[v] = total
-    return out
 
 
 @njit(cache=True)

@@ -13,9 +13,8 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 from bayesfric.inference.likelihood import autoregression as ar
-from bayesfric.inference.moments.residual_moments import Moments, PlainMoments, ResidualMoments
-from bayesfric.inference.noise.residual_noise import SIGMA, NoiseModel, ResidualNoise
-from bayesfric.inference.noise.scale import Scale
+from bayesfric.inference.moments.residual_moments import Moments
+from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
 from bayesfric.recordings.arrays import Array, Flags
 
 _LOG_2PI = math.log(2.0 * math.pi)
@@ -25,6 +24,7 @@ _LOG_2PI = math.log(2.0 * math.pi)
 MEMORY = 0.95
 # Longest memory that is tried where none is told.
 MOST = 4
+SIGMA = Scale("sigma", r"\sigma", "noise of the filtered torque", lambda s: up_to(s.torque))
 _INNOVATION = replace(
     SIGMA, meaning="sd of the noise's innovations, what its memory does not foretell"
 )
@@ -46,36 +46,31 @@ def _pacf(lag: int) -> Scale:
 
 
 @dataclass(frozen=True)
-class Autoregressive(ResidualNoise):
+class Autoregressive(NoiseDescription):
     """Gaussian noise in which a residual remembers ``order`` before it; white for none.
 
     ``sigma`` is the sd of the innovations, what the memory does not foretell;
-    ``pacf_1, pacf_2, ..`` are partial autocorrelations.
+    ``pacf_1, pacf_2, ..`` are partial autocorrelations. They come as ``(n, R, Q)``, vectors,
+    recordings and scales, as :class:`bayesfric.inference.likelihood.likelihood.Likelihood` hands
+    them over.
     """
 
     order: int = 0
-    gaussian = True
 
     @property
     def scales(self) -> tuple[Scale, ...]:
-        """See :class:`ResidualNoise`."""
+        """See :class:`NoiseDescription`."""
         return (_INNOVATION if self.order else SIGMA, *(_pacf(k + 1) for k in range(self.order)))
 
     @property
     def accounts_for_correlation(self) -> bool:
-        """See :class:`ResidualNoise`."""
+        """See :class:`NoiseDescription`."""
         return self.order > 0
 
     @property
     def description(self) -> str:
         """In words, for the record."""
         return f"AR({self.order})" if self.order else "white"
-
-    def log_density_of(
-        self, plain: PlainMoments, moments: ResidualMoments, values: Array, scales: Array
-    ) -> Array:
-        """See :class:`ResidualNoise`."""
-        return self.log_density(moments.at(values), plain.counts, plain.head_counts, scales)
 
     def log_density(
         self,
@@ -86,7 +81,7 @@ class Autoregressive(ResidualNoise):
     ) -> Array:
         """Exact log density ``(n,)`` of all residuals from their lagged products.
 
-        Counts as :class:`bayesfric.inference.moments.residual_moments.ResidualMoments` has them.
+        Counts as :class:`bayesfric.inference.moments.residual_moments.PlainMoments` has them.
         """
         if not self.order:
             sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
@@ -98,34 +93,38 @@ class Autoregressive(ResidualNoise):
         )
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
-        """See :class:`ResidualNoise`."""
+        """Turn residuals ``(..., M)`` into uncorrelated ones of variance one.
+
+        ``scales`` ``(Q,)``. Gives them and the ``(M,)`` sds they were divided by. It is
+        linear in the residuals.
+        """
         z = ar.whitened(residual, scales[1:], follows) / scales[0]
         left = ar.variances(scales[None, 1:])[0]
         return z, scales[0] * np.sqrt(left[ar.ages(follows, self.order)])
 
-    def log_terms(self, standard: Array, sds: Array, scales: Array) -> Array:  # noqa: ARG002
-        """See :class:`ResidualNoise`."""
+    def log_terms(self, standard: Array, sds: Array) -> Array:
+        """Log densities of residuals, from what :meth:`standard` gives, ``(..., M)``."""
         return np.asarray(-0.5 * standard**2 - np.log(sds) - 0.5 * _LOG_2PI)
 
     def sd(self, scales: Array) -> float:
-        """See :class:`ResidualNoise`."""
+        """Spread of one residual, ``scales`` ``(Q,)``."""
         return float(scales[0] * math.sqrt(ar.variances(scales[None, 1:])[0, 0]))
 
     def marginal(self, scales: Array) -> Any:
-        """See :class:`ResidualNoise`."""
+        """SciPy's distribution of one residual, of shape ``(n, 1)`` for scales ``(n, Q)``."""
         return stats.norm(scale=scales[:, :1] * np.sqrt(ar.variances(scales[:, 1:])[:, :1]))
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
-        """See :class:`ResidualNoise`."""
+        """Draw residuals, one series for each row of ``scales`` ``(n, Q)``, ``(n, M)``."""
         if not self.order:
             return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
         return np.concatenate([s[0] * ar.simulated(s[1:], follows, 1, rng) for s in scales])
 
     def information(self, scales: Array, outputs: int) -> Array:
-        """See :class:`ResidualNoise`; of partial autocorrelations for many outputs.
+        """Fisher information of ``scales`` ``(Q,)`` from so many outputs, ``(Q, Q)``.
 
-        That of the coefficients is their covariance over the innovations' variance (Box and
-        Jenkins, section 7.2).
+        Of partial autocorrelations for many outputs: that of the coefficients is their covariance
+        over the innovations' variance (Box and Jenkins, section 7.2).
         """
         out = np.zeros((scales.size, scales.size))
         out[0, 0] = 2.0 / scales[0] ** 2
@@ -138,7 +137,7 @@ class Autoregressive(ResidualNoise):
         return np.asarray(outputs * out)
 
     def starts(self, sigma: float) -> Array:
-        """See :class:`ResidualNoise`."""
+        """Scales to start a search from where residuals are ``sigma`` large, ``(k, Q)``."""
         if not self.order:
             return np.array([[sigma]])
         first = np.array([0.0, 0.5, 0.9])
@@ -201,8 +200,3 @@ def _log_density(
 
 
 SCALES = (SIGMA, *(_pacf(lag) for lag in range(1, 10)))
-MODELS = (
-    NoiseModel("auto", Autoregressive, order="chosen"),
-    NoiseModel("white", Autoregressive),
-    NoiseModel("autoregressive", Autoregressive, order="given or chosen"),
-)

@@ -22,7 +22,6 @@ from emcee.moves import Move
 from numpy.typing import NDArray
 
 from bayesfric.inference.sampling.proposal import Proposal
-from bayesfric.inference.sampling.surrogate import Surrogate
 from bayesfric.recordings.arrays import Array
 
 Chosen = NDArray[np.bool_]
@@ -87,8 +86,9 @@ class DifferentialEvolutionMove(_VectorisedMove):
 class IndependenceMove(_VectorisedMove):
     """Propose from a fixed density, wherever the walker is.
 
-    The proposal is fitted to the warm-up and then frozen: one that went on
-    learning from the chain it drives would not leave the posterior invariant.
+    The proposal is fitted to the warm-up, where it may be replaced between blocks, and then
+    frozen: one that went on learning from the chain it drives would not leave the posterior
+    invariant.
     """
 
     def __init__(self, proposal: Proposal) -> None:
@@ -139,56 +139,3 @@ class ElsewhereMove(Move):  # type: ignore[misc]
             return out
 
         return density
-
-
-class LearningMove(Move):  # type: ignore[misc]
-    """Whatever a warm-up has learned so far; :attr:`move` may be replaced between blocks."""
-
-    def __init__(self, move: Move) -> None:
-        self.move = move
-
-    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
-        """Hand over to the move of the moment."""
-        moved: tuple[Any, Chosen] = self.move.propose(model, state)
-        return moved
-
-
-class SurrogateMove(_VectorisedMove):
-    """Walk on a surrogate for a while, and ask the posterior only about where that ends.
-
-    Every walker makes ``walk`` Metropolis steps, 15 for every dimension if left out, that leave
-    the surrogate invariant. The end is accepted with the ratio of posterior over surrogate, there
-    and at the beginning (Liu 2001, section 9.4.3; Christen and Fox 2005). The posterior stays
-    invariant whatever the surrogate; one that follows it gives nearly independent draws, each for
-    one simulation. Steps are mixed at random from two reversible kinds, independent draws and
-    normal steps, which the walk as a whole needs to be reversible itself.
-    """
-
-    def __init__(self, surrogate: Surrogate, proposal: Proposal, walk: int = 0) -> None:
-        self.surrogate, self.proposal = surrogate, proposal
-        # the wide component has the covariance of all draws
-        self._step = 2.38 / math.sqrt(proposal.dimension) * proposal.roots[-1]
-        self._walk = walk or 15 * proposal.dimension
-
-    def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
-        """Move all walkers at once."""
-        random = model.random
-        begun = self.surrogate(state.coords)
-        where, height = state.coords.copy(), begun.copy()
-        suits = self.proposal.log_density(where)
-        n, d = where.shape
-        for _ in range(self._walk):
-            trial = self.proposal.draw(n, random)
-            near = random.rand(n) < 0.5
-            trial[near] = where[near] + random.randn(int(near.sum()), d) @ self._step.T
-            there, would_suit = self.surrogate(trial), self.proposal.log_density(trial)
-            gain = there - height
-            gain[~near] += (suits - would_suit)[~near]
-            taken = gain > np.log(random.rand(n))
-            where[taken], height[taken] = trial[taken], there[taken]
-            suits[taken] = would_suit[taken]
-        # a walker that never left is where it was: nothing to ask
-        moved = np.flatnonzero((where != state.coords).any(axis=1))
-        accepted, factors = np.zeros(n, dtype=np.bool_), (begun - height)[moved]
-        accepted[moved] = self._judge(model, state, moved, where[moved], factors)
-        return state, accepted

@@ -23,12 +23,9 @@ from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
     ElsewhereMove,
     IndependenceMove,
-    LearningMove,
-    SurrogateMove,
 )
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.start import Start
-from bayesfric.inference.sampling.surrogate import Surrogate
 from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, undefined_warning
 from bayesfric.inference.target import Target
 from bayesfric.progress import Progress, Shown, silent
@@ -137,14 +134,15 @@ def sample(
         checkpoint.begin(positions.shape[0] * walkers, d, target.coordinates.description)
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
-    learning = LearningMove(IndependenceMove(Proposal.normal(start.mode, start.covariance)))
-    moves = [(learning, 0.5), (DifferentialEvolutionMove(settings.ensembles), 0.5)]
+    learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
+    search = DifferentialEvolutionMove(settings.ensembles)
+    moves = [(learning, 0.5), (search, 0.5)]
     straight = None
     if target.coordinates.bends:
         # what the data tell is found there sooner
-        straight = LearningMove(_straight(target, learning.move, positions))
-        search = _straight(target, moves[1][0], positions)
-        moves = [(learning, 0.25), (straight, 0.25), (moves[1][0], 0.25), (search, 0.25)]
+        straight = IndependenceMove(_straight_proposal(target, positions, last=True))
+        moves = [(learning, 0.25), (_straight(target, straight), 0.25)]
+        moves += [(search, 0.25), (_straight(target, search), 0.25)]
     warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
     # threads that share a small matrix wait for each other: on two busy cores seven times the work
     with threadpool_limits(1, "blas"):
@@ -152,12 +150,15 @@ def sample(
         # Where the posterior really lies, a likelihood can be prepared best.
         states = half.reshape(-1, d)
         target = target.prepared(states[:: max(1, len(states) // 500)])
-        frozen = _learned(target, half, warm, last=True)
-        search = DifferentialEvolutionMove(settings.ensembles)
+        frozen = IndependenceMove(Proposal.fitted(states, last=True))
         moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
-        if target.coordinates.bends and isinstance(frozen, IndependenceMove):
+        if target.coordinates.bends:
+            straight = IndependenceMove(_straight_proposal(target, half, last=True))
             moves = [(move, share / 2.0) for move, share in moves]
-            moves += [(_straight(target, move, half), share) for move, share in moves]
+            moves += [
+                (_straight(target, move), share)
+                for move, (_, share) in zip((straight, search), moves, strict=True)
+            ]
         main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
@@ -216,8 +217,8 @@ def _block(target: Target, settings: Sampling) -> int:
 
 def _warm_up(
     warm: _Ensembles,
-    learning: LearningMove,
-    straight: LearningMove | None,
+    learning: IndependenceMove,
+    straight: IndependenceMove | None,
     settings: Sampling,
     rng: np.random.Generator,
     progress: Shown,
@@ -237,9 +238,9 @@ def _warm_up(
         seen.append((warm.steps, float(needed.max())))
         if settled or warm.steps >= most or hopeless(seen, most):
             return half, settled
-        learning.move = _learned(warm.target, half, warm)
+        learning.proposal = Proposal.fitted(half.reshape(-1, warm.target.dimension))
         if straight is not None:
-            straight.move = _straight(warm.target, learning.move, half, last=False)
+            straight.proposal = _straight_proposal(warm.target, half, last=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,27 +395,14 @@ class _Ensembles:
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
 
 
-def _learned(
-    target: Target, half: Array, warm: _Ensembles, *, last: bool = False
-) -> IndependenceMove | SurrogateMove:
-    """Make the best proposal that the second half of a warm-up's steps allows."""
-    states = half.reshape(-1, target.dimension)
-    proposal = Proposal.fitted(states, last=last)
-    if target.likelihood.method != "input-error":
-        heights = warm.log_density()[:, :, -half.shape[2] :].ravel()
-        surrogate = Surrogate.fitted(target.log_prior_in_coordinates, states, heights)
-        if surrogate is not None:
-            return SurrogateMove(surrogate, proposal)
-    return IndependenceMove(proposal)
+def _straight_proposal(target: Target, half: Array, *, last: bool) -> Proposal:
+    """Fit a proposal in the target's straight coordinates."""
+    states, slope = target.straighten(half.reshape(-1, target.dimension))
+    return Proposal.fitted(states[np.isfinite(slope)], last=last)
 
 
-def _straight(
-    target: Target, move: emcee.moves.Move, half: Array, *, last: bool = True
-) -> ElsewhereMove:
-    """Make a move in the target's straight coordinates; one that proposes has to learn there."""
-    if isinstance(move, IndependenceMove):
-        states, slope = target.straighten(half.reshape(-1, target.dimension))
-        move = IndependenceMove(Proposal.fitted(states[np.isfinite(slope)], last=last))
+def _straight(target: Target, move: emcee.moves.Move) -> ElsewhereMove:
+    """Make a move in the target's straight coordinates."""
     return ElsewhereMove(move, target.straighten, target.bend)
 
 
