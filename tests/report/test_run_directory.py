@@ -87,7 +87,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for stem in run_directory.FIGURES:
             # an axis has no ridge and no load, nothing is held out, nobody asked what it lacks
-            if stem not in ("ridge", "efficiency", "validation", "ladder", *DRAWN):
+            if stem not in ("ridge", "validation", "ladder", *DRAWN):
                 patch.setitem(run_directory.FIGURES, stem, drawn_by(stem, blank))
         fit(read_config(folder / "axis.toml"), folder / "run", paper=True)
     return folder
@@ -120,7 +120,7 @@ def test_the_files_of_the_design(run):
     files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
     assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
-    stems = ("worst", "corner", "prediction", "methods", "friction", "residual")
+    stems = ("corner", "prediction", "methods", "friction", "residual")
     assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png", "svg")}
     assert all(path.stat().st_size for path in run.rglob("*"))
 
