@@ -27,9 +27,7 @@ from bayesfric.report.files import check_free
 from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
-    parameters_csv,
     parameters_latex,
-    parameters_markdown,
     summary_table,
 )
 from bayesfric.report.run_directory import write_run
@@ -115,7 +113,7 @@ def problem(folder):
 
 def test_the_files_of_the_design(run):
     found = {path.name for path in run.iterdir()}
-    tables = {"summary.csv", "methods.csv", "methods.md"}
+    tables = {"summary.csv", "methods.csv"}
     folders = {"figures", "tables", "text"}
     files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
     assert found == files | folders | tables
@@ -129,8 +127,6 @@ def test_what_a_paper_takes_over(run, summary):
     table = parameter_table(summary)
     written = {
         "tables/parameters.tex": parameters_latex(table),
-        "tables/parameters.md": parameters_markdown(table),
-        "tables/parameters.csv": parameters_csv(table),
         "tables/estimates.tex": methods_latex(comparison({"run": summary})),
     }
     for name, text in written.items():
