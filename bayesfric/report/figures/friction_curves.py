@@ -106,7 +106,7 @@ def friction_curves(fit: Fit) -> FrictionCurves:
     sides = [place.load[place.load > 0.0], place.load[place.load < 0.0]]
     loads = [
         0.0,
-        *(_round(float(np.quantile(np.abs(x), 0.75) * np.sign(x[0]))) for x in sides if x.size),
+        *(_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in sides if x.size),
     ]
     # nearly all: single jerks would leave the rest no room
     grid = np.linspace(*np.quantile(place.load, [0.005, 0.995]), _POINTS)
