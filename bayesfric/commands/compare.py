@@ -10,7 +10,7 @@ from typing import Any
 
 from bayesfric.errors import BadInput
 from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.layout import comparison_csv, comparison_dict, comparison_markdown
+from bayesfric.report.comparison.layout import comparison_csv, comparison_dict
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 
@@ -19,7 +19,7 @@ def compare(
 ) -> Comparison:
     """Compare finished runs, or the methods of a single one.
 
-    ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.md``, ``.tex`` and
+    ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.tex`` and
     ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
     and, where something is pooled, ``.tex``, ``each-run.csv`` and ``figures/population``. Point
     estimates are shown of a single run only if ``estimates`` is left out. Of what cannot be
@@ -64,7 +64,6 @@ def compare(
         as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {
             "comparison.csv": comparison_csv(found),
-            "comparison.md": comparison_markdown(found),
             "comparison.json": f"{as_json}\n",
             "comparison.tex": methods_latex(found),
         }

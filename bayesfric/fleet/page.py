@@ -12,7 +12,7 @@ from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, sure
 from bayesfric.fleet.fleet_units import Unit
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.report.figures.style import save
-from bayesfric.report.page.page_figures import PageFigure, inline_svg
+from bayesfric.report.page.page_figures import PageFigure, page_figure
 from bayesfric.report.page.rendering import render
 from bayesfric.version import __version__
 
@@ -37,9 +37,7 @@ def draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
     made = []
     for figure, stem, title, caption, words in fleet_figures(found):
         save(figure, folder / "figures", stem)
-        text = (folder / "figures" / f"{stem}.svg").read_text(encoding="utf-8")
-        svg = inline_svg(text, f"{stem}-", f"{title}. {words}")
-        made.append(PageFigure(stem, title, caption, svg))
+        made.append(page_figure(folder, stem, title, caption, f"{title}. {words}"))
     return made
 
 

@@ -47,7 +47,6 @@ def test_one_run_in_a_process_of_its_own(runs):
     assert found == {
         "report.html",
         "comparison.csv",
-        "comparison.md",
         "comparison.tex",
         "figures/forest.svg",
         "comparison.json",
@@ -97,7 +96,7 @@ def test_open_numbers_stay_without_sd_in_every_file(runs):
     ended = runs.run("compare", "knee", "-o", "out")
     assert ended.code == 0, ended
     texts = [path.read_text(encoding="utf-8") for path in runs.folder.glob("out/comparison.*")]
-    assert len(texts) == 4
+    assert len(texts) == 3
     for text in (ended.out, *texts):
         assert "7171" not in text
         assert "not determined" in text

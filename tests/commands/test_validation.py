@@ -71,7 +71,7 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
         for c in part["coverage"].values():
             said = f"{100 * c['share']:.1f} ± {100 * c['standard_error']:.1f}"
             assert said in section
-    assert "<svg" in section
+    assert "data:image/svg" in section
     assert "noise scale" in record["predictive"]
     n = record["pooled"]["outputs"]
     for level, found in record["pooled"]["coverage"].items():

@@ -18,7 +18,7 @@ from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report.answers import calculator
 from bayesfric.report.answers.calculator import written
 from bayesfric.report.answers.page_record import FILE, Seen, calculator_json, read_calculator
-from bayesfric.report.figures.curve_band import friction_torque
+from bayesfric.report.figures.friction_curves import friction_torque
 from bayesfric.report.page.run_page import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until

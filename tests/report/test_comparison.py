@@ -18,7 +18,6 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.layout import (
     comparison_csv,
     comparison_dict,
-    comparison_markdown,
     comparison_text,
     explained,
 )
@@ -271,7 +270,7 @@ def test_open_numbers_are_printed_nowhere():
             more = {"sd": 0.0717171, "sd_robust": 0.1717171}
             run["estimates"][method]["parameters"][name] |= more
     found = comparison({"a": run})
-    everything = [text(found), comparison_markdown(found), comparison_csv(found)]
+    everything = [text(found), comparison_csv(found)]
     everything.append(json.dumps(comparison_dict(found)))
     for told in everything:
         assert "717171" not in told
@@ -281,19 +280,12 @@ def test_open_numbers_are_printed_nowhere():
             keys = ("sd", "sd_uncorrelated", "low", "high", "level", "limit", "disagreement")
             assert [row[key] for key in keys] == [""] * 7
             assert row["remark"].startswith("not determined")
-    # and no line of the table with words of an open number has a plus-minus
-    lines = comparison_markdown(found).split("\n")
-    for name in LEG:
-        (line,) = [line for line in lines if f"`{name}`" in line]
-        assert "±" not in line
-        assert "[" not in line
 
 
 def test_an_open_number_says_what_fits_as_well():
     cell = comparison({"a": knee()})["load.first_moment"].cells["input-error"]
     assert cell.span == (0.30, 0.57)
     assert cell.remark == "not determined: 0.3 to 0.57 fit as well"
-    assert "0.3 to 0.57" in " ".join(comparison_markdown(comparison({"a": knee()})).split())
 
 
 def test_one_open_column_of_a_run_withholds_the_others_of_what_scaling_changes():
@@ -469,17 +461,6 @@ def test_text_fits_and_has_every_cell(width):
     assert sum(line.count(" ± ") for line in lines) == len(with_sd)
     left_out = [cell for cell in cells if cell.status == "undetermined"]
     assert sum(line.count("not determined") for line in lines) == len(left_out)
-
-
-def test_markdown_is_one_table():
-    run = knee()
-    run["references"]["motor.inertia"]["source"] = "data|sheet <1>"
-    lines = comparison_markdown(comparison({"a": run})).split("\n")
-    table = [line for line in lines if line.startswith("|")]
-    assert len(table) == 2 + len({**TOTALS, **DERIVED, **MOTOR, **LEG})
-    cells = {len(re.split(r"(?<!\\)\|", line)) for line in table}
-    assert cells == {2 + 2 + 5}
-    assert any(r"data\|sheet &lt;1>" in line for line in table)
 
 
 def test_csv_and_json_hold_the_same():

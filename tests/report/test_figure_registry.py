@@ -64,8 +64,8 @@ def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
     (section,) = page.all("section", id="friction")
     (figure,) = section.all("figure", id="figure-made_up")
     assert caption in figure.text
-    (drawing,) = figure.all("svg")
-    assert drawing.attrs["aria-label"].startswith("Made up. ")
+    (drawing,) = figure.all("img")
+    assert drawing.attrs["alt"].startswith("Made up. ")
 
 
 def test_what_figures_declare():

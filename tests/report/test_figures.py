@@ -10,7 +10,6 @@ from matplotlib.text import Text
 
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.corner import corner_figure
-from bayesfric.report.figures.efficiency import efficiency_figure
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.prediction import prediction_figure
@@ -139,7 +138,6 @@ def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
 
 FOR_PAPERS = {
     "friction": lambda fit, _: friction_figure(fit),
-    "efficiency": lambda fit, _: efficiency_figure(fit),
     "residual": lambda fit, _: residual_figure(fit),
     "ridge": lambda fit, _: ridge_figure(fit),
     "forest": lambda _, summary: forest_figure(comparison({"run": summary})),

@@ -1,18 +1,14 @@
-"""The page's first screen: the seconds that tell most, and words."""
+"""The page's first screen: words before names, remarks, and what its calculator takes."""
 
-import copy
 import re
 
 import numpy as np
 import pytest
 
-from bayesfric.report.figures.registry import FinishedRun, run_figures
-from bayesfric.report.figures.style import PAGE
-from bayesfric.report.figures.worst import worst_figure, worst_seconds
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.summary.summary import summarise
 
-from .conftest import build, draw_fast
+from .conftest import build
 from .made_summaries import FOUND, knee
 from .page_reader import read_page
 
@@ -56,53 +52,6 @@ def test_prior_intervals_are_of_the_priors():
     )
     ends = np.quantile(mine, [0.05, 0.95])
     assert found["total_drive.viscous"].prior_interval == pytest.approx(ends, rel=0.15)
-
-
-@pytest.fixture
-def long():
-    """A fit of 13 s in two halves, whose residuals are nothing but a burst at 9 s."""
-    fit = build(samples=6000)
-    residual = np.zeros_like(fit.target.likelihood.outputs[0].measured)
-    time = fit.target.likelihood.outputs[0].time
-    residual[(time > 5.9) & (time < 6.1)] = 0.3
-    changed = copy.copy(fit)
-    changed.__dict__["residuals"] = [residual]
-    return changed
-
-
-def test_the_worst_seconds_are_chosen_by_the_rule(long):
-    (o,), (residual,) = long.target.likelihood.outputs, long.residuals
-    found = worst_seconds(long)
-    begin, end = found.outputs.time[0], found.outputs.time[-1]
-    assert 4.5 < end - begin <= 5.0
-    assert begin < 5.9
-    assert end > 6.1
-    inside = (o.time >= begin) & (o.time <= end)
-    np.testing.assert_array_equal(found.residual, residual[inside])
-    # no other window of 5 s is worse
-    for first in o.time[:: o.time.size // 50]:
-        other = (o.time >= first) & (o.time <= first + 5.0)
-        if o.time[-1] >= first + 5.0:
-            assert np.mean(residual[other] ** 2) <= np.mean(found.residual**2) * (1 + 1e-9)
-
-
-def test_the_figure_is_of_those_seconds(long):
-    found = worst_seconds(long)
-    figure = worst_figure(long)
-    draw_fast(figure)
-    (ax,) = figure.axes
-    assert figure.get_figwidth() == PAGE
-    assert ax.get_xlim() == (found.outputs.time[0], found.outputs.time[-1])
-    (measured,) = [line for line in ax.lines if line.get_gid() == "measured"]
-    time, value = measured.get_data()
-    # where outputs are missing the line breaks
-    assert np.isnan(value).sum() == (~found.outputs.follows).sum()
-    np.testing.assert_array_equal(value[np.isfinite(value)], found.outputs.measured)
-    (mean,) = [line for line in ax.lines if line.get_gid() == "mean"]
-    left = value - mean.get_ydata()
-    np.testing.assert_allclose(left[np.isfinite(left)], found.residual, atol=1e-12)
-    caption = run_figures()["worst"].caption_of(FinishedRun(long, summarise(long)))
-    assert f"Not typical: {time[0]:.4g} s to {time[-1]:.4g} s of run 0" in caption
 
 
 def test_what_is_no_page_json_is_left_out(tmp_path):

@@ -5,14 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.identifiability.local import local_information
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.curve_band import Covered, CurveJudge, covered, friction_torque
-from bayesfric.report.figures.friction import friction_caption, friction_curves, friction_figure
+from bayesfric.report.figures.friction import friction_caption, friction_figure
+from bayesfric.report.figures.friction_curves import (
+    Covered,
+    band,
+    covered,
+    friction_curves,
+    friction_torque,
+)
 from bayesfric.report.figures.style import COLUMN, PAGE
 
 from .conftest import SLIDE, draw_fast
@@ -146,12 +153,12 @@ def test_the_band_holds_the_truth(knee, curves):
     draws = knee.chain_draws()
     for curve in (*curves.over_speed, *curves.over_load):
         true = friction_torque(KNEE, TRUTH[None], curve.speed, curve.load, open_scale=True)[0]
-        assert (curve.low < true).all()
-        assert (true < curve.high).all()
+        assert (curve.ends[0] < true).all()
+        assert (true < curve.ends[2]).all()
         values = friction_torque(KNEE, draws, curve.speed, curve.load, open_scale=True)
         # 1000 of the draws give the ends of the interval to 10 % of its width
-        width = curve.high - curve.low
-        for end, share in ((curve.low, 0.05), (curve.high, 0.95)):
+        width = curve.ends[2] - curve.ends[0]
+        for end, share in ((curve.ends[0], 0.05), (curve.ends[2], 0.95)):
             assert (np.abs(end - np.quantile(values, share, axis=0)) < 0.1 * width).all()
 
 
@@ -181,16 +188,17 @@ def test_a_fast_output_alone_is_not_near_and_legend_and_caption_say_why(knee):
 
 def test_what_never_drove_back_is_not_determined(knee):
     """Without power from the load mu_2 shows nowhere, and neither does the friction there."""
-    judge = CurveJudge(knee)
-    zeroed = replace(judge.local, directions=judge.local.directions)
-    assert zeroed.data_sd_of(np.zeros(len(judge.local.names))) == 0.0
+    local = local_information(knee.target, knee.posterior.median)
+    assert local.data_sd_of(np.zeros(len(local.names))) == 0.0
 
     def unseen(x):
         # alpha_2 times the leg's scale: changes along the null direction
         return x[:, [KNEE.names.index("gearbox.load_back")]]
 
-    assert not judge.band(unseen, gauge_free=False)[-1].any()
-    median, low, high, _ = judge.band(
+    assert not band(knee, local, unseen, gauge_free=False)[1].any()
+    (low, median, high), _ = band(
+        knee,
+        local,
         lambda x: friction_torque(KNEE, x, np.array([50.0]), np.zeros(1), open_scale=True),
         gauge_free=True,
     )
@@ -198,16 +206,15 @@ def test_what_never_drove_back_is_not_determined(knee):
 
 
 def test_points_without_a_value_in_most_draws_have_none(knee):
-    judge = CurveJudge(knee)
-
     def half(x):
         out = np.tile(x[:, :1], (1, 2))
         out[: int(0.7 * len(out)), 1] = np.nan
         return out
 
-    median, low, high, determined = judge.band(half, gauge_free=False)
-    assert np.isfinite(median[0])
-    assert np.isnan([median[1], low[1], high[1]]).all()
+    local = local_information(knee.target, knee.posterior.median)
+    ends, determined = band(knee, local, half, gauge_free=False)
+    assert np.isfinite(ends[:, 0]).all()
+    assert np.isnan(ends[:, 1]).all()
     assert not determined[1]
 
 

@@ -1,11 +1,8 @@
 """Residual analysis: white noise passes, and what is missing from a model shows."""
 
-import io
-import re
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.collections import LineCollection
 from scipy.signal import lfilter
@@ -18,7 +15,7 @@ from bayesfric.report.figures.residual import residual_analysis, residual_figure
 from bayesfric.report.figures.style import PAGE
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.tables import parameter_table, parameters_csv
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import SLIDE, draw_fast
@@ -55,7 +52,6 @@ def test_white_residuals_stay_in_the_band(knee):
     assert outside.sum() <= 7
     n = knee.target.likelihood.outputs[0].measured.size
     assert found.white[0] == pytest.approx(1.96 / np.sqrt(n), rel=0.02)
-    assert abs(found.kurtosis) < 0.5
     for b in found.against:
         assert (np.abs(b.mean) > 4.0 * b.error).sum() == 0, b.name
 
@@ -99,8 +95,11 @@ def test_a_mean_of_outputs_that_repeat_each_other_is_less_known(make_fit):
     """By sqrt(1.9/0.1) = 4.4 of a first-order memory of 0.9, less for lags that are left out."""
     fit = make_fit(SLIDE, samples=20000, processing=SLOW)
     (speed, *_) = residual_analysis(disturbed(fit, memory(0.9))).against
-    plain = speed.sd / np.sqrt(fit.residuals[0].size / speed.sd.size)
-    assert np.mean(speed.error / plain) == pytest.approx(np.sqrt(1.9 / 0.1), rel=0.25)
+    (white, *_) = residual_analysis(disturbed(fit, memory(0.0))).against
+    # of so much larger a sd, too
+    assert np.mean(speed.error / white.error) * np.sqrt(1 - 0.9**2) == pytest.approx(
+        np.sqrt(1.9 / 0.1), rel=0.25
+    )
 
 
 def test_binned_means_are_the_bins(knee):
@@ -110,15 +109,8 @@ def test_binned_means_are_the_bins(knee):
     order = np.argsort(o.speed, kind="stable")
     parts = np.array_split(order, binned.centre.size)
     np.testing.assert_allclose(binned.mean, [left[p].mean() for p in parts], rtol=1e-12)
-    np.testing.assert_allclose(binned.sd, [left[p].std() for p in parts], rtol=1e-12)
     between = sum(p.size * (left[p].mean() - left.mean()) ** 2 for p in parts)
     assert binned.explained == pytest.approx(between / ((left - left.mean()) ** 2).sum())
-
-
-def test_heavy_tails_are_told(knee):
-    rng = np.random.default_rng(7)
-    fit = disturbed(knee, lambda o, _: 0.05 * rng.standard_t(3, o.measured.size))
-    assert residual_analysis(fit).kurtosis > 1.0
 
 
 def remembering(fit, partial):
@@ -139,7 +131,6 @@ def test_innovations_are_what_a_memory_leaves(knee):
     # gaps of the dead zone hide some of the past: a few more than chance are let pass
     assert np.abs(found.innovations[0]) < 0.1
     assert (np.abs(found.innovations) > found.white).sum() <= 7
-    assert abs(found.kurtosis) < 0.5
     figure = residual_figure(fit)
     draw_fast(figure)
     assert any(line.get_gid() == "innovations" for line in figure.axes[0].lines)
@@ -180,25 +171,12 @@ def test_no_words_stand_on_bars(knee):
 
 def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee, monkeypatch):
     assert summarise(knee).fit.current_rms is None
-    assert not any(child.get_gid() == "amperes" for child in children(residual_figure(knee)))
     (o,) = knee.observations
     monkeypatch.setitem(o.settings, "torque_constant", 0.32)
-    summary, figure = summarise(knee), residual_figure(knee)
-    methods = methods_text(knee, summary).plain
+    summary = summarise(knee)
     current = summary.fit.residual_rms / 0.32
     assert summary.fit.current_rms == pytest.approx(current)
-    assert f"{current:.3g} A of the motor's current" in methods
-    draw_fast(figure)
-    (right,) = [child for child in children(figure) if child.get_gid() == "amperes"]
-    left = figure.axes[2]
-    scales = [
-        float(found[1]) if (found := re.search(r"10\^\{(-?\d+)\}", ax.get_ylabel())) else 0.0
-        for ax in (left, right)
-    ]
-    ends = [
-        np.array(ax.get_ylim()) * 10.0**by for ax, by in zip((left, right), scales, strict=True)
-    ]
-    np.testing.assert_allclose(ends[1], ends[0] / 0.32, rtol=1e-6)
+    assert f"{current:.3g} A of the motor's current" in methods_text(knee, summary).plain
 
 
 def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path, monkeypatch):
@@ -224,9 +202,6 @@ def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path, 
     table = parameter_table(summary)
     (note,) = [x for x in table.notes() if "in A" in x]
     assert f"noise.sigma is {told['noise.sigma'][0]:.3g}" in note
-    rows = pd.read_csv(io.StringIO(parameters_csv(table))).set_index("name")
-    assert set(rows.index[rows["current"].notna()]) <= set(told)
-    assert rows.loc["noise.sigma", "current"] == pytest.approx(told["noise.sigma"][0])
     page = read_page(run_page(tmp_path, summary, "knee"))
     (line,) = [r for r in page.all("tr") if r.attrs.get("data-name") == "noise.sigma"]
     assert f"{told['noise.sigma'][0]:.3g} A [" in line.text
@@ -238,10 +213,6 @@ def test_behind_an_unknown_gain_only_the_noise_is_a_current(make_fit):
     o.settings["torque_constant"] = 5.0
     told = {name for name, row in summarise(fit).rows.items() if row.current}
     assert told == {"noise.sigma"}
-
-
-def children(figure):
-    return [child for ax in figure.axes for child in ax.child_axes]
 
 
 def test_lag_1_is_one_number_in_caption_and_summary(many):

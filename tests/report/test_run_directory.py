@@ -27,9 +27,7 @@ from bayesfric.report.files import check_free
 from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
-    parameters_csv,
     parameters_latex,
-    parameters_markdown,
     summary_table,
 )
 from bayesfric.report.run_directory import write_run
@@ -87,7 +85,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for stem in run_directory.FIGURES:
             # an axis has no ridge and no load, nothing is held out, nobody asked what it lacks
-            if stem not in ("ridge", "efficiency", "validation", "ladder", *DRAWN):
+            if stem not in ("ridge", "validation", "ladder", *DRAWN):
                 patch.setitem(run_directory.FIGURES, stem, drawn_by(stem, blank))
         fit(read_config(folder / "axis.toml"), folder / "run", paper=True)
     return folder
@@ -115,12 +113,12 @@ def problem(folder):
 
 def test_the_files_of_the_design(run):
     found = {path.name for path in run.iterdir()}
-    tables = {"summary.csv", "methods.csv", "methods.md"}
+    tables = {"summary.csv", "methods.csv"}
     folders = {"figures", "tables", "text"}
     files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
     assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
-    stems = ("worst", "corner", "prediction", "methods", "friction", "residual")
+    stems = ("corner", "prediction", "methods", "friction", "residual")
     assert drawn == {f"{stem}.{kind}" for stem in stems for kind in ("pdf", "png", "svg")}
     assert all(path.stat().st_size for path in run.rglob("*"))
 
@@ -129,8 +127,6 @@ def test_what_a_paper_takes_over(run, summary):
     table = parameter_table(summary)
     written = {
         "tables/parameters.tex": parameters_latex(table),
-        "tables/parameters.md": parameters_markdown(table),
-        "tables/parameters.csv": parameters_csv(table),
         "tables/estimates.tex": methods_latex(comparison({"run": summary})),
     }
     for name, text in written.items():

@@ -1,7 +1,5 @@
 """What is made of a self-check: rows, corrections, doubts, and words on page and terminal."""
 
-import csv
-import io
 import re
 from dataclasses import replace
 
@@ -15,7 +13,7 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.methods_text import methods_text
-from bayesfric.report.paper.tables import latex_texts, parameter_table, parameters_csv
+from bayesfric.report.paper.tables import latex_texts, parameter_table
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.record import ModelError
@@ -180,9 +178,6 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     assert printed.interval == TEXT.interval(*one.interval, fine)
     for medium in (TEXT, HTML, LATEX):
         assert medium.interval(*one.interval, fine) in line.shown(medium)[1]
-    lines = csv.DictReader(io.StringIO(parameters_csv(table)))
-    (written,) = (x for x in lines if x["name"] == NAME)
-    assert [float(written[k]) for k in ("value", "low", "high", "sd")] == [*line.cited]
     frame = summary.frame.set_index("name").loc[NAME]
     assert [frame["low"], frame["high"]] == one.interval
     assert ("doubtful" in shown) == doubted

@@ -1,9 +1,9 @@
-"""A comparison as a table: for a terminal, in Markdown, as CSV and as JSON."""
+"""A comparison as a table: for a terminal, as CSV and as JSON."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict
 from io import StringIO
 from typing import Any
@@ -53,30 +53,6 @@ def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
         yield from (line.rstrip() for line in captured.get().splitlines())
     for line in explained(found):
         yield from textwrap.wrap(line, width, subsequent_indent="  ")
-
-
-def comparison_markdown(found: Comparison) -> str:
-    """Lay a comparison out as one Markdown table with what to know below it."""
-    head = ["quantity", "unit", *(column.label for column in found.columns)]
-    lines = []
-    for row in found.rows:
-        cells = [_cell_parts(row.cells.get(column.label)) for column in found.columns]
-        shown = ["<br>".join(part.replace("<", "&lt;") for part in told) or "–" for told in cells]
-        lines.append([f"`{row.name}`", row.unit or "–", *shown])
-    rule = ["---", "---", *("---:" for _ in found.columns)]
-    return markdown_table(head, rule, lines, explained(found))
-
-
-def markdown_table(
-    head: Sequence[str], rule: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str]
-) -> str:
-    """Write a table in Markdown, with notes below it."""
-
-    def piped(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
-
-    table = [piped(head), piped(rule), *map(piped, rows)]
-    return "\n".join([*table, "", *(f"- {note}" for note in notes)]) + "\n"
 
 
 def comparison_csv(found: Comparison) -> str:

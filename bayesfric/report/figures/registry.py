@@ -23,8 +23,8 @@ from bayesfric.report.summary.record import Summary
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
-    "worst", "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "efficiency",
-    "posterior", "together", "side-by-side",
+    "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "posterior", "together",
+    "side-by-side",
 ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The figure of residuals: autocorrelation, quantiles, and against speed, load and angle.
+"""The figure of residuals: autocorrelation, and against speed, load and angle.
 
 What else explains them, a fit asks by itself (:mod:`bayesfric.diagnostics`); this is to be seen.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.estimates.torque import load_at_outputs
@@ -29,7 +29,6 @@ from bayesfric.report.figures.style import (
     scaled_unit,
 )
 from bayesfric.report.summary.derived_quantities import rms_of
-from bayesfric.report.summary.summary import torque_constant
 
 Places = NDArray[np.int64]
 
@@ -37,8 +36,6 @@ _LAGS = 40
 _BINS = 16
 # Outputs a bin needs, or its mean says nothing.
 _LEAST = 5
-# Points that are shown of the quantiles; more lie on top of each other.
-_POINTS = 200
 # Half width of a normal's 95 % interval, in sds.
 _HALF = float(stats.norm.ppf(0.975))
 
@@ -47,17 +44,17 @@ _DOTS: Look = {"linestyle": "none", "markersize": 2.2}
 
 
 def residual_figure(fit: Fit) -> Figure:
-    """Draw autocorrelation, quantiles, and residuals against speed, load and angle, a page wide.
+    """Draw autocorrelation, and residuals against speed, load and angle, a page wide.
 
-    Bars hold one sd of the residuals either way, thick ones the 95 % interval of their mean.
+    Bars hold the 95 % interval of a bin's mean.
     """
     found = residual_analysis(fit)
     with paper_figure(style.PAGE, _HEIGHT) as figure:
         halves = figure.add_gridspec(2, 1)
-        upper = halves[0].subgridspec(1, 2, width_ratios=(2.0, 1.0))
-        _draw_correlation(figure.add_subplot(upper[0]), fit, found)
-        _draw_quantiles(figure.add_subplot(upper[1]), found)
-        reach = max((float((abs(b.mean) + _bar(b)).max()) for b in found.against), default=1.0)
+        _draw_correlation(figure.add_subplot(halves[0]), fit, found)
+        reach = max(
+            (float((abs(b.mean) + _HALF * b.error).max()) for b in found.against), default=1.0
+        )
         exponent = power_of_ten(-reach, reach)
         lower = style.panel_grid(figure, len(found.against), max(len(found.against), 1), halves[1])
         for ax, binned in zip(lower, found.against, strict=True):
@@ -67,7 +64,6 @@ def residual_figure(fit: Fit) -> Figure:
             ax.tick_params(labelleft=ax is lower[0])
         if lower:
             lower[0].set_ylabel(f"residual ({scaled_unit(exponent, found.unit)})")
-            _draw_amperes(lower[-1], torque_constant(fit), reach, 10.0**exponent)
     return figure
 
 
@@ -101,48 +97,8 @@ def _draw_correlation(ax: Axes, fit: Fit, found: ResidualAnalysis) -> None:
     )  # fmt: skip
 
 
-def _draw_quantiles(ax: Axes, found: ResidualAnalysis) -> None:
-    reach = 1.08 * float(np.abs(found.normal).max(initial=1.0))
-    ax.plot([-reach, reach], [-reach, reach], color=style.PALETTE[2], linestyle=style.DASHED)
-    dots: Look = {"color": style.MEASURED, "marker": ".", "gid": "quantiles", **_DOTS}
-    ax.plot(found.normal, found.quantiles, **dots)
-    ax.set_xlim(-reach, reach)
-    ax.set_xlabel("quantile of a normal (sd)")
-    ax.set_ylabel(f"of {'residuals' if found.innovations is None else 'innovations'} (rms)")
-    few_ticks(ax.xaxis, 5)
-    few_ticks(ax.yaxis, 5)
-
-
-def _draw_amperes(ax: Axes, constant: float | None, reach: float, factor: float) -> None:
-    """Tell residuals in the current that was measured, too, on the right."""
-    if not constant:
-        return
-    exponent = power_of_ten(-reach / abs(constant), reach / abs(constant))
-    by = factor / (abs(constant) * 10.0**exponent)
-
-    def there(y: ArrayLike) -> ArrayLike:
-        return by * np.asarray(y, dtype=np.float64)
-
-    def back(a: ArrayLike) -> ArrayLike:
-        return np.asarray(a, dtype=np.float64) / by
-
-    right = ax.secondary_yaxis("right", functions=(there, back))
-    right.set_ylabel(f"as current ({scaled_unit(exponent, 'A')})")
-    right.set_gid("amperes")
-    few_ticks(right.yaxis, 5)
-
-
-def _bar(b: Binned) -> Array:
-    """Half the length of the longer of a bin's two bars."""
-    return np.fmax(b.sd, _HALF * b.error)
-
-
 def _draw_binned(ax: Axes, b: Binned, factor: float) -> None:
     ax.axhline(0.0, color="0.6", linewidth=0.5)
-    ax.errorbar(
-        b.centre, b.mean / factor, yerr=b.sd / factor, color=style.PALETTE[3], linestyle="none",
-        elinewidth=0.8, gid="spread",
-    )  # fmt: skip
     ax.errorbar(
         b.centre, b.mean / factor, yerr=_HALF * b.error / factor, color=style.PALETTE[0],
         linestyle="none", marker="o", markersize=2.4, elinewidth=1.6, gid="mean",
@@ -163,7 +119,6 @@ class Binned:
     unit: str
     centre: Array
     mean: Array
-    sd: Array
     error: Array  # sd of the mean, wider where residuals are correlated
     explained: float  # share of the residuals' variance that the bins' means hold
 
@@ -183,10 +138,6 @@ class ResidualAnalysis:
     white: Array  # (L,) half width of the 95 % band that white residuals keep to
     # (L,) of what the noise's memory does not predict; None where the model has no memory
     innovations: Array | None
-    # (K,) quantiles of a standard normal, and of residuals (or innovations) over their rms
-    normal: Array
-    quantiles: Array
-    kurtosis: float  # excess of theirs over a normal's
     against: tuple[Binned, ...]  # speed, load and joint angle, where they vary
 
 
@@ -195,12 +146,6 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
     outputs, left = fit.target.likelihood.outputs, fit.residuals
     lags, correlation, white = _autocorrelation(outputs, left)
     inner = _innovations(fit, left)
-    # each recording over its own rms: they may differ in noise
-    scaled = np.concatenate([r / max(rms_of(r), 1e-300) for r in inner or left])
-    n = scaled.size
-    # the tails tell most: all of their points
-    spaced = np.linspace(0, n - 1, min(n, _POINTS)).astype(int)
-    shown = np.unique(np.r_[spaced, : min(20, n), max(n - 20, 0) : n])
     against = [
         _binned((name, symbol, unit), np.concatenate(x), outputs, left)
         for name, symbol, unit, x in _abscissae(fit, outputs)
@@ -212,9 +157,6 @@ def residual_analysis(fit: Fit) -> ResidualAnalysis:
         correlation,
         white,
         _autocorrelation(outputs, inner)[1] if inner else None,
-        np.asarray(stats.norm.ppf((shown + 0.5) / n)),
-        np.sort(scaled)[shown],
-        float(stats.kurtosis(scaled)),
         tuple(b for b in against if b.centre.size > 1),
     )
 
@@ -311,7 +253,7 @@ def _binned(
     total = float(((r - r.mean()) ** 2).sum())
     between = float((size * (mean - r.mean()) ** 2).sum())
     error = sd * np.sqrt(np.minimum(repeated, size) / size)
-    return Binned(*quantity, centre, mean, sd, error, between / total if total > 0.0 else 0.0)
+    return Binned(*quantity, centre, mean, error, between / total if total > 0.0 else 0.0)
 
 
 FIGURE = RunFigure(
@@ -320,9 +262,8 @@ FIGURE = RunFigure(
     section="prediction",
     draw=lambda run: residual_figure(run.fit),
     caption=(
-        "What the posterior mean leaves unexplained: autocorrelation, quantiles against those of a "
-        "normal, and residuals against motion and load, as far as they vary (thin: one sd; "
-        "thick: 95 % interval of the bin's mean; the share of variance that the bins' means hold "
-        "is written in each panel)."
+        "What the posterior mean leaves unexplained: autocorrelation, and means of residuals "
+        "against motion and load, as far as they vary (95 % intervals; the share of variance that "
+        "the bins' means hold is written in each panel)."
     ),
 )

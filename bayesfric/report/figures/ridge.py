@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib import ticker
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import Prior, fixed
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import CHOICES, QUANTITIES
@@ -23,18 +19,14 @@ from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
 from bayesfric.report.figures.over_time import broken
 from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import Array, Look, few_ticks, power_of_ten, scaled_unit
+from bayesfric.report.figures.style import Array, Look, axis_label, few_ticks, power_of_ten
 
 _MOST_DRAWS = 1500
 # Below this, in N m, a difference is rounding.
 ROUNDING = 1e-10
 # Where nothing ends the line (mu_2 of one or more) it is drawn down to this share.
 _NO_END = 0.05
-_SHARE = 0.98  # of each prior
 _SECONDS = 3.0
-# First digits of the numbers on logarithmic axes, the fewest that suffice.
-_DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
-
 _HEIGHT = 4.3
 _LINE = style.PALETTE[0]
 _ENDS = (r"end $\alpha_2 = 1$", r"end $\alpha_1 = 1$")
@@ -84,10 +76,9 @@ def ridge(fit: Fit) -> Ridge | None:
 def ridge_figure(fit: Fit) -> Figure | None:
     """Draw the scale that no torque tells: posterior, exact line, and the torque along it.
 
-    Above, with logarithmic scales, ``alpha_1`` against first moment, load inertia and
-    ``alpha_2`` (what of these the chain has): posterior draws, what holds 98 % of each prior, the
-    exact scaling line through the posterior's median and its ends, where a passive
-    gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Below, the torque predicted in
+    Above, ``alpha_1`` against first moment, load inertia and ``alpha_2`` (what of these the chain
+    has): posterior draws, the exact scaling line through the posterior's median and its ends, where
+    a passive gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Below, the torque predicted in
     the middle and at the ends of that line. A recording with a known
     mass tells the ends apart; the posterior is a spot on the line then. A page wide; ``None`` for a
     chain that has no such scaling.
@@ -95,61 +86,16 @@ def ridge_figure(fit: Fit) -> Figure | None:
     found = ridge(fit)
     if found is None:
         return None
-    drive, others = _quantities(fit, found)
-    if not others:
-        return None
+    names = [*siblings(fit.chain, found.scaling), found.scaling.back]
     with style.paper_figure(style.PAGE, _HEIGHT) as figure:
         halves = figure.add_gridspec(2, 1, height_ratios=(1.5, 1.0))
-        upper = style.panel_grid(figure, len(others), len(others), halves[0])
-        for ax, other in zip(upper, others, strict=True):
-            _pair(ax, fit, found, drive, other)
+        for ax, name in zip(
+            style.panel_grid(figure, len(names), len(names), halves[0]), names, strict=True
+        ):
+            _pair(ax, fit, found, name)
         _torque(figure.add_subplot(halves[1]), fit, found)
         style.legend_above(figure, _handles(found))
     return figure
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    """An axis: a column of parameter vectors with its prior, or the alpha that follows from it.
-
-    ``sign`` is that of mu in ``1/alpha = 1 + sign mu``, eq. (6); zero where there is no alpha.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    column: int
-    prior: Prior
-    sign: float = 0.0
-
-    def of(self, values: Array) -> Array:
-        """Read it off parameter vectors."""
-        return self.shown(values[..., self.column])
-
-    def shown(self, x: Array) -> Array:
-        """Turn the parameter into what is shown; an irreversible gearbox has no alpha_2."""
-        if not self.sign:
-            return x
-        inverse = 1.0 + self.sign * x
-        return np.where(inverse > 0.0, 1.0 / np.where(inverse > 0.0, inverse, 1.0), np.nan)
-
-
-def _quantities(fit: Fit, found: Ridge) -> tuple[_Quantity, list[_Quantity]]:
-    names, scaling = fit.chain.names, found.scaling
-    told = dict(zip(fit.posterior.names, fit.posterior.priors, strict=True))
-    described = {p.name: p for p in fit.chain.parameters}
-
-    def shown(name: str, alpha: str = "", sign: float = 0.0) -> _Quantity:
-        p, column = described[name], names.index(name)
-        prior = told.get(name) or fixed(float(found.values[column]))
-        symbol = alpha or style.mathtext(p.symbol, name)
-        return _Quantity(name, symbol, "" if alpha else p.unit, column, prior, sign)
-
-    others = [shown(name) for name in siblings(fit.chain, scaling)]
-    others.append(shown(scaling.back, r"$\alpha_2$", -1.0))
-    # what is zero, and the alpha_2 of an irreversible gearbox, have no logarithm
-    others = [q for q in others if float(q.of(found.values)) > 0.0]
-    return shown(scaling.drive, r"$\alpha_1$", 1.0), others
 
 
 def siblings(chain: Joint, scaling: Scaling) -> list[str]:
@@ -164,69 +110,44 @@ def siblings(chain: Joint, scaling: Scaling) -> list[str]:
     return [p.name for p in sorted(behind, key=rank)[:2]]
 
 
-def _pair(ax: Axes, fit: Fit, found: Ridge, x: _Quantity, y: _Quantity) -> None:
-    ax.set_gid(y.name)
+def _pair(ax: Axes, fit: Fit, found: Ridge, name: str) -> None:
+    ax.set_gid(name)
     draws = fit.chain_draws(_MOST_DRAWS)
-    points, line = (np.stack([x.of(v), y.of(v)]) for v in (draws, found.line))
-    points = points[:, np.all(np.isfinite(points) & (points > 0.0), axis=0)]
-    limits = [_limits(p, v) for p, v in zip(points, line, strict=True)]
-    exponents = [power_of_ten(*pair) for pair in limits]
-    factors = np.array([10.0**e for e in exponents])
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    _prior(ax, (x, y), factors)
+    pairs = [(found.scaling.drive, ax.xaxis), (name, ax.yaxis)]
+    points, line = (
+        np.stack([_shown(fit, found, of, v) for of, _ in pairs]) for v in (draws, found.line)
+    )
+    for k, (of, axis) in enumerate(pairs):
+        seen = np.concatenate([points[k], line[k]])
+        exponent = power_of_ten(float(np.nanmin(seen)), float(np.nanmax(seen)))
+        for values in (points, line):
+            values[k] /= 10.0**exponent
+        alpha = {found.scaling.drive: r"\alpha_1", found.scaling.back: r"\alpha_2"}.get(of)
+        (p,) = (p for p in fit.chain.parameters if p.name == of)
+        unit = "" if alpha else p.unit
+        axis.set_label_text(axis_label(alpha or p.symbol, of, exponent, unit))
+        few_ticks(axis, 5)
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 2.2, "markeredgewidth": 0.0}
-    points, line = points / factors[:, None], line / factors[:, None]
     dots |= {"color": style.POSTERIOR, "alpha": 0.25, "rasterized": True, "zorder": 2}
     ax.plot(*points, gid="posterior", **dots)
     ax.plot(*line, color=_LINE, zorder=3, gid="line")
     for k, marker in _marked(found):
         ax.plot(*line[:, k], marker=marker, markersize=5.0, zorder=4, gid=f"end {k}", **_MARKER)
-    for axis, q, pair, exponent in zip(
-        (ax.xaxis, ax.yaxis), (x, y), limits, exponents, strict=True
-    ):
-        low, high = (v / 10.0**exponent for v in pair)
-        (ax.set_xlim if axis is ax.xaxis else ax.set_ylim)(low, high)
-        _log_ticks(axis, low, high)
-        axis.set_label_text(f"{q.symbol} ({scaled_unit(exponent, q.unit)})")
+
+
+def _shown(fit: Fit, found: Ridge, name: str, values: Array) -> Array:
+    """Read a column of parameter vectors; of a load loss, 1/alpha = 1 + mu_1 or 1 - mu_2, alpha."""
+    x = values[:, fit.chain.names.index(name)]
+    sign = {found.scaling.drive: 1.0, found.scaling.back: -1.0}.get(name)
+    if sign is None:
+        return x.copy()
+    # an irreversible gearbox has no alpha_2
+    return np.divide(1.0, 1.0 + sign * x, out=np.full_like(x, np.nan), where=1.0 + sign * x > 0.0)
 
 
 def _marked(found: Ridge) -> list[tuple[int, str]]:
     """Rows of the line that are its ends, with their markers."""
     return ([(0, "s")] if found.bounds[0] > 0.0 else []) + [(found.line.shape[0] - 1, "^")]
-
-
-def _limits(points: Array, line: Array) -> tuple[float, float]:
-    """Nearly all draws, the whole line, and a margin, in logarithms."""
-    seen = np.quantile(points, [0.002, 0.998]) if points.size else line
-    low, high = (float(np.log(choose([*seen, line.min(), line.max()]))) for choose in (min, max))
-    margin = max(0.09 * (high - low), 0.02)
-    return float(np.exp(low - margin)), float(np.exp(high + margin))
-
-
-def _log_ticks(axis: Axis, low: float, high: float) -> None:
-    """Put three to six round and plain numbers on a logarithmic axis."""
-    axis.set_minor_locator(ticker.NullLocator())
-    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
-    for digits in _DIGITS:
-        at = np.outer(decades, digits).ravel()
-        at = at[(at >= low) & (at <= high)]
-        if at.size >= 3:
-            axis.set_major_locator(ticker.FixedLocator(at[:: -(-at.size // 6)].tolist()))
-            axis.set_major_formatter(ticker.StrMethodFormatter("{x:g}"))
-            return
-    few_ticks(axis, 4)
-
-
-def _prior(ax: Axes, pair: tuple[_Quantity, _Quantity], factors: Array) -> None:
-    """Draw what holds nearly all of either prior, or the value that is known."""
-    (left, right), (low, high) = (
-        np.sort(q.shown(np.array(q.prior.interval(_SHARE)))) / factor
-        for q, factor in zip(pair, factors, strict=True)
-    )
-    ax.fill_between([left, right], low, high, color=style.PRIOR, alpha=0.1, linewidth=0.0)
-    look: Look = {"color": style.PRIOR, "linestyle": style.DASHED, "gid": "prior"}
-    ax.plot([left, right, right, left, left], [low, low, high, high, low], **look)
 
 
 def _torque(ax: Axes, fit: Fit, found: Ridge) -> None:
@@ -258,10 +179,8 @@ def _torque(ax: Axes, fit: Fit, found: Ridge) -> None:
 def _handles(found: Ridge) -> list[Artist]:
     same = max(found.differences) <= ROUNDING
     dots: Look = {"linestyle": "none", "marker": ".", "markersize": 4.0}
-    prior: Look = {"facecolor": "#f6e3d6", "edgecolor": style.PRIOR, "linewidth": 0.7}
     handles: list[Artist] = [
         Line2D([], [], color=style.POSTERIOR, label="posterior", **dots),
-        Patch(linestyle=style.DASHED, label="prior, 98 % of each", **prior),
         Line2D([], [], color=_LINE, label="no torque changes" if same else "same torque unloaded"),
     ]
     for k, marker in _marked(found):

@@ -40,8 +40,8 @@ MEASURED = "#3a3a3a"
 BAND = "#a9d3ec"
 PRIOR = PALETTE[2]
 POSTERIOR = PALETTE[1]
-# What the data leave open is hatched, never a plain band; the other way where two cross.
-OPEN_HATCH, OPEN_HATCH_BACK = "//////", "\\\\\\\\\\\\"
+# What the data leave open is hatched, never a plain band.
+OPEN_HATCH = "//////"
 DASHED: LineStyle = (0, (4.0, 1.5))
 DOTTED: LineStyle = (0, (1.0, 1.2))
 

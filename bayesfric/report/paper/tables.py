@@ -1,4 +1,4 @@
-r"""Tables for papers: parameters and methods, as LaTeX (booktabs, siunitx 3), Markdown and CSV.
+r"""Tables of a run: parameters and methods, as LaTeX (booktabs, siunitx 3) and CSV.
 
 What the data do not determine has a dash where its value would stand: its interval is that
 of the prior and the bounds, and out of the table it would be quoted as a measurement.
@@ -13,13 +13,8 @@ from typing import TYPE_CHECKING
 
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.layout import comparison_csv, comparison_markdown, markdown_table
-from bayesfric.report.numbers import (
-    LATEX,
-    TEXT,
-    Medium,
-    finer,
-)
+from bayesfric.report.comparison.layout import comparison_csv
+from bayesfric.report.numbers import LATEX, Medium, finer
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.conclusions import put_reported
@@ -28,7 +23,7 @@ from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow, is_skewed
 from bayesfric.report.summary.self_check_part import seldom_held_sentence
-from bayesfric.report.text_templates import csv_text, filled
+from bayesfric.report.text_templates import filled
 
 # Of a normal's 90 % interval, by which its ends are rounded.
 _WIDTHS = 1.0 / 3.29
@@ -51,11 +46,6 @@ _VERDICTS = {
 }
 # where a prior on another gives its scale
 _GIVEN_LIMIT = "data and prior, on one side"
-COLUMNS = [
-    "group", "name", "symbol", "meaning", "unit", "status", "verdict",
-    "value", "sd", "low", "high", "level", "limit", "remark",
-    "current", "current_low", "current_high",
-]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -195,39 +185,6 @@ def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
     """
     by = ["doubtful" if row.cell.doubted else row.by for row in rows]
     return {key: by.count(key) for key in ("data", "together", "limit", "open", "doubtful")}
-
-
-def parameters_csv(table: ParameterTable) -> str:
-    """Lay the table out as CSV, every number in full; nothing in it where it is open."""
-    lines = []
-    for r in table.rows:
-        told = {key: getattr(r, key) for key in ("group", "name", "symbol", "meaning", "unit")}
-        remark = "; ".join(text for text in (r.cell.remark, r.mend) if text)
-        told |= {"status": r.cell.told_status, "verdict": r.verdict, "remark": remark}
-        if r.row is None:
-            told["value"] = r.cell.value
-        elif r.by == "limit":
-            # one tail of the interval is on the bound's side
-            told |= {"limit": r.cell.limit, "level": (1.0 + r.row.level) / 2.0}
-        elif r.by != "open":
-            told |= dict(zip(("value", "low", "high", "sd"), r.cited or (), strict=False))
-            told["level"] = r.row.level
-            current = ("current", "current_low", "current_high")
-            told |= dict(zip(current, r.row.current or (), strict=False))
-        lines.append(told)
-    return csv_text(lines, COLUMNS)
-
-
-def parameters_markdown(table: ParameterTable) -> str:
-    """Lay the table out in Markdown."""
-    head = ["quantity", "meaning", "value", f"{100 * table.level:g} % interval", "unit"]
-    lines = [
-        [f"`{r.name}`", r.meaning or "–", *r.shown(TEXT), r.unit or "–", r.verdict]
-        for r in table.rows
-    ]
-    rule = ["---", "---", "---:", "---:", "---", "---"]
-    notes = [f"{note}." for note in table.notes()]
-    return markdown_table([*head, "determined by"], rule, lines, notes)
 
 
 def parameters_latex(table: ParameterTable) -> str:
@@ -371,14 +328,9 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 
     ``BadInput`` where the summary lacks something.
     """
-    table = parameter_table(summary, run)
-    methods = comparison({run: summary})
     return {
         "summary.csv": summary_table(summary),
-        "methods.csv": comparison_csv(methods),
-        "methods.md": comparison_markdown(methods),
-        "tables/parameters.md": parameters_markdown(table),
-        "tables/parameters.csv": parameters_csv(table),
+        "methods.csv": comparison_csv(comparison({run: summary})),
     }
 
 

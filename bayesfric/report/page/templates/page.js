@@ -47,7 +47,7 @@
     });
   }
 
-  // figures: the drawing itself moves into the dialog, so that no name is there twice
+  // figures: the drawing itself moves into the dialog
   const dialog = document.getElementById("enlarged");
   const place = document.getElementById("enlarged-body");
   const title = document.getElementById("enlarged-title");
@@ -59,18 +59,6 @@
   document.getElementById("enlarged-close").addEventListener("click", () => dialog.close());
   dialog.addEventListener("close", back);
   dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
-  const blob = (svg) => {
-    const copy = svg.cloneNode(true);
-    const { width, height } = svg.viewBox.baseVal;
-    copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
-    copy.setAttribute("width", `${width}pt`);
-    copy.setAttribute("height", `${height}pt`);
-    const style = document.createElementNS("http://www.w3.org/2000/svg", "style");
-    style.textContent = "*{stroke-linejoin:round;stroke-linecap:butt}";
-    copy.prepend(style);
-    const text = '<?xml version="1.0" encoding="utf-8"?>\n' + new XMLSerializer().serializeToString(copy);
-    return new Blob([text], { type: "image/svg+xml" });
-  };
   for (const figure of document.querySelectorAll("figure")) {
     const card = figure.querySelector(".card");
     const enlarge = figure.querySelector(".enlarge");
@@ -85,10 +73,9 @@
     });
     save.addEventListener("click", () => {
       const link = document.createElement("a");
-      link.href = URL.createObjectURL(blob(card.querySelector("svg")));
+      link.href = card.querySelector("img").src;
       link.download = `${card.dataset.stem}.svg`;
       link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     });
   }
 
