@@ -83,29 +83,24 @@ def init(
     as_json: AsJson = False,
 ) -> None:
     """Write a commented configuration."""
-    from bayesfric.commands.init import configuration
-    from bayesfric.commands.init_fleet import FLEET, PLAN
-    from bayesfric.commands.init_from import configuration_from, open_text
+    from bayesfric.commands.init import configuration, configuration_from, open_text
     from bayesfric.commands.keys import reference_text
     from bayesfric.report.files import write_beside
 
-    asked = "--schema" if schema else "--all-keys" if all_keys else ""
-    found = None
-    if schema and all_keys:
-        raise BadInput("--all-keys", "is beside --schema", "ask for one")
+    options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
+    asked, found = [name for name, given in options.items() if given], None
+    output = None if output == Path("-") else output
+    if len(asked) > 1:
+        raise BadInput(asked[1], f"is beside {asked[0]}", "ask for one")
     if force and output is None:
         raise BadInput("--force", "replaces a file", "name it with -o")
     if log is None and (table or joint):
         raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
-    if log is not None and (asked or preset == FLEET):
-        raise BadInput(asked or FLEET, "takes no log", "leave --from out")
-    if asked:
-        text = reference_text(preset, schema=schema, option=asked)
-    elif preset == FLEET:
-        text = PLAN
-    elif log is not None:
+    if log is not None:
         found = configuration_from(log, preset, output, table=table, joint=joint)
         text = found["text"]
+    elif asked:
+        text = reference_text(preset, schema=schema, option=asked[0])
     elif preset is None:
         raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
     else:

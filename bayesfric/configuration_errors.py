@@ -9,29 +9,9 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.errors import BadInput, LeftOpen, Unfit, nearest
+from bayesfric.errors import BadInput, Unfit, nearest
 
 _LONGEST = 60
-
-# What to give instead, by the beginning of pydantic's error type.
-_KINDS = {
-    "int_": "a whole number",
-    "float_": "a number",
-    "bool_": "true or false",
-    "string_type": "text in quotes",
-    "string_too_short": "text that is not empty",
-    "list_": "a list in [brackets]",
-    "tuple_": "a list in [brackets]",
-    "dict_": "a table of keys",
-    "model_": "a table of keys",
-    "finite_number": "a finite number",
-}
-_BOUNDS = {
-    "greater_than": ("more than", "gt"),
-    "greater_than_equal": ("at least", "ge"),
-    "less_than": ("less than", "lt"),
-    "less_than_equal": ("at most", "le"),
-}
 
 
 def read_text(path: Path, largest: int, kind: str, mend: str, mend_text: str) -> str:
@@ -75,17 +55,8 @@ def configuration_error(
     where = prefix + (".".join(words) or whole)
     if first["type"] == "extra_forbidden":
         return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
-    what, mend = _worded([e for p, e in deeper if p == place])
-    if first["type"].startswith("model_") and (keys := _known_keys([*place, ""], model)):
-        mend += f": {', '.join(keys)}"
-    if _left_open(first) and (more := [p for p, e in found if _left_open(e) and p != place]):
-        others = (".".join(str(x + 1) if isinstance(x, int) else x for x in p) for p in more)
-        what += f", as {', '.join(dict.fromkeys(others))} are"
+    what, mend = _worded(first, [e["msg"] for p, e in deeper if p == place])
     return BadInput(where, what, mend)
-
-
-def _left_open(error: Any) -> bool:
-    return isinstance(error.get("ctx", {}).get("error"), LeftOpen)
 
 
 def _place(location: Sequence[int | str], document: Any) -> list[int | str]:
@@ -100,52 +71,22 @@ def _place(location: Sequence[int | str], document: Any) -> list[int | str]:
     return place
 
 
-def _worded(errors: Sequence[Any]) -> tuple[str, str]:
-    """Say what is wrong with one value, and what to give instead."""
-    first = errors[0]
-    value = first["input"]
-    kind = first["type"]
-    if kind == "value_error":
+def _worded(first: Any, messages: Sequence[str]) -> tuple[str, str]:
+    """Say what is wrong with one value, and what to give instead, by pydantic's messages."""
+    got = f"got {_shown(first['input'])}"
+    if first["type"] == "value_error":
         error = first["ctx"]["error"]
         fits = isinstance(error, Unfit)
         return (error.what, f"give {error.wanted}") if fits else (str(error), "correct it")
-    if kind == "literal_error":
-        expected = first["ctx"]["expected"]
-        choices = re.findall(r"'([^']*)'", expected)
-        # only words, which can be misspelt
-        words = "True" not in expected and all(choice[:1].isalpha() for choice in choices)
-        if isinstance(value, str) and choices and words:
-            return f"got {_shown(value)}", nearest(value, choices)
-        # TOML writes them small
-        expected = expected.replace("True", "true").replace("False", "false")
-        return f"got {_shown(value)}", f"give {expected}"
-    if kind in ("tuple_type", "list_type") and isinstance(value, Mapping):
-        return "got a single table", "write its name in [[two brackets]]"
-    if kind in ("missing", "too_long") and isinstance(value, list):
-        wanted = first["ctx"]["max_length"] if kind == "too_long" else len(value) + 1
-        return f"got {_shown(value)}", f"give {wanted} values"
-    if kind in _BOUNDS:
-        word, key = _BOUNDS[kind]
-        return f"got {_shown(value)}", f"give {word} {first['ctx'][key]:.10g}"
-    known = [_wanted(e) for e in errors]
-    if not all(known):
-        return f"got {_shown(value)}: {first['msg']}", "correct it"
-    mend = " or ".join(dict.fromkeys(known))
-    numbers, texts = (
-        any(e["type"].startswith(kinds) for e in errors)
-        for kinds in (("int_", "float_", "finite_number"), ("string_",))
-    )
-    texts = texts or "'" in mend  # one of some words
-    if isinstance(value, str) and not texts:
-        mend += ", without quotes" + (" or unit" if numbers else "")
-    return f"got {_shown(value)}", f"give {mend}"
-
-
-def _wanted(error: Any) -> str:
-    """Name what one way of taking a value would have accepted; empty if that has no words."""
-    if error["type"] == "literal_error":
-        return str(error["ctx"]["expected"]).replace("True", "true").replace("False", "false")
-    return next((word for kind, word in _KINDS.items() if error["type"].startswith(kind)), "")
+    if first["type"] == "literal_error" and isinstance(first["input"], str):
+        choices = re.findall(r"'(\w[^']*)'", first["ctx"]["expected"])
+        if choices and "True" not in first["ctx"]["expected"]:
+            return got, nearest(first["input"], choices)
+    wanted = [message.removeprefix("Input should be ") for message in messages]
+    mend = f"it should be {' or '.join(dict.fromkeys(wanted))}"
+    for pydantic, toml in (("True", "true"), ("False", "false"), ("an object", "a table")):
+        mend = mend.replace(pydantic, toml)
+    return got, "give more values" if first["type"] == "missing" else mend
 
 
 def _shown(value: Any) -> str:

@@ -41,10 +41,6 @@ class Unfit(ValueError):
         super().__init__(f"expected {wanted}, {what}")
 
 
-class LeftOpen(Unfit):
-    """A value that ``bayesfric init --from`` left open, for a user to write."""
-
-
 class Interrupted(KeyboardInterrupt):
     """The user asked to stop, and what was done so far is kept.
 

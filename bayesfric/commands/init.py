@@ -1,111 +1,146 @@
-"""``bayesfric init``: a commented configuration to start from."""
+"""``bayesfric init``: a commented configuration to start from; what a log does not tell is open."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+import os
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config_text import toml_value
+from bayesfric.recordings.recognition import Chosen, Log, recognise
+from bayesfric.recordings.tables import read_table
+from bayesfric.recordings.tables.reader import TableOptions
+from bayesfric.recordings.units import OPEN
+from bayesfric.templates import environment
+
+# What is written in place of a preset.
+FLEET = "fleet"
+_DEFAULT = "motor-axis"
+# What may stand for an open value.
+_UNITS = {
+    "time": "s, ms or us",
+    "position": "rad, deg, turn, or of counts such as turn/4096",
+    "velocity": "rad/s, deg/s, rpm",
+    "torque": 'N m; of a signal in V "V", constant = "... N m/V"',
+    "current": "A or mA",
+    "voltage": 'V; of a duty cycle "1/885", times = "supply", times_unit = "V"',
+}
+_SLIDING = {"position": "m or mm", "velocity": "m/s", "torque": "N, or N/V"}
+# What no log tells, as a configuration wants it.
+_CONSTANTS = {
+    "current": {"torque_constant": f"{OPEN} N m/A"},
+    "voltage": {"torque_constant": f"{OPEN} N m/A", "resistance": f"{OPEN} ohm"},
+}
 
 
-def configuration(preset: str, recordings: Sequence[str] | None = None) -> str:
-    """Text of a commented configuration for a preset.
-
-    ``recordings`` are the lines of its table, examples if left out.
-    """
+def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
+    """Text of a commented configuration for a preset, with examples or what a log tells."""
+    if preset == FLEET and log is None:
+        plan = files("bayesfric.commands").joinpath("templates", "fleet.toml")
+        return plan.read_text(encoding="utf-8")
     if preset not in PRESETS:
         raise BadInput(preset, "there is no such preset", nearest(preset, PRESETS))
-    chosen = PRESETS[preset]
-    chain = chosen.chain()
+    chain = PRESETS[preset].chain()
     # of a recorded joint most of the inertia is what the gearbox moves
-    moved = () if recordings is None else chain.unseen_inertia
-    chain = _with_load_behind(chain, moved)
-    first = chain.parameters[0]
-    return "\n".join(
-        [
-            f"# bayesfric: {chosen.meaning}.",
-            "# What begins with '#' is an example; every key: bayesfric init --all-keys",
-            "[mechanism]",
-            *_mechanism(preset, chain, moved),
-            "",
-            *(_recordings(chain) if recordings is None else recordings),
-            "",
-            "[priors]  # a number fixes, a range is uniform; what is left out is wide",
-            f'# "{first.name}" = [1e-4, 1e-3]  # {first.unit}',
-            "",
-        ]
+    moved = () if log is None else {name.partition(".")[0] for name in chain.unseen_inertia}
+    made = environment("bayesfric.commands")
+    made.filters["toml"] = toml_value
+    return made.get_template("init.toml.j2").render(
+        meaning=PRESETS[preset].meaning,
+        preset=preset,
+        others=_others(preset),
+        chain=chain,
+        moved=moved,
+        # a plain axis may slide as well
+        slides=chain.ratio == 1.0 and "first_moment" not in chain.load.choices,
+        first=next(p for p in chain.parameters if p.name not in chain.unseen_inertia or not moved),
+        log=log,
+        units=_UNITS,
+        sliding=_SLIDING,
+        **told,
     )
 
 
-def _mechanism(preset: str, chain: Chain, moved: Collection[str]) -> Iterator[str]:
-    others = " or ".join(json.dumps(name) for name in other_presets(preset))
-    yield f'preset = "{preset}"  # or {others}'
-    yield 'terms = "auto"  # puts in what else explains the torque; or "as written"'
-    yield "# delay = true  # the position comes late or early against the torque"
-    if may_slide(chain):
-        yield '# motion = "linear"  # it slides: m and N in place of rad and N m'
-    for element in chain.elements:
-        lines = []
-        if element.ratio != 1.0:
-            lines.append(
-                f"# ratio = {element.ratio:g}  # speed of the motor over that of the joint"
-            )
-        if f"{element.name}.inertia" in moved:
-            lines.append("inertia = false")
-        if lines:
-            yield from (f"[mechanism.elements.{element.name}]", *lines)
-    if moved:
-        yield "[mechanism.load]"
-        yield "inertia = true  # the load loss sees it here; the motor's own is seldom told apart"
+def configuration_from(
+    path: Path,
+    preset: str | None,
+    output: Path | None = None,
+    *,
+    table: str | None = None,
+    joint: str | None = None,
+) -> dict[str, Any]:
+    """Write a configuration for a log: ``text``, the keys left ``open``, and what is ``unknown``.
+
+    ``presets`` are those that could be meant where none was named. File names are relative to where
+    ``output`` will be.
+
+    Raises
+    ------
+    BadInput
+        If the log cannot be read, or there is no such joint.
+    """
+    log = recognise(read_table(path, TableOptions.model_validate({"table": table})), joint)
+    given = preset or _DEFAULT
+    file = path if output is None else Path(os.path.relpath(path, output.parent))
+    geared = given in PRESETS and PRESETS[given].chain().ratio != 1
+    channels = _channels(log, geared)
+    left_open = {
+        f"{channel}.{key}": value
+        for channel, keys in channels.items()
+        for key, value in keys.items()
+        if OPEN in value
+    }
+    if "time" not in channels:
+        left_open["rate"] = f"{OPEN} kHz"
+    unknown = []
+    if preset is None:
+        unknown.append(f"the mechanism: {given} is taken, as no PRESET was named")
+    if geared:
+        unknown.append("whether position and velocity are those of the motor or of the joint")
+    others = _others(given) if preset is None else []
+    return {
+        "text": configuration(given, log, file=file, table=table, channels=channels),
+        "preset": given,
+        "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
+        "open": left_open,
+        "unknown": unknown,
+        "joint": log.joint,
+        "joints": list(log.joints),
+    }
 
 
-def may_slide(chain: Chain) -> bool:
-    """Whether it may be an axis that slides as well: it has no gear, and gravity does not act."""
-    return chain.ratio == 1.0 and "first_moment" not in chain.load.choices
+def open_text(found: dict[str, Any]) -> Iterator[str]:
+    """List for a person what to write before anything else is done."""
+    if len(found["joints"]) > 1:
+        others = ", ".join(one for one in found["joints"] if one != found["joint"])
+        yield f"Joint {found['joint']}; with --joint one of: {others}"
+    if found["open"]:
+        yield f"The log does not tell; write it where '{OPEN}' stands:"
+    for key, value in found["open"].items():
+        yield f"  {key} = {toml_value(value)}"
+    for text in found["unknown"]:
+        yield f"  not known: {text}"
+    for one in found["presets"]:
+        yield f"  preset = {toml_value(one['preset'])} is for {one['when']}"
 
 
-def _with_load_behind(chain: Chain, moved: Collection[str]) -> Chain:
-    """Put inertia into the load, so that a load loss sees what accelerates it, too."""
-    if not moved:
-        return chain
-    without: dict[str, Any] = {"inertia": False}
-    elements = [
-        replace(e, **without) if f"{e.name}.inertia" in moved else e for e in chain.elements
-    ]
-    return replace(
-        chain, elements=elements, load=replace(chain.load, **{**without, "inertia": True})
-    )
-
-
-def other_presets(preset: str) -> list[str]:
+def _others(preset: str) -> list[str]:
     """Name the presets that could be meant instead, those without a gearbox first."""
-    others = (name for name in PRESETS if name != preset)
-    return sorted(others, key=lambda name: PRESETS[name].chain().ratio)
+    return sorted({*PRESETS} - {preset}, key=lambda name: (PRESETS[name].chain().ratio, name))
 
 
-def _recordings(chain: Chain) -> Iterator[str]:
-    linear = chain.motor_motion == "linear"
-    side = ', side = "motor"' if chain.ratio != 1 else ""
-    yield "[[recordings]]"
-    yield 'file = "recording.csv"  # one table a file; a list or wildcards for several alike'
-    yield 'time = { column = "time", unit = "s" }'
-    yield f'position = {{ column = "position", unit = "{"m" if linear else "rad"}"{side} }}'
-    yield f'torque = {{ column = "torque", unit = "{"N" if linear else "N m"}" }}  # or:'
-    yield '# current = { column = "current", unit = "A", torque_constant = "0.32 N m/A" }'
-    yield (
-        '# voltage = { column = "u", unit = "V", torque_constant = "0.3 N m/A", '
-        'resistance = "1 ohm" }'
-    )
-    yield '# added_mass = "2 kg"  # known, bolted to the load'
-    yield '# radius = "0.35 m"'
-    yield "# exclude = [[7.4, 9.0]]  # s in which a hand pushed"
-
-
-def target_line(linear: bool) -> str:
-    """Write a position target whose gains are to be filled in."""
-    unit, gain = ("m", "8 N/m") if linear else ("rad", "8 N m/rad")
-    return f'target = {{ column = "goal", unit = "{unit}", kp = "{gain}" }}'
+def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
+    """Give the keys of every channel; of position and torque also where no column has the name."""
+    drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
+    found = {}
+    for channel in ("time", "position", "velocity", drive, "temperature"):
+        one = log.chosen.get(channel) or Chosen(channel, OPEN, "")
+        if one.column != OPEN or channel in ("position", drive):
+            side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
+            keys = {"column": one.column, "unit": one.unit or OPEN}
+            found[channel] = keys | side | _CONSTANTS.get(channel, {})
+    return found

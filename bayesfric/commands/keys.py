@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bayesfric.commands.init_fleet import FLEET
+from bayesfric.commands.init import FLEET
 from bayesfric.commands.schema import Kind, schema_of
 from bayesfric.errors import BadInput
 from bayesfric.recordings.units import UNIT_KEYWORD

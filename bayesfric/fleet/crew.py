@@ -10,10 +10,9 @@ credentials, and one on a network what Dask's own configuration says (``distribu
 from __future__ import annotations
 
 import logging
-import os
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from bayesfric import threads
@@ -22,15 +21,15 @@ from bayesfric.fleet.plan import ClusterOptions
 from bayesfric.fleet.work import Done, Task, do_unit
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
-# How often what is the machine's fault is tried again, how often a unit's worker may die, and how
-# often a scheduler may be gone with nothing done in between.
-_RETRIES, _DEATHS, _GONE = 2, 5, 2
+# How often what is the machine's fault is tried again, and how often a unit's worker may die.
+_RETRIES, _DEATHS = 2, 5
 # Units handed out at once, and for each thread if that is more: the rest waits here, where it
 # takes no memory of the scheduler's.
 _HANDED_OUT, _PER_THREAD = 256, 4
-_CONNECT = 10.0  # s
+# How long and how often a scheduler is called, s.
+_CONNECT, _TRIALS = 10.0, 2
 # A worker is one thread; what it calls must not start more. And what was freed goes back to the
 # system: else a worker's memory grows with the number of its units.
 _ENVIRONMENT = {
@@ -51,30 +50,40 @@ _SETTINGS = {
 Arrived = Callable[[str, Done | str], None]
 
 
-class _Gone(Exception):
-    """The scheduler is gone, or does not answer."""
-
-
 def work_through(tasks: Sequence[Task], options: ClusterOptions, arrived: Arrived) -> None:
     """Have every task done, and tell of each.
 
     Raises
     ------
     BadInput
-        If no scheduler answers.
+        If no scheduler answers, or it is gone meanwhile.
     """
-    waiting, idle = deque(tasks), 0
-    while waiting:
-        left = len(waiting)
-        try:
-            with _crew(options) as client:
-                _serve(client, waiting, arrived)
-        except _Gone:
-            idle = idle + 1 if len(waiting) == left else 0
-            if idle == _GONE:
-                where = str(options.scheduler or "bayesfric fleet")
-                mend = "see whether it runs, and has memory; then go on with --resume"
-                raise BadInput(where, "no scheduler answers", mend) from None
+    from distributed import as_completed
+
+    waiting, flying = iter(tasks), dict[Any, Task]()
+    with _crew(options) as client:
+        coming = as_completed(loop=client.loop)
+
+        def hand_out(count: int) -> None:
+            for task in islice(waiting, count):
+                future = client.submit(do_unit_here, task, pure=False, retries=_RETRIES)
+                flying[future] = task
+                coming.add(future)
+
+        hand_out(max(_HANDED_OUT, _PER_THREAD * sum(client.nthreads().values())))
+        for future in coming:
+            if future.status not in ("finished", "error"):
+                raise _no_scheduler(options)
+            task = flying.pop(future)
+            done = future.result() if future.status == "finished" else _told(future.exception())
+            arrived(task["name"], done)
+            future.release()
+            hand_out(1)
+
+
+def _no_scheduler(options: ClusterOptions) -> BadInput:
+    mend = "see whether it runs, and has memory; then go on with --resume"
+    return BadInput(str(options.scheduler or "bayesfric fleet"), "no scheduler answers", mend)
 
 
 def check_engine(options: ClusterOptions) -> None:
@@ -106,68 +115,28 @@ def _crew(options: ClusterOptions) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    cluster: Any = options.scheduler
-    with dask.config.set({} if cluster else _SETTINGS):
-        try:
-            if not cluster:
-                cluster = LocalCluster(
-                    n_workers=options.workers or _cores(),
-                    threads_per_worker=1,
-                    memory_limit=options.memory_limit,
-                    dashboard_address=None,
-                    security=True,
-                    host="127.0.0.1",
-                    silence_logs=logging.CRITICAL,
-                )
-            client = Client(cluster, timeout=_CONNECT, set_as_default=False)
-        except (RuntimeError, OSError, ValueError, TypeError) as error:
-            if cluster is not options.scheduler:
-                cluster.close()
-            raise _Gone from error  # no address, say, or a worker that died while it started
-        try:
-            yield client
-        finally:
-            client.close(timeout=2.0)
-            if cluster is not options.scheduler:
-                cluster.close()
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _serve(client: Client, waiting: deque[Task], arrived: Arrived) -> None:
-    """Hand out and take in until nothing waits; what is not done waits again if that ends early.
-
-    The first unit goes alone until one was sampled: it compiles what all others then load.
-    """
-    from distributed import as_completed
-
-    flying: dict[Future, Task] = {}
-    coming = as_completed(loop=client.loop)
-    most = max(_HANDED_OUT, _PER_THREAD * sum(client.nthreads().values()))
-    compiled = False
-    try:
-        while waiting or flying:
-            while waiting and len(flying) < (most if compiled else 1):
-                task = waiting.popleft()
-                future = client.submit(do_unit_here, task, pure=False, retries=_RETRIES)
-                flying[future] = task
-                coming.add(future)
-            future = next(coming)
-            if future.status not in ("finished", "error"):
-                raise _Gone
-            task = flying.pop(future)
-            done = future.result() if future.status == "finished" else _told(future.exception())
-            if not isinstance(done, str) and not done["again"] and done["record"]["rows"]:
-                compiled = True
-            arrived(task["name"], done)
-            future.release()
-    except (OSError, TimeoutError) as error:
-        # of the connection: what the disk refuses is bad input by now
-        raise _Gone from error
-    finally:
-        waiting.extendleft(reversed(flying.values()))
+    given: Any = options.scheduler
+    told = {
+        "n_workers": options.workers,
+        "threads_per_worker": 1,
+        "memory_limit": options.memory_limit,
+        "dashboard_address": None,
+        "security": True,
+        "host": "127.0.0.1",
+        "silence_logs": logging.CRITICAL,
+    }
+    with dask.config.set({} if given else _SETTINGS), ExitStack() as opened:
+        for left in reversed(range(_TRIALS)):
+            try:
+                cluster = given or opened.enter_context(LocalCluster(**told))
+                client = Client(cluster, timeout=_CONNECT, set_as_default=False)
+                break
+            except (RuntimeError, OSError, ValueError, TypeError):
+                # no address, say, or a worker that died while it started
+                if not left:
+                    raise _no_scheduler(options) from None
+        opened.callback(client.close, timeout=2.0)
+        yield client
 
 
 def do_unit_here(task: Task) -> Done:

@@ -16,7 +16,7 @@ from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput
 from bayesfric.fleet.crew import check_engine, work_through
 from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
-from bayesfric.fleet.fleet_units import cells_of, read_units, units_of
+from bayesfric.fleet.fleet_units import read_units, units_of
 from bayesfric.fleet.plan import (
     ClusterOptions,
     Plan,
@@ -113,8 +113,9 @@ class Fleet:
         if isinstance(units, str | Path):
             rows = read_units(Path(units), name)
         else:
-            told = units.to_dict("list") if hasattr(units, "to_dict") else dict(units)
-            rows = units_of(*cells_of(told, "units"), name, "units", first_row=1)
+            import pandas as pd
+
+            rows = units_of(pd.DataFrame(units), name, "units", first_row=1)
         self.plan = Plan(
             Path("Fleet"),
             made,
@@ -222,7 +223,7 @@ class _Course:
     def __init__(self, plan: Plan, results: Results, tell: Shown) -> None:
         self.plan, self.results, self._tell = plan, results, tell
         self.again, self.left = 0, dict[str, str]()
-        self._began, self._cpu_seconds = time.monotonic(), -time.process_time()
+        self._cpu_seconds = -time.process_time()
 
     def tasks(self, folder: Path) -> list[Task]:
         """Fill the template for each unit; one with an empty cell has failed already."""
@@ -260,12 +261,7 @@ class _Course:
     def _words(self) -> str:
         records = self.results.records
         done, failed = len(records), sum(r["status"] == FAILED for r in records.values())
-        fitted, taken = done - self.again, time.monotonic() - self._began
-        words = f"{done} of {len(self.plan.units)} units, {failed} failed"
-        if fitted > 0 and taken > 0.0:
-            left = (len(self.plan.units) - done) * taken / fitted
-            words += f", {3600.0 * fitted / taken:.0f} an hour, {_duration(left)} left"
-        return words
+        return f"{done} of {len(self.plan.units)} units, {failed} failed"
 
     def end(self, folder: Path, began: float) -> FleetRun:
         """Sum it up, and write what the units are together: tables, figures, the page."""
@@ -291,10 +287,3 @@ class _Course:
             cpu_seconds=self._cpu_seconds + time.process_time(),
             population=found,
         )
-
-
-def _duration(seconds: float) -> str:
-    minutes = round(seconds / 60.0)
-    if minutes < 1:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

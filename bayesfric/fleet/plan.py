@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
@@ -110,32 +110,19 @@ class Template:
             Naming the key, if a placeholder has no column, or an empty cell.
         """
 
-        def put(place: str, text: str) -> Any:
-            filled = put_in(text, unit.text, f"{self.path}: {place}", f"unit {unit.name!r}")
-            alone = PLACEHOLDER.fullmatch(text)
-            return unit.values[alone[1]] if alone and alone[1] is not None else filled
+        def put(value: Any, place: str) -> Any:
+            inner = place and f"{place}."
+            if isinstance(value, Mapping):
+                return {key: put(x, f"{inner}{key}") for key, x in value.items()}
+            if isinstance(value, list):
+                return [put(x, f"{inner}{k}") for k, x in enumerate(value, start=1)]
+            if not isinstance(value, str):
+                return value
+            text = put_in(value, unit.text, f"{self.path}: {place}", f"unit {unit.name!r}")
+            alone = PLACEHOLDER.fullmatch(value)
+            return unit.values[alone[1]] if alone and alone[1] is not None else text
 
-        return document_text(_mapped(self.document, put))
-
-    def placeholders(self) -> list[tuple[str, str]]:
-        """Name every placeholder, with the key it stands in."""
-        found: list[tuple[str, str]] = []
-
-        def put(place: str, text: str) -> None:
-            found.extend((place, m[1]) for m in PLACEHOLDER.finditer(text) if m[1] is not None)
-
-        _mapped(self.document, put)
-        return found
-
-
-def _mapped(value: Any, put: Callable[[str, str], Any], place: str = "") -> Any:
-    """Put something in place of every text, by its key and the text."""
-    inner = place and f"{place}."
-    if isinstance(value, Mapping):
-        return {key: _mapped(x, put, f"{inner}{key}") for key, x in value.items()}
-    if isinstance(value, list):
-        return [_mapped(x, put, f"{inner}{k}") for k, x in enumerate(value, start=1)]
-    return put(place, value) if isinstance(value, str) else value
+        return document_text(put(self.document, ""))
 
 
 @dataclass(frozen=True)
@@ -171,21 +158,15 @@ class Plan:
             if name in COLUMNS and not same:
                 what = f"a column cannot be called {name!r}, which results are"
                 raise BadInput(str(self.path), what, "give it another name")
-        for place, name in self.template.placeholders():
-            if name not in columns:
-                where = f"{self.template.path}: {place}"
-                what = f"asks for {{{name}}}, and the units have no such column"
-                raise BadInput(where, what, nearest(name, columns))
-        first: BadInput | None = None
+        errors: list[BadInput] = []
         for unit in self.units:
             try:
                 parse_config(self.template.filled(unit), self.template.path)
             except BadInput as error:
-                first = first or error
+                errors.append(error)
             else:
                 return self
-        assert first is not None
-        raise first
+        raise errors[0]
 
 
 def read_template(path: Path) -> Template:

@@ -13,8 +13,7 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -64,52 +63,43 @@ def do_unit(task: Task) -> Done:
         For faults of the machine only; all else is told in the record.
     """
     began, folder = time.process_time(), Path(task["folder"])
-    with _alone(folder):
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    # waits for a worker that was thought lost; the system unlocks when a process ends
+    lock = folder.with_name(f".{folder.name}.lock")
+    with FileLock(lock):
         config, facts, why = _facts(task)
-        if (record := _stored(folder, facts)) is not None:
-            return _done(record, began, again=True)
-        shutil.rmtree(folder, ignore_errors=True)
-        record = failure(why) if config is None else _fitted(config, folder, task["draws"])
-        folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"of": facts, "record": record}, ensure_ascii=False, allow_nan=False)
-        with _blaming_the_machine():
-            write_beside({folder / UNIT: f"{text}\n"})
-    return _done(record, began, again=False)
-
-
-def _done(record: dict[str, Any], began: float, *, again: bool) -> Done:
+        record = _stored(folder, facts)
+        again = record is not None
+        if record is None:
+            shutil.rmtree(folder, ignore_errors=True)
+            record = failure(why) if config is None else _fitted(config, folder, task["draws"])
+            folder.mkdir(parents=True, exist_ok=True)
+            text = json.dumps({"of": facts, "record": record}, ensure_ascii=False, allow_nan=False)
+            try:
+                write_beside({folder / UNIT: f"{text}\n"})
+            except BadInput as error:
+                raise OSError(str(error)) from None
+        # who waits for it finds the unit done
+        with suppress(OSError):
+            lock.unlink()
     return {"record": record, "again": again, "cpu_seconds": time.process_time() - began}
 
 
 def _fitted(config: Config, folder: Path, draws: int | None) -> dict[str, Any]:
     try:
-        with _blaming_the_machine():
-            result = Model.from_config(config).fit()
-            return record_of(result.write(folder, draws=draws))
-    except (OSError, MemoryError):
+        return record_of(Model.from_config(config).fit().write(folder, draws=draws))
+    except MemoryError:
         raise
-    except BadInput as error:
-        return failure(str(error))
-    except Exception as error:  # a defect of this package is one unit's, not the fleet's
-        said = " ".join(f"{type(error).__name__}: {error}".split())
-        return failure(f"internal: {said}")
-
-
-@contextmanager
-def _blaming_the_machine() -> Iterator[None]:
-    """Let faults of the machine through as they are, also where they were put into words."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno in _MACHINE:
-            raise
-        raise BadInput(str(error.filename), str(error.strerror), "check the file") from error
-    except BadInput as error:
-        cause = error.__cause__ or error.__context__
+    except Exception as error:
+        # what the machine did may have been put into words
+        cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
         if isinstance(cause, OSError) and cause.errno in _MACHINE:
             # rebuilt, as pickled ones lose what they hold
-            raise OSError(cause.errno, cause.strerror, str(cause.filename or error.where)) from None
-        raise
+            raise OSError(cause.errno, cause.strerror, str(cause.filename or folder)) from None
+        if isinstance(error, BadInput):
+            return failure(str(error))
+        # a defect of this package is one unit's, not the fleet's
+        return failure(" ".join(f"internal: {type(error).__name__}: {error}".split()))
 
 
 def _facts(task: Task) -> tuple[Config | None, dict[str, Any], str]:
@@ -141,18 +131,3 @@ def _stored(folder: Path, facts: dict[str, Any]) -> dict[str, Any] | None:
         return dict(found["record"]) if found["of"] == facts else None
     except (OSError, ValueError, LookupError, TypeError):
         return None
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Wait until nobody else works on the unit: a worker that was thought lost, say.
-
-    The system gives the lock back when a process ends, however it ends.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    path = folder.with_name(f".{folder.name}.lock")
-    with FileLock(path):
-        yield
-        # who waits for it finds the unit done
-        with suppress(OSError):
-            path.unlink()

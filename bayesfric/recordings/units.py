@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
-from bayesfric.errors import BadInput, LeftOpen, Unfit
+from bayesfric.errors import BadInput, Unfit
 
 if TYPE_CHECKING:
     import pint
@@ -130,7 +130,7 @@ def _base(text: str) -> tuple[float, Powers]:
 def known(text: str) -> str:
     """Refuse what a configuration made of a log leaves open."""
     if OPEN in text:
-        raise LeftOpen("what is right", f"'{text}' was left open by init")
+        raise Unfit("what is right", f"'{text}' was left open by init")
     return text
 
 

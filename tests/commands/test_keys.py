@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel
 
 import bayesfric
-from bayesfric.commands.init_fleet import PLAN
+from bayesfric.commands.init import FLEET, configuration
 from bayesfric.commands.keys import key_tables
 from bayesfric.commands.schema import schema_of
 from bayesfric.errors import BadInput
@@ -201,8 +201,7 @@ def test_the_schema_is_written_with_the_line_that_makes_editors_use_it(bench, va
     ("arguments", "said"),
     [
         (["rabbit-knee", "--all-keys"], "rabbit-knee: --all-keys is the same for every preset"),
-        (["--schema", "--from", "run.csv"], "--schema: takes no log"),
-        (["fleet", "--from", "run.csv"], "fleet: takes no log"),
+        (["--schema", "--from", "run.csv"], "--from: is beside --schema; ask for one"),
         (["--schema", "--all-keys"], "--all-keys: is beside --schema; ask for one"),
     ],
 )
@@ -215,7 +214,7 @@ def test_what_init_cannot_do_at_once_is_refused(bench, arguments, said):
 def test_the_plan_of_a_fleet_works_as_it_is(bench, validators):
     assert bench.run("init", "fleet", "-o", "fleet.toml").code == 0
     text = (bench.folder / "fleet.toml").read_text(encoding="utf-8")
-    assert text == PLAN
+    assert text == configuration(FLEET)
     validators["fleet"].validate(tomllib.loads(text))
     assert not validators["fleet"].is_valid(tomllib.loads(text.replace("glob", "globe")))
     (bench.folder / "recordings").mkdir()

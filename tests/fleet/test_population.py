@@ -2,6 +2,7 @@
 
 import json
 
+import pandas as pd
 import pytest
 
 from bayesfric.errors import BadInput
@@ -42,10 +43,16 @@ def test_what_is_written_is_json_and_tells_every_quantity(found):
 
 def test_dates_are_days_since_the_first():
     rows = [["a", "2026-05-03"], ["b", "2026-05-01T12:00:00"], ["c", "2026-06-01"]]
-    units = units_of(["unit", "day"], rows, None, "units.csv")
+    units = units_of(pd.DataFrame(rows, columns=["unit", "day"]), None, "units.csv")
     assert places_of(units, "day") == ({"a": 1.5, "b": 0.0, "c": 30.5}, "day")
-    units = units_of(["unit", "km"], [["a", "1.5"], ["b", "2"]], None, "units.csv")
+    units = units_of(
+        pd.DataFrame([["a", "1.5"], ["b", "2"]], columns=["unit", "km"]), None, "units.csv"
+    )
     assert places_of(units, "km") == ({"a": 1.5, "b": 2.0}, "km")
-    units = units_of(["unit", "day"], [["a", "2026-05-03"], ["b", "May"]], None, "units.csv")
+    units = units_of(
+        pd.DataFrame([["a", "2026-05-03"], ["b", "May"]], columns=["unit", "day"]),
+        None,
+        "units.csv",
+    )
     with pytest.raises(BadInput, match="unit 'b': 'May' is neither"):
         places_of(units, "day")

@@ -4,6 +4,7 @@ import copy
 import json
 
 import numpy as np
+import pandas as pd
 
 from bayesfric.fleet.fleet_population import fleet_population
 from bayesfric.fleet.fleet_units import units_of
@@ -23,7 +24,7 @@ def write_fleet(folder):
     names = [f"knee-{k:02d}" for k in range(COUNT)]
     rows = [[name, f"2026-05-{k + 1:02d}", f"j{k % 4}"] for k, name in enumerate(names)]
     rows.append(["broken", "2026-06-01", "j0"])
-    units = units_of(["unit", "day", "joint"], rows, None, "units.csv")
+    units = units_of(pd.DataFrame(rows, columns=["unit", "day", "joint"]), None, "units.csv")
     records = {"broken": failure("logs/<broken>.csv: is empty; record it again")}
     for k, unit in enumerate(units[:COUNT]):
         run = copy.deepcopy(knee())
