@@ -82,7 +82,7 @@ def _of_model(
     """Kind, values and section of what may be wrong with model and noise."""
     for one in summary.taken:
         yield "put in", one.model_dump(), "model-error"
-    for one in summary.findings:
+    for one in sorted(summary.findings, key=lambda one: -one.share):
         if one.severity == "note":  # else it is a doubt
             yield "missing", one.model_dump() | {"what": one.kind}, "model-error"
     if summary.fit.rests:

@@ -5,13 +5,14 @@ Terminal, page and notebook print the same lines and the same digits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bayesfric.report.alerts import Alert, alerts_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import ORDER, Reported
 from bayesfric.results.verdict import Outcome
@@ -19,13 +20,13 @@ from bayesfric.results.verdict import Outcome
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
 _SIGNS = {
-    "good": "Good.",
-    "usable": "Usable.",
-    "unchecked": "Not checked.",
-    "doubtful": "Doubtful.",
+    "good": "Fit good",
+    "usable": "Model incomplete",
+    "unchecked": "Model not checked",
+    "doubtful": "Doubtful",
 }
 # What stands beside a number that is not simply identified.
-_BESIDE = {"identified": "", "limit": "", "prior": "with the prior", "doubtful": "doubtful"}
+_BESIDE = {"identified": "", "limit": "", "prior": "needs the prior", "doubtful": "doubtful"}
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
     rows = {
         row.name: row.row.reported
         for row in table.rows
-        if row.row is not None and row.row.reported is not None and not of_noise(row.name)
+        if row.row is not None and row.row.reported is not None and not _beside(row.name)
     }
     shown = [name for name, one in rows.items() if one.status != "unidentified"]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
@@ -78,7 +79,7 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
         read=_read(read),
         outcome=read.verdict.outcome,
         verdict=_verdict(read),
-        taken=tuple(f"Put in: {line_of(one.kind, one.model_dump())}" for one in read.taken),
+        taken=tuple(f"Added: {line_of(one.kind, one.model_dump())}" for one in read.taken),
         level=f"{100.0 * read.level:g} % interval",
         lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
         more=max(len(shown) - ROWS, 0),
@@ -91,6 +92,11 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
         others=max(len(found) - FINDINGS, 0),
         following=_next(read),
     )
+
+
+def _beside(name: str) -> bool:
+    """Whether the tables have it alone: the noise's, and efficiencies, which alphas are already."""
+    return of_noise(name) or quantity_of(name).startswith("efficiency")
 
 
 def _read(summary: Summary) -> str:
@@ -116,28 +122,21 @@ def _verdict(summary: Summary) -> str:
         return f"Not converged: {'no number is a posterior' if lost else 'numbers may still move'}."
     text = _SIGNS[found.outcome]
     if found.explained is not None:
-        text += f" The model explains {_share(found.explained)} % of the {summary.fit.quantity}"
+        left = 100.0 * math.sqrt(1.0 - found.explained)
+        text += f": it leaves {left:.2g} % of the {summary.fit.quantity}"
         if summary.fit.residual_rms is not None:
-            text += f" ({summary.fit.residual_rms:.3g} {summary.fit.unit} rms left)"
+            text += f" ({summary.fit.residual_rms:.3g} {summary.fit.unit} rms)"
     if found.outcome == "good" and found.asked:
         notes = sum(one.severity == "note" for one in summary.findings)
         more = "none of {} candidates explains more" if not notes else "what it lacks moves nothing"
         text += "; " + more.format(found.asked)
     elif found.outcome == "usable":
-        text += "; intervals have room for what it lacks"
+        text += "; intervals are wider for it"
     elif found.outcome == "unchecked" and found.explained is not None:
         text += "; what it lacks was not asked"
     elif found.doubtful:
         text += f"; {found.doubtful} number{'s' * (found.doubtful > 1)} doubtful"
     return text.rstrip(".") + "."
-
-
-def _share(explained: float) -> str:
-    """Write a share with as many nines as it has, and one digit."""
-    left, digits = 100.0 * (1.0 - explained), 1
-    while digits < 4 and left < 0.5 * 10.0**-digits:
-        digits += 1
-    return f"{100.0 * explained:.{digits}f}"
 
 
 def _line(name: str, one: Reported, unit: str) -> Line:

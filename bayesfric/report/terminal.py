@@ -35,7 +35,7 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
 
 
 def _brief(told: Brief) -> Iterator[str]:
-    head = ("", "value", "±", told.level, "", "")
+    head = ("", "value", "sd", told.level, "", "")
     lines = [(x.name, x.value, x.sd, x.interval, x.unit, x.beside) for x in told.lines]
     for line in filled("brief.txt.j2", b=told, table=aligned([head, *lines])).splitlines():
         # rows of the table keep their spaces

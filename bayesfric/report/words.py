@@ -51,7 +51,7 @@ def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
     """
     told = {"kind": kind, **(values or {})}
     if kind == "put in":
-        return f"put in: {line_of(told['kind'], told)}"
+        return f"added: {line_of(told['kind'], told)}"
     known = words_of(_kind(kind, told))
     do = next((text for key, text in known.instead.items() if told.get(key)), known.do)
     what, do = (_FILL.vformat(text, (), told) for text in (known.what, do))

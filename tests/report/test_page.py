@@ -171,7 +171,7 @@ def test_first_screen_names_what_is_open(page, summary):
         if row["verdict"] == "prior" and not row["at_bound"]:
             assert name in first.text, name
     (verdict,) = [p for p in first.all("p") if "verdict-line" in p.attrs.get("class", "")]
-    assert verdict.text.startswith(("Good.", "Not checked."))
+    assert verdict.text.startswith(("Fit good", "Model not checked"))
     (why,) = page.all("section", id="why")
     assert "bayesfric identify" in why.text
     assert "may be simulated" in why.text
