@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -12,25 +11,6 @@ from pydantic import BaseModel, ValidationError
 from bayesfric.errors import BadInput, Unfit, nearest
 
 _LONGEST = 60
-
-
-def read_text(path: Path, largest: int, kind: str, mend: str, mend_text: str) -> str:
-    """Read a UTF-8 file of at most ``largest`` bytes; errors of the disk are the caller's.
-
-    Promised to hostile input: a pipe and what never ends are refused; ``kind`` is what the file
-    was taken for.
-    """
-    if path.is_fifo():
-        # opening it would wait for ever if nobody writes
-        raise BadInput(str(path), "is a named pipe, no file", mend)
-    with path.open("rb") as file:
-        raw = file.read(largest + 1)
-    if len(raw) > largest:
-        raise BadInput(str(path), f"is too large for a {kind}", mend)
-    try:
-        return raw.decode("utf-8-sig")  # Windows editors put a mark in front
-    except UnicodeDecodeError as error:
-        raise BadInput(str(path), f"is not UTF-8 (byte {error.start})", mend_text) from None
 
 
 def configuration_error(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +16,7 @@ from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
+from bayesfric.opened import LARGEST_NUMBER, array_of, opened_hdf5
 from bayesfric.problem.problem import Problem
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.result import Result, result_of
@@ -135,23 +136,34 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
     path = run / "posterior.nc"
     groups: dict[str, dict[str, Array]] = {}
     try:
-        with h5py.File(path) as file:
+        with opened_hdf5(path, "fit the run again") as file:
             for group in ("posterior", "told"):
                 if group in file:
-                    groups[group] = {n: np.asarray(file[group][n][()]) for n in summary.parameters}
+                    groups[group] = {n: array_of(file[group][n]) for n in summary.parameters}
             if "sample_stats" in file:
-                groups["sample_stats"] = {"lp": np.asarray(file["sample_stats"]["lp"][()])}
-        groups["posterior"]
-    except (OSError, KeyError, TypeError, ValueError, AttributeError):
-        raise BadInput(
-            str(path), "holds no draws of the run's parameters", "fit the run again"
-        ) from None
+                groups["sample_stats"] = {"lp": array_of(file["sample_stats"]["lp"])}
+    except BadInput:
+        groups = {}
+    if not _whole(groups, summary.sampler.ensembles or 1):
+        raise BadInput(str(path), "holds no draws of the run's parameters", "fit the run again")
     free = [name for name in model.chain.names if not model.priors[name].fixed]
     if missing := [name for name in free if name not in summary.parameters]:
         raise BadInput(
             str(run / "config.toml"), f"{missing[0]} was not sampled", "fit the run again"
         )
     return summary, model, groups
+
+
+def _whole(groups: dict[str, dict[str, Array]], ensembles: int) -> bool:
+    """Whether there are draws, numbers of one shape ``(chains, draws)`` that ensembles share."""
+    shape = next((x.shape for x in groups.get("posterior", {}).values()), ())
+    if len(shape) != 2 or not math.prod(shape) or shape[0] % ensembles:
+        return False
+    every = [x for group in groups.values() for x in group.values()]
+    return all(
+        x.dtype.kind == "f" and x.shape == shape and (np.abs(x) < LARGEST_NUMBER).all()
+        for x in every
+    )
 
 
 def _sampled(result: Result) -> Finished:

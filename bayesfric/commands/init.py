@@ -40,8 +40,7 @@ _CONSTANTS = {
 def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
     """Text of a commented configuration for a preset, with examples or what a log tells."""
     if preset == FLEET and log is None:
-        plan = files("bayesfric.commands").joinpath("templates", "fleet.toml")
-        return plan.read_text(encoding="utf-8")
+        return files("bayesfric.commands").joinpath("templates", "fleet.toml").read_text("utf-8")
     if preset not in PRESETS:
         raise BadInput(preset, "there is no such preset", nearest(preset, PRESETS))
     chain = PRESETS[preset].chain()

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayesfric.commands.report import report
 from bayesfric.errors import BadInput
+from bayesfric.opened import read_text
 from bayesfric.progress import Shown
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
@@ -54,7 +55,7 @@ def _write(run: Path, found: RollOut, told: RollOutPart) -> None:
     # whatever another version keeps there, stays there
     summary: dict[str, Any] = {**read_summary_file(run), "rollout": told.as_dict()}
     caption_file = run / "text" / "captions.md"
-    captions = read_captions(caption_file.read_text("utf-8")) if caption_file.is_file() else {}
+    captions = read_captions(read_text(caption_file)) if caption_file.exists() else {}
     figures = run / "figures"
     try:
         with TemporaryDirectory(dir=figures) as beside:

@@ -26,6 +26,7 @@ from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.model import Model
+from bayesfric.opened import read_text
 from bayesfric.report.files import parents_made
 from bayesfric.version import __version__
 
@@ -189,8 +190,8 @@ def alone_in(folder: Path, run: Path) -> Iterator[None]:
             continue  # its owner just left and removed the folder
         except Timeout:
             name = "another process"
-            with suppress(OSError, UnicodeDecodeError):
-                name = owner.read_text(encoding="utf-8").strip() or name
+            with suppress(BadInput):
+                name = read_text(owner, largest=1000).strip() or name
             what = f"{name} is making this run"
             raise BadInput(str(run), what, "wait for it, or name another with -o") from None
         except OSError as error:

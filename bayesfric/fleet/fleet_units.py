@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import io
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.errors import BadInput, nearest
+from bayesfric.opened import check_ordinary, read_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,17 +69,18 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
     """
     import pandas as pd
 
-    if not path.is_file():
-        raise BadInput(str(path), "there is no such file", "check its name")
+    size = check_ordinary(path)
     try:
         if path.suffix.lower() in (".parquet", ".pq"):
             return units_of(pd.read_parquet(path), pattern, str(path), first_row=2)
-        with path.open(encoding="utf-8-sig") as file:
-            delimiter = max(",;\t", key=file.readline().count)
+        text = read_text(path)
+        delimiter = max(",;\t", key=text.partition("\n")[0].count)
         # no header: pandas would rename the second of two columns of one name
-        cells = pd.read_csv(path, sep=delimiter, header=None, dtype=str, keep_default_na=False)
+        cells = pd.read_csv(
+            io.StringIO(text), sep=delimiter, header=None, dtype=str, keep_default_na=False
+        )
     except (OSError, ValueError) as error:
-        what = "is empty" if not path.stat().st_size else f"is no table of units ({error})"
+        what = f"is no table of units ({error})" if size else "is empty"
         raise BadInput(str(path), what, "give a row of names, and one for each unit") from None
     frame = cells[1:].set_axis(cells.iloc[0], axis=1)
     return units_of(frame, pattern, str(path), first_row=2)

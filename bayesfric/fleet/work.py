@@ -22,6 +22,7 @@ from filelock import FileLock
 from bayesfric.errors import BadInput
 from bayesfric.fleet.results import failure, record_of
 from bayesfric.model import Model
+from bayesfric.opened import read_json
 from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.read import recorded_files
 from bayesfric.recordings.tables import sha256
@@ -127,7 +128,7 @@ def _facts(task: Task) -> tuple[Config | None, dict[str, Any], str]:
 def _stored(folder: Path, facts: dict[str, Any]) -> dict[str, Any] | None:
     """Read what came of the same unit before."""
     try:
-        found = json.loads((folder / UNIT).read_text(encoding="utf-8"))
+        found = read_json(folder / UNIT)
         return dict(found["record"]) if found["of"] == facts else None
-    except (OSError, ValueError, LookupError, TypeError):
+    except (BadInput, ValueError, LookupError, TypeError):
         return None

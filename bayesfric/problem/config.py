@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bayesfric.configuration_errors import configuration_error, read_text
+from bayesfric.configuration_errors import configuration_error
 from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
@@ -27,6 +27,7 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import Joint
+from bayesfric.opened import read_json, read_text
 from bayesfric.population.options import PoolingOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
@@ -238,23 +239,7 @@ def read_config(path: Path) -> Config:
 
 def read_toml(path: Path) -> str:
     """Read the text of a TOML file; bad input where there is none."""
-    mend = "name the .toml file"
-    try:
-        str(path).encode()
-        return read_text(path, _LARGEST, "configuration", mend, "save it as UTF-8")
-    except UnicodeEncodeError:
-        # every later print of it would end in an error
-        raise BadInput(
-            str(path), "its name is not UTF-8", "rename the file or its folder"
-        ) from None
-    except FileNotFoundError:
-        raise BadInput(str(path), "there is no such file", "check the name") from None
-    except IsADirectoryError:
-        raise BadInput(str(path), "is a folder", f"{mend} in it") from None
-    except OSError as error:
-        raise BadInput(
-            str(path), f"cannot be read ({error.strerror})", "check its name and its rights"
-        ) from None
+    return read_text(path, "name the .toml file", largest=_LARGEST)
 
 
 def _origin(path: Path) -> Origin | None:
@@ -263,8 +248,8 @@ def _origin(path: Path) -> Origin | None:
     if path.name != RUN_CONFIG or not beside.is_file():
         return None
     try:
-        return Origin.model_validate(json.loads(beside.read_text(encoding="utf-8"))["source"])
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return Origin.model_validate(read_json(beside)["source"])
+    except (BadInput, ValueError, LookupError, TypeError):
         return None
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from bayesfric.errors import BadInput
 from bayesfric.finished_run import Finished
+from bayesfric.opened import read_text
 from bayesfric.problem.config import Config, parse_config, read_config
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
@@ -48,8 +49,8 @@ def of_config(posterior: Finished, path: Path) -> list[Recorded]:
     """
     run = tomllib.loads(posterior.model.config.text)
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = tomllib.loads(read_text(path, "name the .toml file"))
+    except (ValueError, RecursionError):
         read_config(path)  # says what is wrong
         raise
     for table in ("mechanism", "processing"):

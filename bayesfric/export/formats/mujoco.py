@@ -11,6 +11,7 @@ from bayesfric.errors import BadInput, nearest
 from bayesfric.export.carried import AROUND
 from bayesfric.export.format import Content, Files, Format, Options
 from bayesfric.export.written_law import law, unwritten
+from bayesfric.opened import read_text
 
 # Step of the model that is written, s. With a friction constraint as stiff as two steps allow,
 # motion is that of the fitted joint to a tenth of a milliradian.
@@ -67,10 +68,7 @@ def _write(content: Content) -> Files:
 
 
 def _read(path: Path) -> str:
-    try:
-        return path.read_bytes().decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"--into {path}", f"cannot be read ({error})", "name an MJCF file") from None
+    return read_text(path, "name an MJCF file with --into")
 
 
 def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> str:

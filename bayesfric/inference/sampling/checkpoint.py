@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.errors import BadInput
 from bayesfric.inference.sampling.step_file import StepFile, Steps
+from bayesfric.opened import parse_json, read_text
 from bayesfric.recordings.arrays import Array
 
 # As numpy.random.RandomState gives and takes it.
@@ -243,9 +244,9 @@ class Checkpoint:
         if not path.exists():
             return None
         try:
-            text = path.read_text(encoding="utf-8")
-            number = json.loads(text).get("format")
-        except (OSError, ValueError, AttributeError, RecursionError) as error:
+            text = read_text(path)
+            number = parse_json(str(path), text).get("format")
+        except (BadInput, AttributeError) as error:
             raise self._unreadable(path, error) from None
         if number != FORMAT:
             raise self._differs("checkpoint format", number, FORMAT)

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.configuration_errors import read_text
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.quantities import Motion
+from bayesfric.opened import read_json
 from bayesfric.report.summary.part import NotNegative, Pair, Part
 
 FILE = "page.json"
@@ -97,7 +97,6 @@ def calculator_json(found: Calculator) -> str:
 def read_calculator(run: Path) -> Calculator | None:
     """Read what a run directory holds for its page; nothing where it holds none that is whole."""
     try:
-        text = read_text(run / FILE, _LARGEST, "page", "fit the run again", "fit the run again")
-        return Calculator.model_validate(json.loads(text)["calculator"])
-    except (OSError, ValueError, KeyError, TypeError, BadInput):
+        return Calculator.model_validate(read_json(run / FILE, largest=_LARGEST)["calculator"])
+    except (BadInput, ValueError, KeyError, TypeError):
         return None

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
+from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
+from bayesfric.opened import array_of, opened_hdf5
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.record import Summary
 
@@ -39,14 +40,14 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
     out.
     """
     try:
-        with h5py.File(run / "posterior.nc") as file:
+        with opened_hdf5(run / "posterior.nc") as file:
             group = file["told" if "told" in file else "posterior"]
             known = {**summary.derived, **summary.parameters}
             found = {name: _flat(group[name]) for name in known if name in group}
             before = file.get("prior", {})
             prior = {name: _flat(before[name]) for name in found if name in before}
             config = str(file.attrs.get("config", ""))
-    except (OSError, KeyError, TypeError, ValueError, AttributeError):
+    except BadInput:
         return RunDraws()
     sampled = {name: x for name, x in found.items() if name in summary.parameters}
     found = _derived(rebuild(config), sampled, summary) | found
@@ -55,7 +56,7 @@ def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | Non
 
 def _flat(stored: Any) -> Array:
     """Lay chains and draws of a data set out in a row, evenly thinned where there are many."""
-    x = np.asarray(stored[()], dtype=np.float64).ravel()
+    x = np.asarray(array_of(stored), dtype=np.float64).ravel()
     if x.size == 0:
         raise ValueError("no draws")
     return x[:: -(-x.size // _MOST)]

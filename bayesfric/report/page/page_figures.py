@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import get_args
 from urllib.parse import quote
 
+from bayesfric.errors import BadInput
+from bayesfric.opened import read_text
 from bayesfric.report.figures.registry import Declared, Section
 
 _SIZE = re.compile(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"')
@@ -43,8 +45,8 @@ class PageFigure:
 
 
 def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str) -> PageFigure:
-    """Read one figure of a folder; ``OSError`` or ``ValueError`` where there is no such drawing."""
-    text = (folder / "figures" / f"{stem}.svg").read_text(encoding="utf-8")
+    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none."""
+    text = read_text(folder / "figures" / f"{stem}.svg")
     if (size := _SIZE.search(text)) is None:
         raise ValueError(f"{stem}.svg is no SVG with a view box")
     text = _COORDINATES.sub(lambda found: _LONG.sub("", found[0]), text).replace("\n", " ")
@@ -67,6 +69,6 @@ def page_figures(
         alt = f"{one.title}. {caption}".strip()
         try:
             sections[one.section].append(page_figure(folder, one.stem, one.title, caption, alt))
-        except (OSError, ValueError):
+        except (BadInput, ValueError):
             continue
     return sections

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import h5py
 from pydantic import Field
 
+from bayesfric.errors import BadInput
+from bayesfric.opened import opened_hdf5, parse_json
 from bayesfric.report.summary.part import Pair, Part
 
 
@@ -41,9 +41,9 @@ class Provenance(Part):
 def read_provenance(run: Path) -> Provenance | None:
     """Read the root attributes of a run's ``posterior.nc``, and no draws; ``None`` without them."""
     try:
-        with h5py.File(run / "posterior.nc") as file:
-            told = {key: json.loads(file.attrs[key]) for key in ("versions", "recordings")}
-            spans = json.loads(file.attrs.get("spans", "{}"))
+        with opened_hdf5(run / "posterior.nc") as file:
+            told = {key: parse_json(key, file.attrs[key]) for key in ("versions", "recordings")}
+            spans = parse_json("spans", file.attrs.get("spans", "{}"))
             return Provenance(**told, seed=str(file.attrs["seed"]), spans=spans)
-    except (OSError, KeyError, ValueError, TypeError):
+    except (BadInput, ValueError, TypeError):
         return None

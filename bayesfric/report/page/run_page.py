@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from bayesfric.errors import BadInput
+from bayesfric.opened import read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
 from bayesfric.report.answers.page_record import Calculator, read_calculator
@@ -77,8 +79,8 @@ def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | Non
 def _text(path: Path) -> str:
     """Read a text that a run may lack."""
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
+        return read_text(path)
+    except BadInput:
         return ""
 
 

@@ -5,7 +5,6 @@ Tables, page, terminal and comparison are views of it.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.configuration_errors import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
+from bayesfric.opened import read_json
 from bayesfric.report.summary.part import (
     Name,
     NotNegative,
@@ -497,22 +496,12 @@ def read_summary_file(run: Path) -> dict[str, Any]:
     """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
     file, again = run / "summary.json", "fit this run again"
     mend = "name a run directory, as 'bayesfric fit' makes it"
-    try:
-        if not run.is_dir():
-            what = "is a file" if run.exists() else "there is no such folder"
-            raise BadInput(str(run), what, mend)
-        text = read_text(file, _LARGEST, "summary", mend, again)
-        found = json.loads(text, parse_constant=_refuse)
-    except FileNotFoundError:
-        raise BadInput(str(run), "holds no summary.json", mend) from None
-    except OSError as error:
-        raise BadInput(str(file), f"cannot be read ({error.strerror})", mend) from None
-    except (ValueError, RecursionError) as error:
-        raise BadInput(str(file), f"is no JSON ({error})", again) from None
+    if not run.is_dir():
+        what = "is a file" if run.exists() else "there is no such folder"
+        raise BadInput(str(run), what, mend)
+    if not file.exists():
+        raise BadInput(str(run), "holds no summary.json", mend)
+    found = read_json(file, again, largest=_LARGEST)
     if not isinstance(found, dict):
         raise BadInput(str(file), "holds no table of results", again)
     return found
-
-
-def _refuse(constant: str) -> float:
-    raise ValueError(f"{constant} is no number")

@@ -1,0 +1,166 @@
+"""Everything that is opened by its name, opened here: an ordinary file of bounded size.
+
+A name may be that of a pipe that nobody writes to, of a device that never ends, of a file far
+larger than it looks, or of an archive that unpacks to more than there is memory. What is opened
+here is none of these, or it is bad input, in one line.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.errors import BadInput
+
+if TYPE_CHECKING:
+    import h5py
+
+# Bytes of a text that a person wrote, or a run that is summed up, and of one array.
+LARGEST_TEXT, LARGEST_ARRAY = 2**26, 2**30
+# Bytes that one byte of a compressed array may stand for, and of a piece that is unpacked at once:
+# real draws and recordings stay far below.
+_PACKED, _PIECE = 1000, 2**28
+# Nothing that is measured is larger.
+LARGEST_NUMBER = 1e100
+# No control characters, which a terminal would obey, and no halves of characters.
+_SHOWN = re.compile(r"[^\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]*")
+
+
+def check_ordinary(path: Path, mend: str = "check the name") -> int:
+    """Refuse what is no ordinary file that can be read, and give its size in bytes.
+
+    ``mend`` says what to name instead.
+    """
+    try:
+        str(path).encode()
+        found = path.stat()
+    except UnicodeEncodeError:  # every later print of it would end in an error
+        what = "its name is not UTF-8"
+        raise BadInput(str(path), what, "rename the file or its folder") from None
+    except FileNotFoundError:
+        raise BadInput(str(path), "there is no such file", mend) from None
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from None
+    if stat.S_ISDIR(found.st_mode):
+        raise BadInput(str(path), "is a folder", mend)
+    if not stat.S_ISREG(found.st_mode):  # opening a pipe waits for ever, a device never ends
+        raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
+    return found.st_size
+
+
+def read_bytes(path: Path, mend: str = "check the name", *, largest: int = LARGEST_TEXT) -> bytes:
+    """Read a file of at most ``largest`` bytes."""
+    check_ordinary(path, mend)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(largest + 1)
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    if len(raw) > largest:
+        raise BadInput(str(path), f"is larger than {largest / 2**20:.0f} MiB", mend)
+    return raw
+
+
+def read_text(path: Path, mend: str = "check the name", *, largest: int = LARGEST_TEXT) -> str:
+    """Read a UTF-8 file of at most ``largest`` bytes."""
+    try:
+        return read_bytes(path, mend, largest=largest).decode("utf-8-sig")  # of Windows' editors
+    except UnicodeDecodeError as error:
+        where = f"is not UTF-8 (byte {error.start})"
+        raise BadInput(str(path), where, "save it as UTF-8") from None
+
+
+def parse_json(where: str, text: str, mend: str = "make it again") -> Any:
+    """Read JSON of finite numbers, and text that can be shown; ``where`` names it in messages."""
+    try:
+        found = json.loads(text, parse_float=_number, parse_int=_whole, parse_constant=_refuse)
+        for one in _texts(found):
+            if not _SHOWN.fullmatch(one):
+                raise ValueError(f"{one[:40]!r} cannot be shown")
+        return found
+    except json.JSONDecodeError as error:
+        why = f"{error.msg} in line {error.lineno}"
+    except (ValueError, RecursionError) as error:
+        why = str(error)
+    raise BadInput(where, f"is not valid JSON ({why})", mend)
+
+
+def read_json(path: Path, mend: str = "make it again", *, largest: int = LARGEST_TEXT) -> Any:
+    """Read a JSON file of at most ``largest`` bytes."""
+    return parse_json(str(path), read_text(path, mend, largest=largest), mend)
+
+
+@contextmanager
+def opened_hdf5(path: Path, mend: str = "check the name") -> Iterator[h5py.File]:
+    """Open an HDF5 file to read; whatever the library says of a damaged one is bad input."""
+    import h5py  # takes long, which only reading HDF5 should cost
+
+    check_ordinary(path, mend)
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        why = f"is no whole file of its kind ({type(error).__name__}: {error})"
+        raise BadInput(str(path), why, mend) from None
+
+
+def array_of(dataset: h5py.Dataset) -> NDArray[Any]:
+    """Read a dataset whole, of a size that is known before; ``ValueError`` where it is none."""
+    import h5py
+
+    if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
+        raise ValueError("no array")
+    if dataset.external is not None or dataset.is_virtual:
+        raise ValueError("an array that lies in another file")
+    size = math.prod(dataset.shape) * dataset.dtype.itemsize
+    piece = math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize
+    if size > min(LARGEST_ARRAY, _PACKED * max(dataset.id.get_storage_size(), 2**10)):
+        raise ValueError(f"an array of {size / 2**20:.0f} MiB")
+    if piece > _PIECE:
+        raise ValueError(f"pieces of {piece / 2**20:.0f} MiB")
+    return np.asarray(dataset[()])
+
+
+def _number(text: str) -> float:
+    """Read a number that can still be squared; what is next to nothing is nothing."""
+    found = float(text)
+    if abs(found) > LARGEST_NUMBER:
+        raise ValueError(f"{text[:20]} is too large")
+    return found if abs(found) > 1.0 / LARGEST_NUMBER**2 else 0.0
+
+
+def _whole(text: str) -> int:
+    _number(text)
+    return int(text)
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
+
+
+def _texts(found: Any) -> Iterator[str]:
+    """Give every text in what JSON held, keys too."""
+    if isinstance(found, str):
+        yield found
+    elif isinstance(found, dict):
+        yield from found
+    for one in (
+        found.values() if isinstance(found, dict) else found if isinstance(found, list) else ()
+    ):
+        yield from _texts(one)
+
+
+def _unreadable(path: Path, error: Exception) -> BadInput:
+    if isinstance(error, PermissionError):
+        return BadInput(str(path), "no permission to read it", "change the file's permissions")
+    why = getattr(error, "strerror", None) or str(error)
+    return BadInput(str(path), f"cannot be read ({why})", "check its name and the disk")
