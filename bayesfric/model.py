@@ -15,8 +15,8 @@ from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit import fit
+from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.identification import Identification, identify
-from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.identifiability.plausible import estimate_point, points_around

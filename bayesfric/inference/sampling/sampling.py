@@ -26,7 +26,7 @@ from bayesfric.inference.sampling.moves import (
 )
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.start import Start
-from bayesfric.inference.sampling.undefined_likelihood import beside_posterior, undefined_warning
+from bayesfric.inference.sampling.undefined_likelihood import share_undefined, undefined_warning
 from bayesfric.inference.target import Target
 from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
@@ -178,9 +178,8 @@ def sample(
     warnings = [text for text, harmless in _standing(acceptance) if harmless]
     if not_finite:
         batch = settings.ensembles * walkers
-        places = beside_posterior(target, frozen.proposal, settings.seed, batch)
-        share = float(places[:, -1].mean())
-        warnings += filter(None, [undefined_warning(target.names, places)])
+        share = share_undefined(target, frozen.proposal, settings.seed, batch)
+        warnings += filter(None, [undefined_warning(share)])
     return Posterior(
         names=target.names,
         priors=target.priors,
