@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.sampling.sampling import TROUBLE, Sampling, sample
 from bayesfric.inference.sampling.start import Start
-from bayesfric.inference.sampling.undefined_likelihood import TROUBLE
 
 NORMAL = Start(np.zeros(2), np.eye(2))
 SHORT = Sampling(seed=5, min_ess=300, max_steps=400, block=10, walkers=12, ensembles=2)
