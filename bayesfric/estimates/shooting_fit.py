@@ -13,7 +13,6 @@ from bayesfric.estimates.descent import bounded_step
 from bayesfric.estimates.shooting import Shooting
 from bayesfric.mechanism.scaling import Scaling
 from bayesfric.recordings.arrays import Array
-from bayesfric.robust import losses, shares
 
 # Widths of finite differences, in units that change the torque (the position, the speed) by
 # all of itself: measured truncation and rounding are both below 1e-7 of the derivative.
@@ -60,11 +59,6 @@ class Weights:
 
     rows: Array  # (n,) factor on each
     sigma: float  # sd of the residuals times that
-    knee: float  # weighted residual beyond which the loss is linear, infinite for squares
-
-    def irls(self, residual: Array) -> Array:
-        """Weights of the squares that descend like the Huber loss does, ``(n,)``."""
-        return np.asarray(self.rows * np.sqrt(shares(residual * self.rows, self.knee)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +68,7 @@ class Solution:
     values: Array
     states: Array
     residual: Array  # (n,) measured minus simulated position, not weighted
-    cost: float  # sum of the losses, of what is told too
+    cost: float  # sum of the squares, of what is told too
     gain: float  # by how much a further step would lower it, in residual variances
     iterations: int
     # the last step was as small as wanted, or nothing smaller was found; not where time ran out
@@ -183,9 +177,7 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     for iteration in range(1, _MAX_ITERATIONS + 1):
         if time.process_time() >= frame.deadline:
             return at
-        linear = Linearised(
-            frame, at.values, at.states, weights.irls(at.residual), weights.sigma, central=False
-        )
+        linear = Linearised(frame, at.values, at.states, weights.rows, weights.sigma, central=False)
         freedom = max(at.residual.size - linear.elimination.lost - columns.size, 1)
         gain = linear.gain * freedom / at.cost if at.cost > 0 else 0.0
         at = replace(at, gain=gain, iterations=iteration)
@@ -293,8 +285,8 @@ def _moved(frame: Frame, values: Array, step: Array) -> Array:
 
 def _segment_costs(frame: Frame, weights: Weights, residuals: Array) -> Array:
     """Cost of every segment, ``(m, K)``; NaN where it cannot be simulated."""
-    loss = losses(residuals * weights.rows, weights.knee)
-    return np.asarray(np.add.reduceat(loss, frame.shooting.borders[:-1], axis=1))
+    squares = (residuals * weights.rows) ** 2
+    return np.asarray(np.add.reduceat(squares, frame.shooting.borders[:-1], axis=1))
 
 
 def _told_cost(frame: Frame, weights: Weights, at: Array) -> float:
