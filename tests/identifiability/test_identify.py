@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bayesfric.identifiability.at_estimate import estimate_point
 from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
 from bayesfric.identifiability.identification import expected_covariance, identify
 from bayesfric.identifiability.local import WEAK, local_information
-from bayesfric.identifiability.plausible import estimate_point, points_around
 from bayesfric.identifiability.remedies import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.inference.fitting import make_target, read_priors
@@ -254,23 +254,6 @@ def test_noise_of_the_estimate_is_its_residual():
     point = estimate_point(target, KNEE.values)
     rms = np.sqrt(np.mean((noisy.measured - plain.measured) ** 2))
     assert point[-1] == pytest.approx(rms, rel=1e-3)
-
-
-def test_points_that_suit_the_data_predict_the_same():
-    target, parameters = problem(recorded(LAGGED))
-    local = local_information(target, parameters)
-    near = points_around(target, parameters, local, np.random.default_rng(1), around=5)
-    k = len(target.free)
-    assert len(near) == 5
-    expected = target.likelihood.predict(target.chain_values(parameters[None]))[0]
-    for point in near:
-        torque = target.likelihood.predict(target.chain_values(point[None]))[0]
-        assert np.sum((torque - expected) ** 2) < 4.0 * k * SIGMA**2
-    # the scale is open, so the points spread along it
-    moments = [p[target.free.index("load.first_moment")] for p in near]
-    assert np.ptp(np.log(moments)) > 0.05
-    again = points_around(target, parameters, local, np.random.default_rng(1), around=5)
-    np.testing.assert_array_equal(near, again)
 
 
 def test_facts_of_a_recording():
