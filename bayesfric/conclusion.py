@@ -9,8 +9,8 @@ from typing import Any
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked
+from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.identification import Identification
-from bayesfric.identifiability.known_quantities import SpeedTerm
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond

@@ -12,8 +12,8 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.errors import BadInput
 from bayesfric.estimates.collinear_losses import collinear_losses
+from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.identification import Identification, identify
-from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit

@@ -15,11 +15,11 @@ from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit import fit
+from bayesfric.identifiability.at_estimate import estimate_point
+from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.identification import Identification, identify
-from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
-from bayesfric.identifiability.plausible import estimate_point, points_around
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
@@ -37,9 +37,6 @@ from bayesfric.result import Result
 
 if TYPE_CHECKING:
     import pandas as pd
-
-# Points besides the estimate that recordings to make next are simulated at.
-_AROUND = 6
 
 
 class Model(Problem):
@@ -176,23 +173,14 @@ class Model(Problem):
         target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
             local = local_information(target, point)
-            rng = self._stream(5)
-            others = points_around(target, point, local, rng, around=_AROUND)
-            options = self.config.tables.advice
-            points = [point, *others]
             return ranking(
                 target,
-                points,
+                point,
                 local,
-                options,
+                self.config.tables.advice,
                 name,
                 progress=lambda stage: progress(Progress(stage)),
             )
-
-    def _stream(self, key: int) -> np.random.Generator:
-        """Random numbers of one analysis: the seed of the whole, in a stream of its own."""
-        seed = self.config.tables.sampling.seed
-        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
 
     def _at_estimate(self, progress: Shown) -> tuple[Target, Array]:
         """Look at the likelihood at an estimate by the method that it belongs to.

@@ -17,7 +17,6 @@ from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-from bayesfric.robust import shares
 
 # Residuals below this share of the torque are rounding.
 ROUNDING = 1e-9
@@ -80,10 +79,9 @@ class TorqueProblem:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What is summed up: weights, where Huber's loss bends, and told values."""
+    """What is squared and summed up: weighted residuals, and told values."""
 
     weights: Array
-    bend: float = np.inf
     rows: Array | None = None
     targets: Array | None = None
 
@@ -99,20 +97,10 @@ class Terms:
         jacobian = self.weights[:, None] * problem.jacobian(x)
         return jacobian if self.rows is None else np.concatenate([jacobian, self.rows])
 
-    def shares(self, residual: Array) -> Array:
-        """Weight of each squared residual that gives Huber's loss the same slope."""
-        told = np.ones(residual.size - self.weights.size)
-        return np.concatenate([shares(residual[: self.weights.size], self.bend), told])
-
-    def height(self, residual: Array) -> float:
-        """Sum of the losses."""
-        share = self.shares(residual)
-        return float(np.sum(residual**2 * share * (2.0 - share)))
-
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search ended: free parameters ``(d,)`` and the sum of losses there."""
+    """Where a search ended: free parameters ``(d,)`` and the sum of squares there."""
 
     x: Array
     height: float
@@ -130,19 +118,15 @@ def descend(
     """Search downhill from ``x`` ``(d,)`` (Levenberg-Marquardt with exact limits).
 
     Every step solves the linear problem within the limits, those of the problem where left out, so
-    what a limit stops stands on it to the last digit. Huber's loss is a sequence of weighted
-    squares, each of which lies above it and touches it where it is taken.
+    what a limit stops stands on it to the last digit.
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
     residual = terms.residual(problem, x)
-    height = terms.height(residual)
+    height = float(np.sum(residual**2))
     damping, raised = 1e-3, 2.0
     for _ in range(iterations):
-        root = np.sqrt(terms.shares(residual))
-        triangle, target, size = _packed(
-            root[:, None] * terms.jacobian(problem, x), root * residual
-        )
+        triangle, target, size = _packed(terms.jacobian(problem, x), residual)
         size = np.where(np.isfinite(size), size, problem.typical[problem.columns])
         while True:
             step = bounded_step(
@@ -156,7 +140,7 @@ def descend(
             moved = np.where(size * step <= lower - x, lower, moved)
             moved = np.where(size * step >= upper - x, upper, moved)
             after = terms.residual(problem, moved)
-            lowered = terms.height(after)
+            lowered = float(np.sum(after**2))
             expected = float(target @ target - np.sum((target - triangle @ step) ** 2))
             if lowered < height:
                 break

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import Field
 
 from bayesfric.recordings.tables.reader import Options
@@ -13,12 +11,6 @@ from bayesfric.recordings.units import in_unit
 class Estimation(Options):
     """How point estimates are made."""
 
-    loss: Literal["squares", "huber"] = Field(
-        "squares", description="huber: residuals beyond 1.345 sd count less, for outliers"
-    )
-    weights: Literal["recording", "none"] = Field(
-        "recording", description="recording: each recording counts by its own residual variance"
-    )
     starts: int = Field(8, ge=1, le=1000, description="random starts beside the derived ones")
     seed: int = Field(1, ge=0, lt=2**63, description="of the random starts")
     output_error: bool = Field(

@@ -91,7 +91,6 @@ class Scatter:
     # way but not between them
     groups: NDArray[np.int64] | None = None
     lost: int = 0  # quantities fitted besides and already taken out, for example initial states
-    inflation: float = 1.0  # factor on sds of uncorrelated residuals, for robust losses
     least: float = 0.0  # sd of a residual that rounding alone makes, as of an encoder
 
 
@@ -121,7 +120,7 @@ class Information:
             found = directions(jacobian, units, tolerance, known_null=known_null)
             rank = int(np.count_nonzero(~found.null))
         self.freedom = max(n - rank - scatter.lost, 1)
-        self.sigma = float(np.sqrt(residual @ residual / self.freedom)) * scatter.inflation
+        self.sigma = float(np.sqrt(residual @ residual / self.freedom))
         self.sigma = max(self.sigma, scatter.least)
         # Knowledge enters as residuals of the same standard deviation as the others.
         self.directions = directions(

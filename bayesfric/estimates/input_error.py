@@ -13,7 +13,7 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.information import Information, Scatter
+from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shape_starts import at_tried_shapes
@@ -23,7 +23,6 @@ from bayesfric.estimates.variable_projection import VariableProjection
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.observation import Observation
-from bayesfric.robust import HUBER, robust_sd
 
 Array = NDArray[np.float64]
 Bounds = NDArray[np.int_]
@@ -38,7 +37,7 @@ _MINIMA = 3
 _REACHED = 1e-6
 # Share of the torque that counts as a change of one, at least.
 _SHOWN = 1e-3
-# How often the sds behind weights and Huber's loss are taken anew, and when they stand still.
+# How often the sds behind weights are taken anew, and when they stand still.
 _ROUNDS = 8
 _SETTLED = 1e-3
 
@@ -78,7 +77,7 @@ def _estimate(
     else:
         inside, searched = [problem.inside(chain.vector(start))], ""
     found = sorted((descend(problem, plain, x) for x in inside), key=lambda one: one.height)
-    terms, x = _refined(problem, options, found)
+    terms, x = _refined(problem, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)
     values = problem.vector(x)
@@ -124,7 +123,7 @@ def _starts(problem: TorqueProblem, plain: Terms, options: Estimation) -> tuple[
         vectors = vectors[: len(_SPLITS)]
         vectors.insert(0, form.parameters(found.theta1, found.theta2, fixed))
         lowest = (1.0 + _REACHED) * projection.criterion(found.theta2) + problem.rounding
-        if _alone(problem, options) and _height(problem, problem.inside(vectors[0])) <= lowest:
+        if _alone(problem) and _height(problem, problem.inside(vectors[0])) <= lowest:
             # nothing known is in the way, and from the splits the projection has searched already
             vectors = vectors[:1]
         if found.theta2.size:
@@ -141,59 +140,44 @@ def _height(problem: TorqueProblem, x: Array) -> float:
     return float(residual @ residual)
 
 
-def _alone(problem: TorqueProblem, options: Estimation) -> bool:
+def _alone(problem: TorqueProblem) -> bool:
     """Whether the plain sum of squares is all that is minimised: there is no second pass."""
     told = problem.knowledge.rows(problem.chain)[0].size
-    return not told and options.loss != "huber" and not _by_recording(problem, options)
+    return not told and len(problem.observations) == 1
 
 
-def _by_recording(problem: TorqueProblem, options: Estimation) -> bool:
-    return options.weights == "recording" and len(problem.observations) > 1
-
-
-def _refined(
-    problem: TorqueProblem, options: Estimation, found: Sequence[Found]
-) -> tuple[Terms, Array]:
-    """Second pass: recordings by their own sd, Huber's loss, told values."""
+def _refined(problem: TorqueProblem, found: Sequence[Found]) -> tuple[Terms, Array]:
+    """Second pass: recordings by their own sd, told values."""
     n = problem.measured.size
-    floor = ROUNDING * float(np.sqrt(np.mean(problem.measured**2)))
-    robust = options.loss == "huber"
-    by_recording = _by_recording(problem, options)
+    floor = ROUNDING * _rms(problem.measured)
+    several = len(problem.observations) > 1
     rows, targets = problem.knowledge.rows(problem.chain)
     terms = Terms(np.ones(n))
     best = found[0]
-    if _alone(problem, options):
+    if _alone(problem):
         return terms, best.x
-    # sds from a fit that a noisy recording or an outlier has bent are taken again
-    for again in range(_ROUNDS if robust or by_recording else 1):
+    # sds from a fit that a noisy recording has bent are taken again
+    for again in range(_ROUNDS if several else 1):
         residual = problem.residual(best.x)
-        weights = np.ones(n)
-        if by_recording:
-            weights = _recording_weights(problem, terms, best.x, residual, robust)
-        sd = _sd(weights * residual, robust) * float(np.sqrt(n / max(n - len(problem.free), 1)))
+        weights = _recording_weights(problem, terms, best.x, residual) if several else np.ones(n)
+        sd = _rms(weights * residual) * float(np.sqrt(n / max(n - len(problem.free), 1)))
         sd = max(sd, floor)
-        previous, terms = terms, Terms(weights, HUBER * sd if robust else np.inf)
+        previous, terms = terms, Terms(weights)
         if rows.size:
             terms = replace(terms, rows=sd * rows, targets=sd * targets)
         # another minimum of the first pass may be the lower one now
         begin = [best.x] if again else _apart(problem, found)
         best = min((descend(problem, terms, x) for x in begin), key=lambda one: one.height)
-        settled = np.allclose(weights, previous.weights, rtol=_SETTLED, atol=0.0)
-        if settled and (not robust or np.isclose(terms.bend, previous.bend, rtol=_SETTLED)):
+        if np.allclose(weights, previous.weights, rtol=_SETTLED, atol=0.0):
             break
     return terms, best.x
 
 
-def _sd(residual: Array, robust: bool) -> float:
-    """Root mean square, or what the median absolute value says of a normal's sd."""
-    if robust:
-        return robust_sd(residual)
+def _rms(residual: Array) -> float:
     return float(np.sqrt(np.mean(residual**2)))
 
 
-def _recording_weights(
-    problem: TorqueProblem, terms: Terms, x: Array, residual: Array, robust: bool
-) -> Array:
+def _recording_weights(problem: TorqueProblem, terms: Terms, x: Array, residual: Array) -> Array:
     """One over each recording's residual sd, times their mean so that N m stay N m."""
     counts = np.array([o.measured.size for o in problem.observations])
     borders = np.cumsum(counts)[:-1]
@@ -204,10 +188,10 @@ def _recording_weights(
     )
     leaning = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
     leant = np.array([part.sum() for part in np.split(leaning, borders)])
-    sds = np.array([_sd(part, robust) for part in np.split(residual, borders)])
+    sds = np.array([_rms(part) for part in np.split(residual, borders)])
     sds *= np.sqrt(counts / np.maximum(counts - leant, 1e-3 * counts))
     # a recording without noise has rounding for residuals, not a thousandfold say
-    sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _sd(problem.measured, False)))
+    sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _rms(problem.measured)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
 
 
@@ -247,12 +231,6 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
     trades off against with a standard deviation far too small.
     """
     residual = terms.weights * problem.residual(x)
-    inflation = 1.0
-    if np.isfinite(terms.bend):
-        # Huber 1981, section 7.6: sandwich of an M-estimator with its small-sample factor
-        straight = float(np.mean(np.abs(residual) <= terms.bend))
-        residual = np.clip(residual, -terms.bend, terms.bend) / straight
-        inflation += x.size / residual.size * (1.0 - straight) / straight
     rows, _ = problem.knowledge.rows(problem.chain)
     jacobian = terms.weights[:, None] * problem.jacobian(x)
     # of what is zero, as on a bound: what shows in the torque
@@ -268,7 +246,6 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
         known_null=fitted.open_directions(
             problem.chain, problem.knowledge, problem.observations, problem.vector(x)
         ),
-        scatter=Scatter(inflation=inflation),
     )
 
 
@@ -319,7 +296,6 @@ def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
     text = "sd: uncorrelated residuals of equal variance"
     text += " within each recording" if np.ptp(terms.weights) else ""
     text += "; sd_robust: correlated ones (HAC)"
-    text += "; outliers beyond 1.345 sd count less (Huber)" if np.isfinite(terms.bend) else ""
     text += "; told values are independent of the data" if terms.rows is not None else ""
     on = [name for name, bound in zip(problem.free, at_bound, strict=True) if bound]
     if on:

@@ -31,7 +31,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
-from bayesfric.robust import HUBER, robust_sd
 
 # Segment lengths to try, s. Noise of the torque is integrated, so short segments tell more
 # where the encoder is fine, long ones where it is coarse; measured: beyond 1 s drift rules.
@@ -45,6 +44,8 @@ _CLEARLY = 0.2
 _LEFT = 100.0
 # How many times as much torque another minimum leaves.
 _MORE = 2.0
+# How often recordings and told values are weighed anew.
+_WEIGHINGS = 4
 # Differences carry errors of 1e-8 of a derivative; what is smaller than this is null.
 _NULL = 1e-6
 
@@ -169,7 +170,7 @@ class OutputError:
         values = values.copy()
         values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
         frame = self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values)
-        plain = Weights(np.ones(frame.shooting.measured.size), 1.0, np.inf)
+        plain = Weights(np.ones(frame.shooting.measured.size), 1.0)
         states = settle_states(frame, plain, values, frame.shooting.initial)
         return frame, values, states, residual_of(frame, values, states)
 
@@ -183,10 +184,8 @@ class OutputError:
             substeps, _ = choose_substeps(shooting, values, states)
             if substeps != shooting.substeps:
                 frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
-        rounds = 1
-        if self._weighted or self.knowledge.told or self.options.loss == "huber":
-            rounds = 4
-        for _ in range(rounds):
+        several = len(self.trajectories) > 1
+        for _ in range(_WEIGHINGS if several or self.knowledge.told else 1):
             weights = self._weights(frame, residual)
             solution = descend_afresh(frame, weights, values, states)
             if not np.isfinite(solution.cost):
@@ -297,10 +296,6 @@ class OutputError:
         compared = ", ".join(f"{f.length:g}" for f in others)
         return f"chosen among {compared} s: shortest unless sd_robust clearly falls"
 
-    @property
-    def _weighted(self) -> bool:
-        return self.options.weights == "recording" and len(self.trajectories) > 1
-
     def _frame(self, shooting: Shooting, values: Array) -> Frame:
         rows, targets = self.knowledge.rows(self.chain)
         speeds = np.concatenate([o.qd for o in self.observations])
@@ -330,26 +325,16 @@ class OutputError:
     def _weights(self, frame: Frame, residual: Array) -> Weights:
         of = frame.shooting.recording_of
         rows = np.ones(residual.size)
-        if self._weighted:
+        if len(self.trajectories) > 1:
             sizes = np.sqrt(np.bincount(of, residual**2) / np.bincount(of))
             # a joint that stands still is simulated exactly, and measured to a count no better
             sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
             rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
-        weighted = residual * rows
-        sigma = float(np.sqrt(np.mean(weighted**2)))
-        if self.options.loss == "squares":
-            return Weights(rows, sigma, np.inf)
-        # the median is blind to the outliers that the loss is for, and at rest to everything
-        spread = max(robust_sd(weighted), 0.1 * sigma, float(np.min(rows * self.grain[of])))
-        return Weights(rows, spread, HUBER * max(spread, 1e-300))
+        return Weights(rows, float(np.sqrt(np.mean((residual * rows) ** 2))))
 
     def _information(self, frame: Frame, weights: Weights, solution: Solution) -> Information:
         linear = Linearised(frame, solution.values, solution.states, weights.rows, weights.sigma)
         residual = weights.rows * linear.residual
-        if np.isfinite(weights.knee):
-            # An M-estimate is a least-squares one whose residuals are the loss's slopes.
-            share = float(np.mean(np.abs(residual) <= weights.knee))
-            residual = np.clip(residual, -weights.knee, weights.knee) / max(share, 0.1)
         projected, _ = linear.elimination.of(residual[:, None])
         return Information(
             linear.elimination.projected[:, 1:],

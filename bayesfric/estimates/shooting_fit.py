@@ -13,7 +13,6 @@ from bayesfric.estimates.descent import bounded_step
 from bayesfric.estimates.shooting import Shooting
 from bayesfric.mechanism.scaling import Scaling
 from bayesfric.recordings.arrays import Array
-from bayesfric.robust import losses, shares
 
 # Widths of finite differences, in units that change the torque (the position, the speed) by
 # all of itself: measured truncation and rounding are both below 1e-7 of the derivative.
@@ -29,9 +28,6 @@ _SHARES = (1.0, 0.2, 0.0)
 _GAIN = 1e-4
 # ... or can be taken for it where kinks and rounding stop the descent.
 _SMALL = 1e-2
-# How far ahead curvature is looked for, as a share of the step, and how much it may bend it.
-_AHEAD = 0.1
-_LARGEST_BEND = 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +59,6 @@ class Weights:
 
     rows: Array  # (n,) factor on each
     sigma: float  # sd of the residuals times that
-    knee: float  # weighted residual beyond which the loss is linear, infinite for squares
-
-    def irls(self, residual: Array) -> Array:
-        """Weights of the squares that descend like the Huber loss does, ``(n,)``."""
-        return np.asarray(self.rows * np.sqrt(shares(residual * self.rows, self.knee)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +68,7 @@ class Solution:
     values: Array
     states: Array
     residual: Array  # (n,) measured minus simulated position, not weighted
-    cost: float  # sum of the losses, of what is told too
+    cost: float  # sum of the squares, of what is told too
     gain: float  # by how much a further step would lower it, in residual variances
     iterations: int
     # the last step was as small as wanted, or nothing smaller was found; not where time ran out
@@ -135,7 +126,6 @@ class Linearised:
         # the last row of the triangle is what no step can lower
         self._matrix = np.concatenate([triangle[:d, :d], told])
         self.target = np.concatenate([triangle[:d, d], rest])
-        self._told = told
         self._size = np.maximum(np.linalg.norm(self._matrix, axis=0), 1e-300)
         at = values[columns]
         self._box = ((frame.limits[0] - at) / units, (frame.limits[1] - at) / units)
@@ -143,13 +133,13 @@ class Linearised:
     @property
     def gain(self) -> float:
         """By how much the full step would lower the sum of squares, states included."""
-        left = self.target - self._matrix @ self.step(0.0, self.target)
+        left = self.target - self._matrix @ self.step(0.0)
         states = np.sum((self.rows * self.residual) ** 2) - np.sum(
             self.elimination.projected[:, 0] ** 2
         )
         return float(self.target @ self.target - left @ left + states)
 
-    def step(self, damping: float, target: Array) -> Array:
+    def step(self, damping: float) -> Array:
         """Damped step of the free parameters within their limits, ``(d,)`` in units."""
         d = self._size.size
         if d == 0:
@@ -158,7 +148,7 @@ class Linearised:
         least = 1e-9 * float(np.abs(self._matrix).max())
         extra = np.diag(np.maximum(np.sqrt(damping) * self._size, least))
         a = np.concatenate([self._matrix, extra])
-        b = np.concatenate([target, np.zeros(d)])
+        b = np.concatenate([self.target, np.zeros(d)])
         low, high = self._box
         return bounded_step(a, b, np.minimum(low, 0.0), high, room=1e-12, tol=1e-10)
 
@@ -166,30 +156,6 @@ class Linearised:
         """Change of the states that goes with a step of the parameters, ``(K, 2)``."""
         onto = self.elimination.onto
         return np.asarray(onto[:, :, 0] - onto[:, :, 1:] @ (step * self._frame.units))
-
-    def positions_only(self, change: Array) -> Array:
-        """Give what a change of the states ``(K, 2)`` would be if speeds stayed, ``(K, 2)``."""
-        back = self.elimination.back
-        by_speed = np.divide(
-            back[:, 0, 1], back[:, 1, 1], out=np.zeros(len(back)), where=back[:, 1, 1] != 0.0
-        )
-        return np.column_stack([change[:, 0] - by_speed * change[:, 1], 0.0 * change[:, 1]])
-
-    def along(self, step: Array, change: Array) -> Array:
-        """Weighted change of the positions, to first order, ``(n,)``."""
-        by_state = np.sum(self._by_state * change[self._frame.shooting.segment_of], axis=1)
-        return np.asarray(self.jacobian @ (step * self._frame.units) + self.rows * by_state)
-
-    def bent(self, damping: float, miss: Array) -> tuple[Array, Array]:
-        """Second-order part of a step: what cancels ``miss`` ``(n,)``, weighted positions."""
-        projected, onto = self.elimination.of(miss[:, None])
-        d = self._size.size
-        gradient = (self.elimination.projected[:, 1:] * self._frame.units).T @ projected[:, 0]
-        target = np.linalg.lstsq(self._matrix[:d].T, gradient, rcond=1e-10)[0]
-        free = np.concatenate([target, np.zeros(len(self._told))])
-        step = self.step(damping, free)
-        change = onto[:, :, 0] - self.elimination.onto[:, :, 1:] @ (step * self._frame.units)
-        return step, change
 
 
 def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Solution:
@@ -211,9 +177,7 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     for iteration in range(1, _MAX_ITERATIONS + 1):
         if time.process_time() >= frame.deadline:
             return at
-        linear = Linearised(
-            frame, at.values, at.states, weights.irls(at.residual), weights.sigma, central=False
-        )
+        linear = Linearised(frame, at.values, at.states, weights.rows, weights.sigma, central=False)
         freedom = max(at.residual.size - linear.elimination.lost - columns.size, 1)
         gain = linear.gain * freedom / at.cost if at.cost > 0 else 0.0
         at = replace(at, gain=gain, iterations=iteration)
@@ -222,11 +186,9 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
         found = None
         while found is None and damping < 1e12:
             dampings = [damping * f for f in _DAMPINGS]
-            for stuck in (False, True):
-                trial, worked = _try(frame, weights, at, linear, dampings, stuck=stuck)
-                if trial.cost < at.cost:
-                    found, damping = trial, worked
-                    break
+            trial, worked = _try(frame, weights, at, linear, dampings)
+            if trial.cost < at.cost:
+                found, damping = trial, worked
             else:
                 damping *= 1e3
         if found is None:
@@ -281,42 +243,17 @@ def _try(
     solution: Solution,
     linear: Linearised,
     dampings: list[float],
-    *,
-    stuck: bool = False,
 ) -> tuple[Solution, float]:
-    """Simulate the steps of several dampings, straight and bent; give the best, and its damping.
-
-    Where nothing helps, ``stuck``, only positions are changed: a joint that starts next to
-    rest and soon sticks hardly moves with its speed, so the full step of that is far off.
-    """
+    """Simulate the steps of several dampings; give the best, and its damping."""
     columns = frame.columns
-    steps = [linear.step(damping, linear.target) for damping in dampings]
-    changes = [linear.states(step) for step in steps]
-    moves = [
-        (damping, _moved(frame, solution.values, step), change)
-        for damping, step, change in zip(dampings, steps, changes, strict=True)
-    ]
-    if columns.size:
-        # Geodesic acceleration (Transtrum and Sethna 2012): the valley floor is bent where
-        # parameters enter as products, and a straight step can only follow it slowly.
-        ahead = frame.shooting.positions(
-            np.array([_moved(frame, solution.values, _AHEAD * step) for step in steps]),
-            np.array([solution.states + _AHEAD * change for change in changes]),
-        )
-        start = frame.shooting.measured - solution.residual
-        for damping, step, change, there in zip(dampings, steps, changes, ahead, strict=True):
-            beyond = linear.rows * (there - start) - _AHEAD * linear.along(step, change)
-            if not np.isfinite(beyond).all():
-                continue
-            more, states_more = linear.bent(damping, -beyond / _AHEAD**2)
-            if np.linalg.norm(more) <= _LARGEST_BEND * np.linalg.norm(step):
-                moved = _moved(frame, solution.values, step + more)
-                moves.append((damping, moved, change + states_more))
+    moves = []
+    for damping in dampings:
+        step = linear.step(damping)
+        moves.append((damping, _moved(frame, solution.values, step), linear.states(step)))
     shares = len(_SHARES) + 1
     vectors = np.repeat(np.array([moved for _, moved, _ in moves]), shares, axis=0)
     starts = np.empty((len(moves), shares, *solution.states.shape))
-    for i, (_, _, whole) in enumerate(moves):
-        change = linear.positions_only(whole) if stuck else whole
+    for i, (_, _, change) in enumerate(moves):
         for j, share in enumerate(_SHARES):
             starts[i, j] = solution.states + share * change
         # Where a segment starts at rest, Newton's steps on its speed only ever halve it.
@@ -348,8 +285,8 @@ def _moved(frame: Frame, values: Array, step: Array) -> Array:
 
 def _segment_costs(frame: Frame, weights: Weights, residuals: Array) -> Array:
     """Cost of every segment, ``(m, K)``; NaN where it cannot be simulated."""
-    loss = losses(residuals * weights.rows, weights.knee)
-    return np.asarray(np.add.reduceat(loss, frame.shooting.borders[:-1], axis=1))
+    squares = (residuals * weights.rows) ** 2
+    return np.asarray(np.add.reduceat(squares, frame.shooting.borders[:-1], axis=1))
 
 
 def _told_cost(frame: Frame, weights: Weights, at: Array) -> float:

@@ -16,8 +16,8 @@ import numpy as np
 
 from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.torque import typical_load
+from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
-from bayesfric.identifiability.known_quantities import SpeedTerm, gravity_ripple
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -69,7 +69,6 @@ class Identification:
     # element with a load loss: share of the moving outputs in which the load drives it
     back_driving: dict[str, float]
     voltage: SpeedTerm | None  # what a back-EMF cannot be told from
-    ripple: Statement | None  # of the motor's torque, that cannot be told from gravity
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -105,9 +104,9 @@ class Identification:
 
     @property
     def remarks(self) -> list[Statement]:
-        """What is to be said of back-driving, of a voltage and of a ripple."""
+        """What is to be said of back-driving and of a voltage."""
         found = [*map(self._seen, self.back_driving), self._voltage_meaning]
-        return [one for one in [*found, self.ripple] if one]
+        return [one for one in found if one]
 
     def _seen(self, element: str) -> Statement:
         """Say how often the load drives an element."""
@@ -135,7 +134,6 @@ class Identification:
             },
             "recordings": self.recordings,
             "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
-            "ripple": self.ripple,
         }
         return {name: plain(value) for name, value in found.items()}
 
@@ -179,7 +177,6 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
         coverage,
         back,
         speed,
-        gravity_ripple(target),
     )
 
 

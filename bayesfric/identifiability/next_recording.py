@@ -1,15 +1,13 @@
 """The next experiment: how well one quantity would be known after each candidate.
 
 What a recording adds is its Fisher information, so the sd that a candidate would leave is
-predicted from prior, present recordings and candidate without sampling anything. That is
-done at the estimate and at other vectors that may be true as well; variances are averaged
-over these points, as the expected variance is what a Bayesian design minimises
-(Chaloner and Verdinelli, Statistical Science 10, 1995).
+predicted from prior, present recordings and candidate without sampling anything: a local Bayesian
+design (Chaloner and Verdinelli, Statistical Science 10, 1995), at the estimate.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +20,7 @@ from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.identification import moved_beside, prior_rows
-from bayesfric.identifiability.local import LocalInformation, fixed_in, local_information
+from bayesfric.identifiability.local import LocalInformation, fixed_in
 from bayesfric.identifiability.proposals import (
     Candidate,
     Limits,
@@ -52,13 +50,11 @@ _OFF_ZERO = 1e-3
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well the quantity is known, root mean square over the points."""
+    """How well the quantity is known."""
 
     sd: float  # recordings and prior together; infinite where neither confines it
     relative_sd: float | None  # the same as a share of the value, if recordings determine that
-    data_sd: float  # of the recordings alone; infinite where they leave it open at any point
-    least: float  # of the sd over the points
-    most: float
+    data_sd: float  # of the recordings alone; infinite where they leave it open
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +63,9 @@ class Advice:
 
     candidate: Candidate
     after: Uncertainty  # how well the quantity would be known then
-    # element with a load loss: mean, least and most of the share in which the load drives it
-    load_drives: dict[str, dict[str, float]]
-    peak_speed: float  # fastest at any point, rad/s or m/s
-    angles: tuple[float, float]  # lowest and highest position at any point, rad or m
+    load_drives: dict[str, float]  # element with a load loss: share in which the load drives it
+    peak_speed: float  # rad/s or m/s
+    angles: tuple[float, float]  # lowest and highest position, rad or m
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +80,6 @@ class Ranking:
     advices: tuple[Advice, ...]  # the best first
     dropped: tuple[tuple[Candidate, Statement], ...]  # candidates that are no use, and why
     limits: Limits  # what they had to keep
-    points: int  # number of parameter vectors that all was simulated at
 
     @property
     def determined(self) -> bool:
@@ -150,7 +144,7 @@ class Ranking:
         masses = [(m.added_mass, m.radius) for m in self.limits.masses if m.added_mass]
         found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
         found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
-        found |= {"points": self.points, "limits": {**vars(self.limits), "masses": masses}}
+        found |= {"limits": {**vars(self.limits), "masses": masses}}
         found |= {"assumption": self.assumption, "verdict": self.verdict, "candidates": rows}
         found["dropped"] = [{**self._described(one), "reason": why} for one, why in self.dropped]
         return {name: plain(value) for name, value in found.items()}
@@ -173,7 +167,7 @@ def _bolted(one: Candidate) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class _At:
-    """One point: what is known there, in logarithms of the parameters."""
+    """What is known at the estimate, in logarithms of the parameters."""
 
     values: Array  # (n_parameters,)
     local: LocalInformation
@@ -183,7 +177,7 @@ class _At:
 
 def ranking(
     target: Target,
-    points: Sequence[Array],
+    point: Array,
     local: LocalInformation,
     options: AdviceOptions,
     name: str,
@@ -193,9 +187,8 @@ def ranking(
     """Rank candidates for the next recording by what they would leave of one quantity.
 
     With the output error, a candidate still adds the information of its torque, at the noise of a
-    torque sample. ``points`` are the estimate, whose picture is ``local``, then others that may be
-    true, see :func:`bayesfric.identifiability.plausible.points_around`; ``name`` is a free
-    parameter or a derived quantity. ``progress`` is called with each stage before it begins.
+    torque sample. ``point`` ``(d,)`` is the estimate, whose picture is ``local``; ``name`` is a
+    free parameter or a derived quantity. ``progress`` is called with each stage before it begins.
 
     Raises
     ------
@@ -203,49 +196,32 @@ def ranking(
         If there is no such quantity, if it is fixed, or if a limit cannot be.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    first = points[0]
-    at_estimate = target.chain_values(first[None])[0]
+    at_estimate = target.chain_values(point[None])[0]
     load = typical_load(chain, observations, at_estimate)
-    unit, meaning = _described(target, name, first, load)
-    value = float(_values(target, name, first[None], load)[0])
-    there = []
-    for p in points:
-        try:
-            found = local if p is points[0] else local_information(target, p)
-            there.append(_at(target, p, found, name, load))
-        except BadInput:
-            if p is points[0]:
-                raise
+    unit, meaning = _described(target, name, point, load)
+    value = float(_values(target, name, point[None], load)[0])
+    at = _at(target, point, local, name, load)
     limits = limits_of(options, chain, observations, at_estimate)
     base = longest(observations)
     number = next(i for i, o in enumerate(observations) if o is base)
-    noise = torque_noise(target, first, number)
-    vectors = np.stack([one.values for one in there])
+    noise = torque_noise(target, point, number)
     advices, dropped = [], []
     for candidate in candidates(chain, at_estimate, observations, limits):
         progress(f"simulating {candidate.form}")
-        tried = try_out(chain, vectors, base, candidate, limits)
+        tried = try_out(chain, at.values, base, candidate, limits)
         if isinstance(tried, Statement):
             dropped.append((candidate, tried))
             continue
-        tried_one, recordings = tried
-        pairs = list(zip(there, recordings, strict=True))
-        sds = _averaged([_sds(target, at, o, noise) for at, o in pairs], value)
-        shares = [back_driven(chain, [o], v.values[None]) for v, o in pairs]
-        drives = {
-            k: {"mean": float(np.mean(x)), "least": min(x), "most": max(x)}
-            for k, x in ((k, [float(one[k][0]) for one in shares]) for k in shares[0])
-        }
-        peak = fastest(tried_one.made) if tried_one.made is not None else 0.0
-        peak = peak or max(float(np.abs(o.qd).max()) for o in recordings)
-        q = np.concatenate([o.q for o in recordings])
-        ends = float(q.min()), float(q.max())
-        advices.append(Advice(tried_one, sds, drives, peak, ends))
+        tried_one, o = tried
+        shares = back_driven(chain, [o], at.values[None])
+        drives = {element: float(share[0]) for element, share in shares.items()}
+        peak = fastest(o) if tried_one.made is not None else float(np.abs(o.qd).max())
+        after = _uncertainty(_sds(target, at, o, noise), value)
+        ends = float(o.q.min()), float(o.q.max())
+        advices.append(Advice(tried_one, after, drives, peak, ends))
     advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
-    now = _averaged([_sds(target, one) for one in there], value)
-    return Ranking(
-        name, unit, meaning, value, now, tuple(advices), tuple(dropped), limits, len(there)
-    )
+    now = _uncertainty(_sds(target, at), value)
+    return Ranking(name, unit, meaning, value, now, tuple(advices), tuple(dropped), limits)
 
 
 def _described(target: Target, name: str, parameters: Array, load: float) -> tuple[str, str]:
@@ -332,9 +308,8 @@ def _sds(
     return left(both.solve(at.gradient)), left(told.solve(at.gradient))
 
 
-def _averaged(sds: Sequence[tuple[float, float]], value: float) -> Uncertainty:
-    both = np.array(sds)
-    sd, data_sd = np.sqrt(np.mean(both**2, axis=0)).tolist()
+def _uncertainty(sds: tuple[float, float], value: float) -> Uncertainty:
+    sd, data_sd = sds
     # a share of a value that is not determined would mean nothing
     relative = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
-    return Uncertainty(sd, relative, data_sd, float(both[:, 0].min()), float(both[:, 0].max()))
+    return Uncertainty(sd, relative, data_sd)

@@ -301,42 +301,35 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
 
 
 def try_out(
-    chain: Joint, vectors: Array, base: Observation, candidate: Candidate, limits: Limits
-) -> tuple[Candidate, tuple[Observation, ...]] | Statement:
-    """Play a candidate at every point, lowering its torque until it keeps the limits.
+    chain: Joint, values: Array, base: Observation, candidate: Candidate, limits: Limits
+) -> tuple[Candidate, Observation] | Statement:
+    """Play a candidate, lowering its torque until it keeps the limits.
 
-    ``vectors`` ``(n_points, n_parameters)`` are the chain's; ``base`` is the recording whose filter
-    and dead zone are used. Gives the candidate with its torque as it was in the end and what would
-    be recorded at each point, or says why it is no use.
+    ``values`` ``(n_parameters,)`` are the chain's; ``base`` is the recording whose filter and dead
+    zone are used. Gives the candidate with its torque as it was in the end and what would be
+    recorded, or says why it is no use.
     """
     broken: Limit | None
     if candidate.made is not None:  # as it was made it would be made again, or not at all
         broken = _broken(candidate.made, fastest(candidate.made), limits, chain)
         broken = "torque" if candidate.amplitude > limits.torque else broken
-        return stated("limit", broken) if broken else (candidate, (candidate.made,) * len(vectors))
+        return stated("limit", broken) if broken else (candidate, candidate.made)
     limit: Limit | None = None
-    factor, order = 1.0, list(range(len(vectors)))
+    factor = 1.0
     for _ in range(_TRIES):
         trial = candidate.smaller(factor, limit)
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
-        told = trial.inputs, (trial.q0, trial.qd0)
-        found: dict[int, Observation] = {}
-        for i in order:
-            try:
-                found[i] = played(chain, vectors[i], base, torque, *told)
-                broken = _broken(found[i], float(np.abs(found[i].qd).max()), limits, chain)
-            except RunsAway:
-                broken = "runs_away"
-            except ValueError as error:
-                name = stated("limit", limit) if limit else None
-                return stated("limit", "stopped", error=str(error), limit=name, share=factor)
-            if broken:
-                # the point that broke a limit will be the first to say whether it still does
-                order = [i, *(j for j in order if j != i)]
-                limit, factor = broken, factor * _SMALLER
-                break
-        else:
-            return trial, tuple(found[i] for i in range(len(vectors)))
+        try:
+            found = played(chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0))
+            broken = _broken(found, float(np.abs(found.qd).max()), limits, chain)
+        except RunsAway:
+            broken = "runs_away"
+        except ValueError as error:
+            name = stated("limit", limit) if limit else None
+            return stated("limit", "stopped", error=str(error), limit=name, share=factor)
+        if not broken:
+            return trial, found
+        limit, factor = broken, factor * _SMALLER
     name = stated("limit", str(limit))
     return stated("limit", "always", limit=name, share=factor / _SMALLER)
 

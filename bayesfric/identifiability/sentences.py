@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 
-from bayesfric.templates import environment, percent
+from bayesfric.templates import environment
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,6 @@ def relative(sd: float, value: float) -> str:
     return f"{100 * sd / abs(value):.2g} %" if sd < abs(value) else f"±{sd:.3g}"
 
 
-def _to(ends: tuple[float, float]) -> str:
-    """Word two shares as per cent."""
-    return f"{percent(ends[0])} to {percent(ends[1])}"
-
-
 @cache
 def _environment() -> Environment:
     made = environment("bayesfric.identifiability", "wording")
@@ -86,7 +81,6 @@ def _environment() -> Environment:
         "capital": capital,
         "factor": factor,
         "sd": relative,
-        "to": _to,
     }
     made.globals["inf"] = np.inf
     return made

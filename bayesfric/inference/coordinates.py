@@ -8,8 +8,8 @@ stated, and results reported, in physical parameters.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,45 +23,42 @@ _WIDE = 0.1
 _NEAR = -4.0
 
 
-class Coordinates(Protocol):
+class Coordinates(ABC):
     """A one-to-one map between ``u`` and the free parameters."""
 
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        ...
+    description: str  # in words, for the record
 
     @property
     def bends(self) -> bool:
         """Whether there are others, in which a posterior that is bent here is straight."""
-        ...
+        return False
 
     @property
+    @abstractmethod
     def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
         """Coordinates of parameters that go each by itself, which these are, and how."""
-        ...
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """Map ``(n, d)`` to those, with the log Jacobian of that ``(n,)``."""
-        ...
+        return u, np.zeros(len(u))
 
     def bend(self, v: Array) -> Array:
         """Map back; rows without a counterpart are not finite."""
-        ...
+        return v
 
+    @abstractmethod
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map ``(n, d)`` to parameters ``(n, d)`` and ``log|d parameters / d u|`` ``(n,)``.
 
         Rows without a counterpart come back with ``-inf``.
         """
-        ...
 
+    @abstractmethod
     def from_parameters(self, parameters: Array) -> Array:
         """Map parameters ``(n, d)`` to ``u`` ``(n, d)``."""
-        ...
 
 
-class BoundedCoordinates:
+class BoundedCoordinates(Coordinates):
     """Each parameter by itself: bounded ones bent, free ones as they are.
 
     A parameter above a bound is ``lower + w h(u)``, ``h`` what a half-normal variable is where a

@@ -207,7 +207,7 @@ def fit(
             )
             target = search.target
         else:
-            target, mode = _simulated_mode(target, candidates, prior_places)
+            target, mode = _simulated_mode(target, candidates)
     except ValueError:
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
@@ -252,16 +252,12 @@ class _Search:
             self._outside = self.target.likelihood.outside
 
 
-def _simulated_mode(target: Target, candidates: Array, prior_places: Array) -> tuple[Target, Array]:
+def _simulated_mode(target: Target, candidates: Array) -> tuple[Target, Array]:
     """Climb with few simulations, and linearise the simulation anew at what is found."""
-
-    def curvature(x: Array) -> Array:
-        return np.asarray(np.linalg.inv(gauss_newton(target, x, prior_places).covariance))
-
-    mode = climb(target, candidates, climbs=1, max_steps=_MOST_SIMULATED, curvature=curvature)
+    mode = climb(target, candidates, climbs=1, max_steps=_MOST_SIMULATED)
     for _ in range(_ROUNDS):
         target = target.about(target.to_parameters(mode[None])[0][0])
-        mode = climb(target, mode[None], climbs=1, max_steps=_MOST_SIMULATED, curvature=curvature)
+        mode = climb(target, mode[None], climbs=1, max_steps=_MOST_SIMULATED)
     return target, mode
 
 

@@ -26,7 +26,7 @@ Scale = Literal[
 ]
 
 
-class GearboxCoordinates:
+class GearboxCoordinates(Coordinates):
     """What the motor feels while it drives, and how motor, leg and gearbox share it.
 
     With ``A = 1 + mu_1`` the motor feels ``D = a c_a + A b c_b`` of a parameter ``a`` in front of

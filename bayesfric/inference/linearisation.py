@@ -11,7 +11,6 @@ import numpy as np
 from scipy import stats
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
@@ -42,28 +41,15 @@ def linearisation_change(target: Target, start: Start, rng: np.random.Generator)
         apart.append(float(change[0]))
         if not np.var(apart) * len(apart) <= limit:  # nor where it is no number
             sd = float(np.std(apart, ddof=1)) if np.isfinite(apart).all() else np.inf
-            name, begin, end = _worst(target, anew, place)
             raise BadInput(
                 'likelihood.method = "output-error"',
                 "what noise of the torque does to the motion cannot be linearised: done at another "
                 f"place in the posterior it changes the log-likelihood by {sd:.2g} (sd; at most "
-                f"{_MOST:g} can be trusted), most of all from {begin:.4g} to {end:.4g} s of "
-                f"recording '{name}', where the joint sticks or reverses",
+                f"{_MOST:g} can be trusted), as where the joint sticks or reverses",
                 'take likelihood.method = "input-error", or a motion that seldom rests, or exclude '
                 "such spans",
             )
     return float(np.std(apart, ddof=1))
-
-
-def _worst(target: Target, anew: Target, place: Array) -> tuple[str, float, float]:
-    """Find the segment that two linearisations differ most about: recording, begin, end in s."""
-    scales = target.noise.scales(place[None, len(target.free) :])
-    values = target.chain_values(place[None])
-    both = [one.likelihood for one in (target, anew)]
-    here, there = (
-        one.by_segment(values, scales) for one in both if isinstance(one, PositionLikelihood)
-    )
-    return max(here, key=lambda key: abs(np.nan_to_num(here[key] - there[key], nan=np.inf)))
 
 
 def _places(target: Target, start: Start, rng: np.random.Generator) -> Array:

@@ -72,7 +72,7 @@ def test_rest_leaves_no_certainty_of_its_own(pendulum):
         return np.concatenate([table, rest])
 
     pendulum.altered(rested)
-    pendulum.config(PENDULUM + '\n[estimation]\nloss = "huber"\nsegment = 1.0\n')
+    pendulum.config(PENDULUM + "\n[estimation]\nsegment = 1.0\n")
     found = estimates(pendulum, "--method", "output-error")["output-error"]
     sds = [row["sd"] for row in found["parameters"].values() if row["sd"] is not None]
     assert all(sd > 0.0 for sd in sds)

@@ -20,7 +20,7 @@ from bayesfric.commands.fit import fit
 from bayesfric.commands.unfinished import alone_in
 from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.archive import read_archive
-from bayesfric.inference.sampling import checkpoint, step_file
+from bayesfric.inference.sampling import checkpoint
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
@@ -405,7 +405,7 @@ def test_the_second_ctrl_c_does_not_wait(here, whole, monkeypatch):
     original_begin = checkpoint.Checkpoint.begin
     monkeypatch.setattr(checkpoint.Checkpoint, "begin", begin)
     monkeypatch.setattr(
-        step_file.StepFile, "append", lambda *_: os.kill(os.getpid(), signal.SIGINT)
+        checkpoint.StepFile, "append", lambda *_: os.kill(os.getpid(), signal.SIGINT)
     )
     ended = here.run("fit", "few.toml", "-o", "run", "--resume")
     assert ended.code == 130, ended
@@ -480,7 +480,7 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
         raise OSError(errno.EIO, "Input/output error", "posterior.steps")
 
     with monkeypatch.context() as patch:
-        patch.setattr(step_file.StepFile, "append", broken)
+        patch.setattr(checkpoint.StepFile, "append", broken)
         message = here.run("fit", "few.toml", "-o", "run", "--resume").err
     has(message, "posterior.steps: cannot be written (Input/output error)", "go on with --resume")
     assert steps(here.folder) == before

@@ -147,18 +147,6 @@ def test_only_the_robust_sd_is_right_for_noise_of_the_torque():
     assert np.all(np.abs(robust / spread - 1.0) < error), robust / spread
 
 
-def test_outliers_count_less_under_huber():
-    chain, values, torque, q = simulated("motor-axis")
-    rng = np.random.default_rng(0)
-    noisy = q + 1e-4 * rng.standard_normal(q.size)
-    noisy[rng.choice(q.size, 30, replace=False)] += 0.02
-    parts, begin, off = [prepare(noisy, torque)], start(chain, values, 0.02), {}
-    for loss in ("squares", "huber"):
-        found = fitted(chain, begin, parts, loss=loss, substeps=1, segment=0.5)
-        off[loss] = max(abs(found[n].value / values[n] - 1.0) for n in chain.names)
-    assert off["huber"] < 0.2 * off["squares"]
-
-
 def test_a_told_value_settles_what_the_scaling_leaves_open():
     chain, values, torque, q = simulated("rabbit-knee")
     rng = np.random.default_rng(1)

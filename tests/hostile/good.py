@@ -74,7 +74,6 @@ segment = 0.5
 scale = "per-recording"
 
 [estimation]
-loss = "huber"
 starts = 4
 seed = 3
 

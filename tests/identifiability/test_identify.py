@@ -7,18 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bayesfric.identifiability.at_estimate import estimate_point
+from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
 from bayesfric.identifiability.identification import expected_covariance, identify
-from bayesfric.identifiability.known_quantities import speed_term
 from bayesfric.identifiability.local import WEAK, local_information
-from bayesfric.identifiability.plausible import estimate_point, points_around
 from bayesfric.identifiability.remedies import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
-from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
-from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import lay_windows, parallel_taps
@@ -217,31 +215,6 @@ def test_a_back_emf_has_the_shape_of_viscous_loss():
     assert speed_term(target, parameters, [played]) is None
 
 
-def test_a_ripple_once_a_turn_is_gravity_without_a_gear_and_not_behind_one(make_observation):
-    def ripple(ratio, *, fixed=None, angle=False):
-        motor = Element("motor", inertia=True, viscous=True, ratio=ratio)
-        chain = Joint([motor], load=Load(first_moment=True, gravity_angle=angle))
-        values = {"motor.inertia": 0.05, "motor.viscous": 0.1, "load.first_moment": 0.3}
-        values |= {"load.gravity_angle": 0.1} if angle else {}
-        o = make_observation(chain, values, n=500)
-        target = make_target(chain, [o], read_priors(chain, fixed or {}, [o]), "shared")
-        parameters = np.array([values[name] for name in target.free] + [0.02])
-        found = identify(target, parameters)
-        assert (found.ripple in found.remarks) == (found.ripple is not None)
-        return found.ripple
-
-    one = ripple(1.0)
-    assert one.values["per_torque"] == pytest.approx(1.0 / 9.80665)
-    assert "cannot be told from it" in str(one)
-    assert "check and fit warn" in str(one)
-    assert "check and fit warn" not in str(ripple(1.0, angle=True))
-    twice = ripple(0.5)
-    assert twice.values["per_torque"] == pytest.approx(0.5 / 9.80665)
-    assert "2 times a turn" in str(twice)
-    assert ripple(50.0) is None
-    assert ripple(1.0, fixed={"load.first_moment": 0.3}) is None
-
-
 def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
     chain = AXIS.chain()
     o = make_observation(chain, AXIS.values, n=500)
@@ -281,23 +254,6 @@ def test_noise_of_the_estimate_is_its_residual():
     point = estimate_point(target, KNEE.values)
     rms = np.sqrt(np.mean((noisy.measured - plain.measured) ** 2))
     assert point[-1] == pytest.approx(rms, rel=1e-3)
-
-
-def test_points_that_suit_the_data_predict_the_same():
-    target, parameters = problem(recorded(LAGGED))
-    local = local_information(target, parameters)
-    near = points_around(target, parameters, local, np.random.default_rng(1), around=5)
-    k = len(target.free)
-    assert len(near) == 5
-    expected = target.likelihood.predict(target.chain_values(parameters[None]))[0]
-    for point in near:
-        torque = target.likelihood.predict(target.chain_values(point[None]))[0]
-        assert np.sum((torque - expected) ** 2) < 4.0 * k * SIGMA**2
-    # the scale is open, so the points spread along it
-    moments = [p[target.free.index("load.first_moment")] for p in near]
-    assert np.ptp(np.log(moments)) > 0.05
-    again = points_around(target, parameters, local, np.random.default_rng(1), around=5)
-    np.testing.assert_array_equal(near, again)
 
 
 def test_facts_of_a_recording():

@@ -99,15 +99,6 @@ def test_terms_sum_to_the_density(linear):
     )
 
 
-def test_segments_sum_to_the_density(linear):
-    t = linear[0]
-    values, scales = np.array([[INERTIA, VISCOUS]]), np.array([[[0.05, 1e-3]]])
-    likelihood = PositionLikelihood(LINEAR, [t], [], values[0])
-    found = likelihood.by_segment(values, scales)
-    assert list(found) == [("made-up", 0.0, 29 * PERIOD), ("made-up", 30 * PERIOD, 59 * PERIOD)]
-    assert sum(found.values()) == pytest.approx(likelihood.log_density(values, scales)[0])
-
-
 def test_torque_moves_the_knee_as_whole_simulations_say(knee):
     """Carried on from sample to sample, through reversals: the same as simulated to the end."""
     chain, truth, likelihood = knee

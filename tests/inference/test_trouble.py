@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.sampling.sampling import TROUBLE, Sampling, sample
 from bayesfric.inference.sampling.start import Start
-from bayesfric.inference.sampling.undefined_likelihood import TROUBLE
 
 NORMAL = Start(np.zeros(2), np.eye(2))
 SHORT = Sampling(seed=5, min_ess=300, max_steps=400, block=10, walkers=12, ensembles=2)
@@ -75,14 +74,11 @@ def test_a_place_without_a_number_has_no_probability():
     assert d.not_finite > 0
 
 
-def test_much_of_it_beside_the_posterior_is_told_with_place_and_mend():
+def test_much_of_it_beside_the_posterior_is_told_with_the_mend():
     d = sample(NoNumberAbove(0.5), NORMAL, ENOUGH).diagnostics
     assert d.not_finite_share > TROUBLE
     (told,) = d.warnings
-    share, edge = float(told.split()[1]), float(told.partition("y is above ")[2].split(":")[0])
-    assert share / 100 == pytest.approx(d.not_finite_share, rel=0.05)
-    assert 0.5 <= edge < 0.6
-    assert "priors.y" in told
+    assert float(told.split()[1]) / 100 == pytest.approx(d.not_finite_share, rel=0.05)
     assert "check units" in told
 
 
@@ -98,21 +94,6 @@ def test_a_few_far_proposals_are_counted_and_nothing_more():
 def test_without_any_there_is_nothing_to_tell():
     d = sample(Normal(), NORMAL, ENOUGH).diagnostics
     assert (d.not_finite, d.not_finite_share, d.warnings) == (0, 0.0, ())
-
-
-class NoNumberAnywhere(Normal):
-    """No number at one place in five, wherever: as from an overflow."""
-
-    def no_number(self, u):
-        return np.modf(np.abs(u[:, 0]) * 1e6)[0] < 0.2
-
-
-def test_no_number_in_no_one_direction_is_told_too():
-    d = sample(NoNumberAnywhere(), NORMAL, ENOUGH).diagnostics
-    assert d.not_finite_share == pytest.approx(0.2, abs=5.0 * np.sqrt(0.16 / 2000))
-    (told,) = d.warnings
-    assert "no one direction" in told
-    assert "do not trust the intervals" in told
 
 
 class OneSpike(Normal):

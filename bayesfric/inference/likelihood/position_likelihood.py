@@ -125,14 +125,6 @@ class PositionLikelihood(Likelihood):
             -0.5 * a**2 - np.log(s) - 0.5 * np.log(2.0 * np.pi) for a, s in zip(z, sds, strict=True)
         ]
 
-    def by_segment(self, values: Array, scales: Array) -> dict[tuple[str, float, float], float]:
-        """Log-likelihood of one vector by recording, and begin and end of each segment in s."""
-        found = {}
-        for run, terms in zip(self._runs, self.pointwise(values, scales), strict=True):
-            for key, part in zip(run.spans, run.divide(terms[0]), strict=True):
-                found[key] = float(part.sum())
-        return found
-
     def predict(self, values: Array) -> list[Array]:
         """Averaged positions ``(n, M)``, each segment from the state that suits it best."""
         return [run.predict(values) for run in self._runs]
@@ -216,16 +208,6 @@ class _Run:
             follows=np.diff(number) == 0,
         )
         self._weights = np.concatenate([s.weights for s in self._segments])
-
-    @property
-    def spans(self) -> list[tuple[str, float, float]]:
-        """The recording's name, begin and end in s of every segment."""
-        t = self._trajectory
-        return [(t.name, float(t.time[a]), float(t.time[b - 1])) for a, b in t.segments]
-
-    def divide(self, terms: Array) -> list[Array]:
-        """Divide terms ``(terms,)`` into those of each segment."""
-        return np.split(terms, np.cumsum([s.weights.size for s in self._segments])[:-1])
 
     def terms(self, values: Array) -> Array:
         """Independent combinations of measured minus simulated position, ``(n, terms)``."""

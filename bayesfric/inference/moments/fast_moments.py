@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.inference.moments.linear_torque import Coefficients, LinearTorque, linear_torque
@@ -37,9 +37,6 @@ from bayesfric.recordings.observation import Observation
 RADIUS = 12.0
 # Coefficients beyond this are left to the plain evaluation, which overflows where it does.
 _LARGEST = 1e100
-# Operations in one call, about as many ns, below which threads cost more than they save: where
-# another process has the second core, one that starts on it waits for some ms.
-_WORTH_THREADS = 10_000_000
 # Operations that a sample takes, about: forms of so many columns that they take more spare nothing.
 _A_SAMPLE = 20
 # Kept samples whose signs are looked at in one go.
@@ -145,15 +142,12 @@ class FastMoments:
         # rounding may blur the border, where the sign does not matter
         looked = np.searchsorted(m.ratios, distance * (1.0 + 1e-9) + 1e-12, side="right")
         looked = np.where(inside, looked, -1)
-        n2 = known.leg.shape[1]
-        work = distance.size * (m.matrices.shape[0] * size**2 + n2 * m.ratios.size // 4)
-        threads = get_num_threads() if work > _WORTH_THREADS else 1
-        run = _in_threads if threads > 1 else _in_line
         # one layout: for another all would be compiled again
         leg = np.ascontiguousarray(known.leg)
         lambda2 = np.ascontiguousarray(known.lambda2)
-        found: Array = run(4 * threads, z, leg, lambda2, looked, self.order, *arrays)
-        return found
+        out = np.empty((distance.size, m.matrices.shape[0]))
+        _all_vectors(out, z, leg, lambda2, looked, self.order, *arrays)
+        return out
 
 
 def fast_moments(
@@ -271,10 +265,8 @@ def _correct_edge(
 
 
 @njit(cache=True)
-def _some_vectors(
+def _all_vectors(
     out: Array,
-    begin: int,
-    end: int,
     z: Array,
     leg: Array,
     lambda2: Array,
@@ -302,7 +294,7 @@ def _some_vectors(
     in_list, touched = np.zeros(n_cells, np.bool_), np.empty(n_cells, np.int64)
     level, hit = np.empty(_LOOK), np.empty(_LOOK, np.int64)
     apart, slope = np.empty(order + 1), np.empty(slopes.shape[1])
-    for v in range(begin, end):
+    for v in range(z.shape[0]):
         if looked[v] < 0:
             out[v] = np.nan
             continue
@@ -373,21 +365,3 @@ def _some_vectors(
         for c in touched[:n_touched]:
             change[c * _CELL : (c + 1) * _CELL] = 0.0
             in_list[c] = False
-
-
-@njit(cache=True)
-def _in_line(parts: int, z: Array, leg: Array, lambda2: Array, looked: Index, *arrays: Any) -> Any:  # noqa: ARG001
-    out = np.empty((z.shape[0], arrays[1].shape[0]))
-    _some_vectors(out, 0, z.shape[0], z, leg, lambda2, looked, *arrays)
-    return out
-
-
-@njit(cache=True, parallel=True)
-def _in_threads(
-    parts: int, z: Array, leg: Array, lambda2: Array, looked: Index, *arrays: Any
-) -> Any:
-    out = np.empty((z.shape[0], arrays[1].shape[0]))
-    n = z.shape[0]
-    for p in prange(parts):
-        _some_vectors(out, p * n // parts, (p + 1) * n // parts, z, leg, lambda2, looked, *arrays)
-    return out

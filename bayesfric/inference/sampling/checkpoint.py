@@ -17,59 +17,123 @@ import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.errors import BadInput
-from bayesfric.inference.sampling.step_file import StepFile, Steps
-from bayesfric.opened import parse_json, read_text
+from bayesfric.opened import read_json
 from bayesfric.recordings.arrays import Array
 
 # As numpy.random.RandomState gives and takes it.
 RandomState = tuple[str, NDArray[np.uint32], int, int, float]
 
-FORMAT = 2
+FORMAT = 3
 # Share of the time that may go into saving.
 _SHARE = 0.02
 # Seconds of a long block that may be lost.
 _LOSS = 5.0
+# Bytes that are read in one go.
+_PIECE = 2**24
 # What rounding may do to a log-probability, evaluated beside others or alone.
 _ROUNDING = 1e-9
 _AFRESH = "undo that, or start afresh with --force"
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+@dataclass(frozen=True)
+class Manifest:
+    """What a checkpoint holds beside the steps; ``<name>.json``, with its own checksum."""
 
-
-class _Twister(_Part):
-    """State of the sampler's Mersenne twister MT19937."""
-
-    key: list[int] = Field(min_length=624, max_length=624)
-    position: int = Field(ge=0, le=624)
-    has_gauss: int = Field(ge=0, le=1)
-    cached: float
-
-
-class Manifest(_Part):
-    """What a checkpoint holds beside the steps; ``<name>.json``."""
-
-    format: int
     facts: dict[str, Any]
     coordinates: str
     phase: str
-    steps: int = Field(ge=1, le=10**9)
-    walkers: int = Field(ge=1, le=10**6)
-    dimension: int = Field(ge=1, le=10**6)
-    random_state: _Twister
-    log_density: list[float | None]
-    not_finite: int = Field(ge=0)
-    seconds: float = Field(ge=0)
-    checksum: int
+    steps: int
+    walkers: int
+    dimension: int
+    random_state: list[Any]  # of the sampler's generator, with a list for the array
+    log_density: list[float]  # of the last step; -Infinity where it is impossible
+    not_finite: int
+    seconds: float
+    checksum: int  # of the steps
+
+    def text(self) -> str:
+        """Write it as JSON."""
+        content = vars(self)
+        return json.dumps({"format": FORMAT, "own_checksum": _sum(content), **content}, indent=1)
+
+
+def _sum(content: Mapping[str, Any]) -> int:
+    return zlib.crc32(json.dumps(content, sort_keys=True).encode())
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of all walkers."""
+
+    coordinates: Array  # (steps, walkers, d)
+    log_density: Array  # there, (steps, walkers)
+    accepted: NDArray[np.bool_]  # whether a proposal was, (steps, walkers)
+
+    def __len__(self) -> int:
+        """Count the steps."""
+        return len(self.log_density)
+
+
+class StepFile:
+    """Steps of so many walkers in a file, made with the first :meth:`append` if it is not there.
+
+    It is readable whenever its writer is killed: rows of numbers, one walker's after the other, and
+    nothing else; how many of them count the manifest tells. (HDF5 is no journal: a process killed
+    while the library rewrites an index leaves a file that nobody opens again.)
+
+    Every method raises OSError, with the system's reason, where the file cannot be read or
+    written, and ValueError where it does not hold the steps asked for.
+    """
+
+    def __init__(self, path: Path, walkers: int, dimension: int) -> None:
+        self.path, self.walkers, self.dimension = path, walkers, dimension
+        self._kind = np.dtype(
+            [("coordinates", "<f8", (dimension,)), ("log_density", "<f8"), ("accepted", "?")]
+        )
+        self._step_size = walkers * self._kind.itemsize
+
+    def append(self, steps: Steps, first: int) -> bytes:
+        """Put steps behind the first ``first`` ones, wait for the disk, and give what was put."""
+        rows = np.empty(steps.log_density.shape, self._kind)
+        for name in self._kind.names or ():
+            rows[name] = getattr(steps, name)
+        raw = rows.tobytes()
+        with self.path.open("r+b" if self.path.exists() else "w+b") as file:
+            # what a killed writer left there nobody counts
+            file.truncate(first * self._step_size)
+            file.seek(0, os.SEEK_END)
+            file.write(raw)
+            file.flush()
+            os.fsync(file.fileno())
+        return raw
+
+    def read(self, begin: int, end: int) -> Steps:
+        """Read some steps."""
+        self._look_for(end)
+        count, offset = (end - begin) * self.walkers, begin * self._step_size
+        rows = np.fromfile(self.path, self._kind, count, offset=offset).reshape(-1, self.walkers)
+        return Steps(*(np.ascontiguousarray(rows[name]) for name in self._kind.names or ()))
+
+    def checksum(self, end: int) -> int:
+        """Sum up the first ``end`` steps as :func:`zlib.crc32` does."""
+        self._look_for(end)
+        found, left = 0, end * self._step_size
+        with self.path.open("rb") as file:
+            while piece := file.read(min(left, _PIECE)):
+                found, left = zlib.crc32(piece, found), left - len(piece)
+        return found
+
+    def _look_for(self, end: int) -> None:
+        if self.path.stat().st_size < end * self._step_size:
+            raise ValueError(f"holds fewer than {end} steps of {self.walkers} walkers")
 
 
 class _Step(NamedTuple):
@@ -147,7 +211,7 @@ class Checkpoint:
         resumed = self._resumed
         if resumed is None or self._replayed < resumed.steps:
             return None
-        then = np.array([-np.inf if x is None else x for x in resumed.log_density])
+        then = np.array(resumed.log_density)
         now = log_density()
         same = np.isclose(now, then, rtol=_ROUNDING, atol=_ROUNDING)
         if not same.all():
@@ -158,9 +222,8 @@ class Checkpoint:
                 float(then[worst]),
                 float(now[worst]),
             )
-        t = resumed.random_state
-        key = np.array(t.key, dtype=np.uint32)
-        return ("MT19937", key, t.position, t.has_gauss, t.cached), resumed.not_finite
+        kind, key, *rest = resumed.random_state
+        return (kind, np.array(key, dtype=np.uint32), *rest), resumed.not_finite
 
     @contextmanager
     def recording(self, phase: str, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:
@@ -203,24 +266,21 @@ class Checkpoint:
         pending, last = self._pending, self._pending[-1]
         steps = Steps(*(np.stack(column) for column in list(zip(*pending, strict=True))[:3]))
         checksum = zlib.crc32(self._file.append(steps, self.saved), self._checksum)
-        _, key, position, has_gauss, cached = last.random_state
+        kind, key, *rest = last.random_state
         manifest = Manifest(
-            format=FORMAT,
             facts=self._facts,
             coordinates=self._description,
             phase=last.phase,
             steps=self.saved + len(pending),
             walkers=self._file.walkers,
             dimension=self._file.dimension,
-            random_state=_Twister(
-                key=key.tolist(), position=position, has_gauss=has_gauss, cached=cached
-            ),
-            log_density=[float(x) if np.isfinite(x) else None for x in last.log_density],
+            random_state=[kind, key.tolist(), *rest],
+            log_density=last.log_density.tolist(),
             not_finite=last.not_finite,
             seconds=self.seconds + began - self._began,
             checksum=checksum,
         )
-        _replace(self._manifest_path, manifest.model_dump_json(indent=1))
+        _replace(self._manifest_path, manifest.text())
         self.saved, self._checksum = manifest.steps, checksum
         del self._pending[: len(pending)]
         self._last = time.perf_counter()
@@ -244,18 +304,15 @@ class Checkpoint:
         if not path.exists():
             return None
         try:
-            text = read_text(path)
-            number = parse_json(str(path), text).get("format")
-        except (BadInput, AttributeError) as error:
+            content = read_json(path)
+            number, own = content.pop("format", None), content.pop("own_checksum", None)
+        except (BadInput, AttributeError, TypeError) as error:
             raise self._unreadable(path, error) from None
         if number != FORMAT:
             raise self._differs("checkpoint format", number, FORMAT)
-        try:
-            found = Manifest.model_validate_json(text)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise self._unreadable(path, f"{where}: {first['msg']}") from None
+        if own != _sum(content):
+            raise self._unreadable(path, "it is not what was written")
+        found = Manifest(**content)
         self._compare(found.facts, self._facts)
         file = StepFile(self._steps_path, found.walkers, found.dimension)
         try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,6 @@ from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 
 LogDensity = Callable[[Array], Array]
-Curvature = Callable[[Array], Array]
 
 # A density that falls by this much is one standard deviation away.
 _ONE_SD = 0.5
@@ -99,7 +98,6 @@ def climb(
     *,
     climbs: int = CLIMBS,
     max_steps: int = 60,
-    curvature: Curvature | None = None,
     moved: Callable[[Array], None] = lambda _: None,
 ) -> Array:
     """Climb to the mode ``(d,)`` from the best of several candidates ``(n, d)``.
@@ -109,10 +107,9 @@ def climb(
     by half a unit, which averages over the kinks that direction-dependent losses
     leave in it.
 
-    So many ``climbs`` follow the best candidates to their peak. ``curvature`` is the negative
-    Hessian, ``(d, d)``, from elsewhere: by differences it takes ``d²`` evaluations a step, which a
-    density that simulates cannot afford. ``moved`` is called with every place ``(d,)`` a climb
-    gets to; the density may prepare itself for it. ValueError if no candidate is possible.
+    So many ``climbs`` follow the best candidates to their peak. ``moved`` is called with every
+    place ``(d,)`` a climb gets to; the density may prepare itself for it. ValueError if no
+    candidate is possible.
     """
     heights = log_density(candidates)
     # Direction-dependent losses make several peaks, and the highest candidate need
@@ -120,9 +117,7 @@ def climb(
     order = [i for i in np.argsort(-heights)[:climbs] if np.isfinite(heights[i])]
     if not order:
         raise ValueError("every starting point has zero probability")
-    found = [
-        _climb(log_density, candidates[i], heights[i], max_steps, curvature, moved) for i in order
-    ]
+    found = [_climb(log_density, candidates[i], heights[i], max_steps, moved) for i in order]
     return max(found, key=lambda peak: peak[1])[0]
 
 
@@ -131,26 +126,15 @@ def _climb(
     x: Array,
     height: float,
     max_steps: int,
-    known_curvature: Curvature | None,
     moved: Callable[[Array], None],
 ) -> tuple[Array, float]:
     damping = 1.0
-    steps = np.full(x.size, 0.1) * (np.abs(x) + 1e-3)
-    if known_curvature is None:
-        steps = _difference_steps(log_density, x, height, steps)
+    steps = _difference_steps(log_density, x, height, 0.1 * (np.abs(x) + 1e-3))
     for _ in range(max_steps):
         moved(x)
-        if known_curvature is None:
-            steps = _difference_steps(log_density, x, height, steps)
-            gradient, hessian = _derivatives(log_density, x, height, steps)
-            curvature = -hessian
-        else:
-            curvature = known_curvature(x)
-            # over such a step the density falls by an eighth of a unit
-            steps = 0.5 / np.sqrt(np.diag(curvature))
-            up, down, _ = _around(log_density, x, height, steps)
-            gradient = (up - down) / (2.0 * steps)
-        gradient, curvature = gradient * steps, curvature * np.outer(steps, steps)
+        steps = _difference_steps(log_density, x, height, steps)
+        gradient, hessian = _derivatives(log_density, x, height, steps)
+        gradient, curvature = gradient * steps, -hessian * np.outer(steps, steps)
         values, vectors = np.linalg.eigh((curvature + curvature.T) / 2.0)
         rotated = vectors.T @ gradient
         dampings = damping * 10.0 ** np.arange(-3.0, 5.0)
@@ -191,17 +175,6 @@ def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: A
     return steps
 
 
-def _around(
-    log_density: LogDensity, x: Array, height: float, steps: Array, more: Sequence[Array] = ()
-) -> tuple[Array, Array, Array]:
-    """Density a step up and down every axis, ``(d,)`` each, and at ``more`` places."""
-    one = [x + np.diag(steps), x - np.diag(steps)]
-    values = log_density(np.concatenate([*one, *more]))
-    # a difference that steps out of the support says: steeply down
-    values = np.where(np.isfinite(values), values, height - _CLIFF)
-    return values[: x.size], values[x.size : 2 * x.size], values[2 * x.size :]
-
-
 def _derivatives(
     log_density: LogDensity, x: Array, height: float, steps: Array
 ) -> tuple[Array, Array]:
@@ -211,8 +184,11 @@ def _derivatives(
     pair = np.zeros((rows.size, d))
     pair[np.arange(rows.size), rows] = steps[rows]
     pair[np.arange(rows.size), columns] = steps[columns]
-    up, down, pairs = _around(log_density, x, height, steps, (x + pair, x - pair))
-    both, neither = pairs[: rows.size], pairs[rows.size :]
+    one = np.diag(steps)
+    values = log_density(np.concatenate([x + one, x - one, x + pair, x - pair]))
+    # a difference that steps out of the support says: steeply down
+    values = np.where(np.isfinite(values), values, height - _CLIFF)
+    up, down, both, neither = np.split(values, [d, 2 * d, 2 * d + rows.size])
     gradient = (up - down) / (2.0 * steps)
     hessian = np.diag((up - 2.0 * height + down) / steps**2)
     curvature = up + down

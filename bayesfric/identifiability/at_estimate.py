@@ -1,4 +1,4 @@
-"""Where to look: the point estimate with its noise, and other vectors that may be true."""
+"""Where to look: the point estimate with its noise."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bayesfric.identifiability.local import LocalInformation, jacobian_of, units_of
 from bayesfric.inference.likelihood.autoregression import burg
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.target import Target
@@ -15,13 +14,6 @@ from bayesfric.recordings.arrays import Array
 # Grid of the search for noise scales: points a scale, and how often it is made finer.
 _GRID = 7
 _ROUNDS = 7
-# What nothing confines moves by no more than this in a logarithm.
-_WIDEST = 1.0
-_TRIES = 40
-# Rounds of bringing a drawn vector's output back, and the summed square of what may stay
-# apart, in noise sds and for each parameter.
-_REFITS = 8
-_SUITS = 4.0
 
 
 def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
@@ -37,76 +29,6 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
         ]
     )
     return np.concatenate([values, _likely_scales(target, values)])
-
-
-def points_around(
-    target: Target,
-    estimate: Array,
-    local: LocalInformation,
-    rng: np.random.Generator,
-    around: int = 8,
-) -> list[Array]:
-    """Draw other vectors that may be true.
-
-    So many ``around`` the estimate, whose picture is ``local``: from the normal distribution that
-    data and priors leave there, in logarithms. They are then moved by the least that makes their
-    output that of the estimate again, which straight lines in logarithms do not keep. Only those
-    the priors allow and the model has finite outputs for: maybe fewer.
-    """
-    k = len(target.free)
-    sds = np.array([p.sd() for p in target.priors[:k]])
-    # beyond a factor e the normal in logarithms is no guide: further draws are the prior's job
-    confined = np.maximum(np.nan_to_num(np.abs(local.units) / sds), 1.0 / _WIDEST)
-    values, vectors = np.linalg.eigh(local.information + np.diag(confined**2))
-    goal = _outputs(target, estimate)
-    noise = estimate[k:]
-    found: list[Array] = []
-    for _ in range(_TRIES):
-        if len(found) >= around:
-            break
-        step = vectors @ (rng.standard_normal(k) / np.sqrt(values))
-        drawn = np.concatenate([local.moved(estimate[:k], step), noise])
-        suiting = _refitted(target, drawn, goal)
-        if suiting is not None:
-            found.append(suiting)
-    return found
-
-
-def _refitted(target: Target, parameters: Array, goal: Array) -> Array | None:
-    """Bring the output of parameters ``(d,)`` to a goal; nothing where that does not succeed."""
-    k = len(target.free)
-    for _ in range(_REFITS):
-        outputs = _possible(target, parameters)
-        if outputs is None:
-            return None
-        gap = goal - outputs
-        if gap @ gap < _SUITS * k:
-            return parameters
-        at = units_of(target, parameters)
-        jacobian = jacobian_of(target, parameters, at.units)
-        if not np.isfinite(jacobian).all():
-            return None
-        left, size, right = np.linalg.svd(jacobian, full_matrices=False)
-        # what the data hardly feel stays as it was drawn
-        step = right.T @ np.where(size > 1.0, (left.T @ gap) / np.maximum(size, 1.0), 0.0)
-        step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-12))
-        parameters = np.concatenate([at.moved(parameters[:k], step), parameters[k:]])
-    return None
-
-
-def _outputs(target: Target, parameters: Array) -> Array:
-    """Compute the outputs over their noise at parameters ``(d,)``."""
-    scales = target.noise.scales(parameters[None, len(target.free) :])[0]
-    outputs = target.likelihood.standardised(target.chain_values(parameters[None]), scales)
-    return np.asarray(np.concatenate(outputs, axis=1)[0])
-
-
-def _possible(target: Target, parameters: Array) -> Array | None:
-    """Compute the same where priors and model have something there."""
-    if not np.isfinite(target.log_prior(parameters[None])).all():
-        return None
-    outputs = _outputs(target, parameters)
-    return outputs if np.isfinite(outputs).all() else None
 
 
 def _likely_scales(target: Target, values: Array) -> Array:

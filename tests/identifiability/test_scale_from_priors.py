@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.identifiability.told_scale import given_by
+from bayesfric.identifiability.scale_from_priors import given_by
 from bayesfric.inference.prior.priors import Prior
 
 NAMES = ("motor.inertia", "load.first_moment", "drive.gain")

@@ -1,4 +1,4 @@
-"""What a back-EMF, and a ripple of the motor's torque, cannot be told from."""
+"""What a back-EMF cannot be told from."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from bayesfric.recordings.measurement import Measurement
 
 # Sine of the angle below which two columns of a Jacobian are one.
 _SAME = 1e-6
-# Ratios this close to a whole number are one, written with few digits.
-_WHOLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -34,23 +32,6 @@ class SpeedTerm:
     def meaning(self, among: int) -> Statement:
         """Say what is confounded; ``among`` recordings in all."""
         return stated("voltage", "back_emf", among=among, **vars(self))
-
-
-def gravity_ripple(target: Target) -> Statement | None:
-    """Say that gravity's first moment takes a ripple up.
-
-    Once a turn of the motor where that turns as often as the joint; twice, where the joint turns
-    twice as often. ``None`` where nothing that the motor does has that pace, as behind a gear that
-    makes it slower, or the moment is known.
-    """
-    chain = target.likelihood.chain
-    free = {p.quantity: p.name for p in chain.parameters if p.name in target.free}
-    times, name = round(1.0 / chain.ratio), free.get("first_moment")
-    rotary = chain.motor_motion == chain.load.motion == "rotary"
-    if not rotary or name is None or not times or abs(times * chain.ratio - 1.0) > _WHOLE:
-        return None
-    told = {"per_torque": chain.ratio / abs(chain.load.gravity), "name": name, "times": times}
-    return stated("ripple", "gravity", **told, angle_free="gravity_angle" in free)
 
 
 def speed_term(
