@@ -52,7 +52,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
         config=_text(folder / "config.toml"),
-        methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 
 

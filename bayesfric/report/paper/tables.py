@@ -335,9 +335,10 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 
 
 def latex_texts(summary: Readable, run: str) -> dict[str, str]:
-    """Lay the same numbers out as LaTeX, by file name inside the run directory."""
+    """Give what a paper takes over, by file name inside the run directory: tables, references."""
     table = parameter_table(summary, run)
     return {
+        "text/references.bib": latex.references(),
         "tables/parameters.tex": parameters_latex(table),
         "tables/estimates.tex": methods_latex(comparison({run: summary})),
     }
