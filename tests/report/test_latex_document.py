@@ -10,14 +10,12 @@ import pytest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings import Processing
-from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.residual import residual_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
-    between_runs_latex,
     methods_latex,
     parameter_table,
     parameters_latex,
@@ -42,7 +40,6 @@ Tables \ref{tab:parameters} and \ref{tab:methods}.
 \input{table-every-kind}
 \input{table-every-method}
 \input{table-runs}
-\input{table-between-runs}
 \begin{figure*}\includegraphics{friction}\caption{Friction.}\end{figure*}
 \begin{figure*}\includegraphics{residual}\caption{Residuals.}\end{figure*}
 \nocite{*}
@@ -99,7 +96,6 @@ def invented_tables():
         "table-every-kind.tex": parameters_latex(parameter_table(run)),
         "table-every-method.tex": methods_latex(comparison({"run": run})),
         "table-runs.tex": methods_latex(comparison(runs)),
-        "table-between-runs.tex": between_runs_latex(between_runs(runs)),
     }
     # labels are unique in a paper
     return {name: text.replace(r"\label{", r"\label{invented-") for name, text in tables.items()}

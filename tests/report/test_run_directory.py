@@ -85,7 +85,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for stem in run_directory.FIGURES:
             # an axis has no ridge and no load, nothing is held out, nobody asked what it lacks
-            if stem not in ("ridge", "validation", "ladder", *DRAWN):
+            if stem not in ("ridge", *DRAWN):
                 patch.setitem(run_directory.FIGURES, stem, drawn_by(stem, blank))
         fit(read_config(folder / "axis.toml"), folder / "run", paper=True)
     return folder
