@@ -68,7 +68,7 @@ LONG = {
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        browser corner figures forest methods_text prediction residual ridge
+        browser corner figures forest prediction residual ridge
         run_directory self_check summary validation""",
     "rollouts": """
         rollout""",

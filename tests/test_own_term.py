@@ -94,14 +94,13 @@ def test_without_it_the_other_numbers_are_wrong(recording, model):
     assert rms[0] > 3.0 * rms[1]
 
 
-def test_tables_page_and_methods_show_it(run):
+def test_tables_and_page_show_it(run):
     _, folder = run
     parameters = json.loads((folder / "summary.json").read_text())["parameters"]
     assert parameters["motor.cogging"]["symbol"] == "k_6"
     assert "motor.cogging" in set(pd.read_csv(folder / "summary.csv")["name"])
     assert "motor.cogging" in (folder / "report.html").read_text(encoding="utf-8")
     assert "k_6" in (folder / "tables" / "parameters.tex").read_text(encoding="utf-8")
-    assert "cogging six times a turn" in (folder / "text" / "methods.txt").read_text()
     assert any((folder / "figures").glob("friction.*"))
 
 

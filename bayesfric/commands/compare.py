@@ -21,7 +21,7 @@ def compare(
 
     ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.tex`` and
     ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
-    and, where something is pooled, ``.tex``, ``each-run.csv`` and ``figures/population``. Point
+    and ``each-run.csv`` and, where something is pooled, ``figures/population``. Point
     estimates are shown of a single run only if ``estimates`` is left out. Of what cannot be
     compared nothing is written.
     """
@@ -42,7 +42,7 @@ def compare(
     from bayesfric.report.files import check_free, made_beside
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
     from bayesfric.report.page.provenance import read_provenance
-    from bayesfric.report.paper.tables import between_runs_latex, methods_latex
+    from bayesfric.report.paper.tables import methods_latex
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)
@@ -70,7 +70,6 @@ def compare(
         if len(checked) > 1:
             texts["between-runs.csv"] = between_runs_csv(pooled)
             texts["each-run.csv"] = each_run_csv(pooled)
-            texts |= {"between-runs.tex": between_runs_latex(pooled)} if pooled else {}
         (beside / "figures").mkdir()
         for stem, figure in drawn.items():
             if figure is not None:

@@ -19,7 +19,7 @@ def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[
     """Make ``report.html`` and what follows from ``summary.json`` again; nothing is sampled.
 
     ``paper`` has the figures drawn again, as PDF and PNG, for which the recordings are read, and
-    writes LaTeX tables, methods and references. Nothing is changed where the folder holds no
+    writes LaTeX tables and references. Nothing is changed where the folder holds no
     finished run, or cannot be written to.
     """
     summary = read_summary_file(run)
@@ -46,12 +46,11 @@ def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> 
     from bayesfric.finished_run import fit_of
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
-    from bayesfric.report.paper.methods_text import methods_text
-    from bayesfric.report.run_directory import draw, paper_texts
+    from bayesfric.report.run_directory import draw
 
     progress(Progress("recordings"))
     fit, summary = fit_of(run)
-    texts |= paper_texts(summary, name, methods_text(fit, summary))
+    texts |= latex_texts(summary, name)
     figures = run / "figures"
     with TemporaryDirectory(prefix=".", dir=run) as beside:
         draw(Path(beside), FinishedRun(fit, summary), IN_PAPER, progress)

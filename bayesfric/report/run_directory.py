@@ -18,13 +18,11 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.answers.calculator import calculator
-from bayesfric.report.answers.page_record import FILE, calculator_json
+from bayesfric.report.answers.calculator import FILE, calculator, calculator_json
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.files import made_beside
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.methods_text import MethodsText, methods_text
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary
@@ -56,7 +54,8 @@ def write_run(
     ``config_text`` is the configuration as read; of ``recordings`` it keeps the SHA-256; what
     the folder ``saved`` holds belongs into it. With a number of ``draws`` it is a light one:
     so many are kept, and neither figures, tables nor page are made, as of one of hundreds nobody
-    looks at. ``paper`` adds what a paper wants: :func:`paper_texts`, and figures as PDF and PNG.
+    looks at. ``paper`` adds what a paper wants: tables in LaTeX, references, and figures as PDF and
+    PNG.
     """
     summary = Summary.read(summary)
     with made_beside(folder) as beside:
@@ -77,14 +76,12 @@ def write_run(
         run = FinishedRun(fit, summary)
         kinds = ALL_KINDS if paper else ON_PAGE
         drawn = draw(beside / "figures", run, kinds, progress)
-        said = methods_text(fit, summary)
         texts = summary_texts(summary, folder.name) | {
-            "text/methods.txt": said.plain,
             "text/captions.md": captions(run, drawn),
             FILE: calculator_json(calculator(fit)),
         }
         if paper:
-            texts |= paper_texts(summary, folder.name, said)
+            texts |= latex_texts(summary, folder.name)
         for name, text in texts.items():
             (beside / name).parent.mkdir(exist_ok=True)
             (beside / name).write_text(text, encoding="utf-8")
@@ -109,15 +106,6 @@ def draw(
             save(figure, folder, stem, kinds)
             drawn.append(one)
     return drawn
-
-
-def paper_texts(summary: Summary, name: str, said: MethodsText) -> dict[str, str]:
-    """Give what a paper wants of a run, by file name: LaTeX tables, methods and references."""
-    return {
-        **latex_texts(summary, name),
-        "text/methods.tex": said.latex,
-        "text/references.bib": said.bibtex,
-    }
 
 
 def archived(

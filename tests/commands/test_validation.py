@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.archive import read_archive
-from bayesfric.report import run_directory
 from bayesfric.report.terminal import fit_text
 
 from .bench import JOINT, has, recorded, without_figures
@@ -33,8 +32,7 @@ def three(bench, monkeypatch):
     for seed, name in enumerate(NAMES, start=1):
         bench.simulated(JOINT + recorded(name) + SIMULATION, name, seed)
     bench.config(CONFIG + HELD_OUT)
-    kept = {"validation": run_directory.FIGURES["validation"]}
-    monkeypatch.setattr(run_directory, "FIGURES", kept)
+    without_figures(monkeypatch)
     return bench
 
 
@@ -71,7 +69,6 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
         for c in part["coverage"].values():
             said = f"{100 * c['share']:.1f} ± {100 * c['standard_error']:.1f}"
             assert said in section
-    assert "data:image/svg" in section
     assert "noise scale" in record["predictive"]
     n = record["pooled"]["outputs"]
     for level, found in record["pooled"]["coverage"].items():
@@ -86,10 +83,6 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
         "covered: 90 %",
     )
     assert set(hashes) == set(NAMES)
-    assert (three.folder / "run" / "figures" / "validation.svg").stat().st_size > 1000
-    assert "**validation**" in (three.folder / "run" / "text" / "captions.md").read_text()
-    methods = (three.folder / "run" / "text" / "methods.txt").read_text()
-    has(methods, f"{n} outputs were held out of the fit")
     assert set(summary["fit"]["recordings"]) == {"one", "three"}
 
     # of the second fit only numbers are looked at

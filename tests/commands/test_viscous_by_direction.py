@@ -53,7 +53,6 @@ def test_every_command(bench):
     assert bench.run("report", "run").code == 0
     page = (bench.folder / "run" / "report.html").read_text(encoding="utf-8")
     assert all(name in page for name in TERMS)
-    assert "viscous loss by direction" in (bench.folder / "run/text/methods.txt").read_text()
     assert bench.run("compare", "run", "-o", "side").code == 0
     page = (bench.folder / "side" / "report.html").read_text(encoding="utf-8")
     assert "motor.viscous_negative" in page

@@ -8,9 +8,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.export.exported import export
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.words import listed
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -65,17 +63,11 @@ def test_every_place_says_what_the_number_holds(one, tmp_path, options):
     names = [n for n in found.summary.parameters if "viscous" in n]
     assert told.same_as_back_emf == names
     assert told.nominal == pytest.approx(KT**2 / R)
-    held = listed(names)
     (alert,) = (a for a in alerts_of(found.summary) if a.kind == "back-EMF")
     assert alert.text.count("viscous loss plus the error of the nominal kt²/R") == 1
     rows = {r.name: r for r in parameter_table(found.summary).rows}
     for name in names:
         assert rows[name].meaning.endswith("and the error of the nominal back-EMF")
-    holds = "holds" if len(names) == 1 else "hold"
-    assert (
-        f"cannot be told from {held}, which {holds} it"
-        in methods_text(found.fit, found.summary).plain
-    )
     for form in ("mujoco", "c"):
         said = export(tmp_path / "run", form).text()
         assert f"({KT**2 / R:.3g} N m s) times the motor's speed, which is not part" in said

@@ -16,8 +16,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report.answers import calculator
-from bayesfric.report.answers.calculator import written
-from bayesfric.report.answers.page_record import FILE, Seen, calculator_json, read_calculator
+from bayesfric.report.answers.calculator import FILE, calculator_json, read_calculator, written
 from bayesfric.report.figures.friction_curves import friction_torque
 from bayesfric.report.page.run_page import run_page
 
@@ -39,10 +38,10 @@ SLIDE = Joint(
 ODD = Joint.preset("motor-axis").with_term(Term("motor.odd", lambda m: math.sin(m.position)))
 # Of these no recording is needed: their parameters are any numbers.
 DRAWN = ("everything", "own")
-SEEN = Seen(
-    speed=[-2.0, 2.0], slowest=0.1, position=[-1.0, 1.0], acceleration=[-9.0, 9.0],
-    load=[-1.0, 1.0], outside=3.0,
-)  # fmt: skip
+SEEN = {
+    "speed": [-2.0, 2.0], "slowest": 0.1, "position": [-1.0, 1.0], "acceleration": [-9.0, 9.0],
+    "load": [-1.0, 1.0], "outside": 3.0, "typical": [0.0, 1.0, 0.0],
+}  # fmt: skip
 SLOW = pytest.mark.slow  # terms that the kernels do not write out are compiled, each by itself
 CHAINS = {
     **{name: preset.chain() for name, preset in PRESETS.items()},
@@ -103,8 +102,8 @@ def made(folder):
 
 def parameter_vectors(found):
     """Give the draws that a page holds as vectors of the joint, ``(n, n_parameters)``."""
-    n = max((len(x) for x in found.values if isinstance(x, list)), default=1)
-    columns = [np.broadcast_to(np.asarray(x), (n,)) for x in found.values]
+    n = max((len(x) for x in found["values"] if isinstance(x, list)), default=1)
+    columns = [np.broadcast_to(np.asarray(x), (n,)) for x in found["values"]]
     return np.stack(columns, axis=1)
 
 
@@ -122,7 +121,7 @@ def page_of(folder, name, text):
 
 def of_one(law, vector):
     """Return the same page data with one draw only."""
-    return calculator_json(law.model_copy(update={"values": [float(x) for x in vector]}))
+    return calculator_json(law | {"values": [float(x) for x in vector]})
 
 
 def grid(chain):
@@ -182,7 +181,7 @@ def test_friction_is_that_of_the_friction_figure(browser, made, name):
     """At constant speed: what a load-free law leaves, the mean load where its scale is open."""
     path, fit, law = made(name)
     chain = fit.chain
-    assert law.open_scale == (name == "rabbit-knee")
+    assert law["open_scale"] == (name == "rabbit-knee")
     vectors = parameter_vectors(law)[:1]
     show(browser, page_of(path.parent.parent, f"{name}-one", of_one(law, vectors[0])))
     asked = [one | {"acceleration": 0.0} for one in grid(chain)]
@@ -192,9 +191,9 @@ def test_friction_is_that_of_the_friction_figure(browser, made, name):
         gamma = load_torque(
             chain, vectors[0], [one["position"]], [0.0], inputs=inputs, time=np.zeros(1)
         )
-        load = sign * gamma * load_reach(chain, vectors, open_scale=law.open_scale)
+        load = sign * gamma * load_reach(chain, vectors, open_scale=law["open_scale"])
         speed = np.array([one["speed"] * chain.ratio])
-        friction = sign * friction_torque(chain, vectors, speed, load, open_scale=law.open_scale)
+        friction = sign * friction_torque(chain, vectors, speed, load, open_scale=law["open_scale"])
         offset = vectors[0][chain.names.index("offset")] if "offset" in chain.names else 0.0
         assert told["friction"][0] == pytest.approx(float(friction[0, 0]), abs=1e-9)
         assert told["torque"][0] == pytest.approx(
@@ -254,20 +253,20 @@ def test_rest_has_no_answer_and_says_so(browser, made):
 
 def test_it_says_where_the_data_never_were(browser, made):
     path, fit, law = made("rabbit-knee")
-    seen = law.seen
+    seen = law["seen"]
     (o,) = fit.observations
-    assert seen.speed == [o.speed.min(), o.speed.max()]
-    assert seen.slowest >= 0.2  # the dead zone of its processing
+    assert seen["speed"] == [o.speed.min(), o.speed.max()]
+    assert seen["slowest"] >= 0.2  # the dead zone of its processing
     show(browser, path)
-    inside = {"speed": 1.0, "position": np.mean(seen.position), "acceleration": 0.0, "load": 0.0}
+    inside = {"speed": 1.0, "position": np.mean(seen["position"]), "acceleration": 0.0, "load": 0.0}
     for change, words in (
         ({}, []),
-        ({"speed": 1.01 * seen.speed[1]}, ["at this speed"]),
-        ({"speed": 1.01 * seen.speed[0]}, ["at this speed"]),
-        ({"speed": 0.5 * seen.slowest}, ["this slow"]),
-        ({"position": seen.position[1] + 0.01}, ["at this angle"]),
-        ({"acceleration": 1.5 * seen.acceleration[0]}, ["at this acceleration", "at this load"]),
-        ({"load": 3.0 * seen.outside}, ["at this load", "besides its own"]),
+        ({"speed": 1.01 * seen["speed"][1]}, ["at this speed"]),
+        ({"speed": 1.01 * seen["speed"][0]}, ["at this speed"]),
+        ({"speed": 0.5 * seen["slowest"]}, ["this slow"]),
+        ({"position": seen["position"][1] + 0.01}, ["at this angle"]),
+        ({"acceleration": 1.5 * seen["acceleration"][0]}, ["at this acceleration", "at this load"]),
+        ({"load": 3.0 * seen["outside"]}, ["at this load", "besides its own"]),
     ):
         (told,) = browser.execute_script(ALL, [inside | change])
         assert len(told["said"]) == len(words), told["said"]
@@ -285,16 +284,14 @@ def test_it_begins_where_the_data_were(browser, made, folder, low):
     for x, began, wide in zip((q, qd, qdd), typical, (0.2, 0.2, 0.2), strict=True):
         assert x.min() <= began <= x.max()
         assert abs(began - np.median(np.abs(qd) if x is qd else x)) < wide * np.ptp(x)
-    seen = law.seen.model_copy(
-        update={
-            "position": [q.min(), q.max()],
-            "speed": [qd.min(), qd.max()],
-            "slowest": 0.06,
-            "acceleration": [qdd.min(), qdd.max()],
-            "typical": typical,
-        }
-    )
-    text = calculator_json(law.model_copy(update={"seen": seen}))
+    seen = law["seen"] | {
+        "position": [q.min(), q.max()],
+        "speed": [qd.min(), qd.max()],
+        "slowest": 0.06,
+        "acceleration": [qdd.min(), qdd.max()],
+        "typical": typical,
+    }
+    text = calculator_json(law | {"seen": seen})
     path = page_of(folder, f"begins{low:.0f}", text)
     show(browser, path)
     shown = {
@@ -310,14 +307,14 @@ def test_what_a_run_begins_with_is_one_of_its_outputs(made):
     for name in PRESETS:
         _, fit, law = made(name)
         (o,) = fit.observations
-        began = law.seen.typical
+        began = law["seen"]["typical"]
         apart = np.stack([o.q[o.filter.centres], o.speed, o.qdd[o.filter.centres]], axis=1) - began
         assert (np.abs(apart) <= 5.1e-3 * np.abs(began)).all(axis=1).any()
 
 
 def test_a_term_it_does_not_know_gives_no_calculator(browser, made):
     path, _, law = made("odd")
-    assert law.missing == "motor.odd"
+    assert law["missing"] == "motor.odd"
     show(browser, path)
     section = browser.find_element(By.ID, "calculator")
     assert "motor.odd is a term that the page’s script does not know" in section.text

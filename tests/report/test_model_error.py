@@ -11,7 +11,6 @@ from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.figures.corner import quantities
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.model_error import add_model_error
@@ -110,13 +109,10 @@ def test_every_view_goes_by_the_wide_one(wrong):
     assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
 
 
-def test_the_page_shows_both_and_the_paragraph_cites_what_was_done(wrong, tmp_path):
+def test_the_page_shows_both(wrong, tmp_path):
     html = run_page(tmp_path, wrong.summary, "run")
     assert "If the model were right" in html
     assert 'id="model-error"' in html
-    said = methods_text(wrong.fit, wrong.summary)
-    assert "carvalho2010" in said.keys
-    assert "carvalho2010" in said.bibtex
 
 
 def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):

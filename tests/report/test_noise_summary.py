@@ -11,7 +11,6 @@ from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.summary import noise
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Summary
@@ -42,8 +41,6 @@ def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_va
     assert Choice(0, tried).white == white
     (line,) = [text for text in noise.noise_lines(record) if "innovations" in text]
     assert ("innovations pass as white" in line) == white
-    said = methods_text(knee, summarise(knee).as_dict() | {"noise": record}).plain
-    assert ("NOT pass as white" in said) != white
 
 
 def value(name, sd, sd_robust):

@@ -14,7 +14,6 @@ from bayesfric.recordings import Processing
 from bayesfric.report.figures.residual import residual_analysis, residual_figure
 from bayesfric.report.figures.style import PAGE
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise
 
@@ -176,7 +175,6 @@ def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee, monkeypatch
     summary = summarise(knee)
     current = summary.fit.residual_rms / 0.32
     assert summary.fit.current_rms == pytest.approx(current)
-    assert f"{current:.3g} A of the motor's current" in methods_text(knee, summary).plain
 
 
 def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path, monkeypatch):

@@ -85,7 +85,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for stem in run_directory.FIGURES:
             # an axis has no ridge and no load, nothing is held out, nobody asked what it lacks
-            if stem not in ("ridge", "validation", "ladder", *DRAWN):
+            if stem not in ("ridge", *DRAWN):
                 patch.setitem(run_directory.FIGURES, stem, drawn_by(stem, blank))
         fit(read_config(folder / "axis.toml"), folder / "run", paper=True)
     return folder
@@ -134,7 +134,7 @@ def test_what_a_paper_takes_over(run, summary):
     assert {path.name for path in (run / "tables").iterdir()} == {
         name.partition("/")[2] for name in written
     }
-    words = "methods.txt methods.tex references.bib captions.md"
+    words = "references.bib captions.md"
     assert {path.name for path in (run / "text").iterdir()} == set(words.split())
     captions = (run / "text" / "captions.md").read_text(encoding="utf-8")
     # every figure has one, once
@@ -170,7 +170,7 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     again = shutil.copytree(run, tmp_path / "run")
     wanted = [f"figures/{stem}.{kind}" for stem in DRAWN for kind in ("pdf", "png")]
     wanted += [f"tables/{name}.tex" for name in ("parameters", "estimates")]
-    wanted += ["text/methods.tex", "text/references.bib"]
+    wanted += ["text/references.bib"]
     for name in wanted:
         (again / name).unlink()
     report(again)
@@ -186,7 +186,7 @@ def test_a_page_needs_no_paper(tmp_path, make_fit, monkeypatch):
     fit = make_fit(samples=400, ensembles=2)
     write(tmp_path / "run", (fit, summarise(fit).as_dict()))
     kinds = {path.suffix for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    assert kinds == {".nc", ".json", ".toml", ".html", ".csv", ".md", ".txt", ".svg"}
+    assert kinds == {".nc", ".json", ".toml", ".html", ".csv", ".md", ".svg"}
 
 
 def test_nothing_else_is_left_beside_it_and_the_configuration_is_kept(folder, run):

@@ -12,7 +12,6 @@ from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import latex_texts, parameter_table
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
@@ -89,14 +88,13 @@ def test_what_no_shift_mends_is_doubtful_and_said_first(result):
     assert re.search(rf"{NAME} +bias \+0.00 sd, 90 % intervals hold 9 %", text)
 
 
-def test_what_is_seldom_held_stands_under_table_and_in_the_methods(result):
+def test_what_is_seldom_held_stands_under_tables(result):
     """A limit of 95 % that simulations hold in 61 % went to print without a word."""
     seldom, often = (told(result, checked(result, missed)) for missed in ([3.0, -3.0], [0.1]))
     words = "90 % intervals hold less: "
     for medium in (
         lambda summary: "\n".join(parameter_table(summary).notes()),
         lambda summary: latex_texts(summary, "run")["tables/parameters.tex"].replace("\\%", "%"),
-        lambda summary: methods_text(result.fit, summary).plain,
     ):
         assert words in medium(seldom).replace("\\,", " ")
         assert words not in medium(often).replace("\\,", " ")
@@ -123,15 +121,6 @@ def test_the_page_says_why_there_is_none(result, tmp_path):
     page = run_page(tmp_path, told(result, none), "run")
     assert "None could be made: the joint cannot be simulated: it has no inertia." in page
     assert 'id="self-check"' not in run_page(tmp_path, result.summary, "run")
-
-
-def test_the_methods_say_it_in_one_sentence(result):
-    summary = told(result, checked(result, [2.0]))
-    said = methods_text(result.fit, summary).plain
-    assert "In 40 recordings simulated at draws of the posterior" in said
-    assert f"{NAME} was biased by more than 0.3 posterior sds" in said
-    assert f"of {NAME} that is taken off to first order" in said
-    assert "simulated at draws" not in methods_text(result.fit, result.summary).plain
 
 
 @pytest.mark.parametrize("wide", [0.0, 5.0, 3000.0])

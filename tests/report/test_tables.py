@@ -8,12 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bayesfric.report import numbers
-from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
-    between_runs_latex,
     methods_latex,
     parameter_table,
     parameters_latex,
@@ -148,7 +146,7 @@ def test_methods_table_is_the_comparison(summary):
                     assert sd == pytest.approx(cell.sd, abs=0.5001 * last)
 
 
-def test_a_table_of_runs_is_the_comparison_and_what_is_pooled():
+def test_a_table_of_runs_is_the_comparison():
     a, b = knee(), loaded()
     b["derived"]["total.inertia"]["of_motion"] = True
     runs = {"a": Summary.read(a, "a"), "b": Summary.read(b, "b")}
@@ -162,18 +160,6 @@ def test_a_table_of_runs_is_the_comparison_and_what_is_pooled():
     assert marked == ["total.inertia"]
     assert "another motion gives other values" in text
     assert "along the run's own motion" in methods_latex(comparison({"b": runs["b"]}))
-    pooled = between_runs(runs)
-    together = lines(between_runs_latex(pooled))
-    assert len(together) == len(pooled) > 3
-    for cells, one in zip(together, pooled, strict=True):
-        assert cells[1] == latex.unit(one.told.unit)
-        assert cells[5] == "2"
-        for shown, told in zip(
-            cells[2:5], (one.pool.mean, one.pool.following, one.pool.spread), strict=True
-        ):
-            low, high, last = ends(shown)
-            np.testing.assert_allclose([low, high], [told.low, told.high], atol=0.5001 * last)
-    assert between_runs_latex([]) == ""
 
 
 # -- numbers

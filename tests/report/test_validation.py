@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
+from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
-from bayesfric.report.figures.style import COLUMN, save
-from bayesfric.report.figures.validation import validation_figure
-from bayesfric.report.summary.record import Validation as Told
 from bayesfric.report.summary.validation_part import share_of, validation_lines, validation_record
 
 from .conftest import NOISE, recording
@@ -195,21 +194,22 @@ def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds,
     assert ("too few" in pooled["says"]) == (verdict == "undecided")
 
 
-def test_the_figure_shows_what_is_furthest_off(knee, tmp_path):
-    fit, record = predicted(knee, lambda t: t + (0.1 if t[0] > 0 else -0.1), ("one", "$two$"))
-    shares = {k: p["coverage"]["0.9"]["share"] for k, p in record["parts"].items()}
-    worst = max(shares, key=lambda name: abs(shares[name] - 0.9))
-    figure = validation_figure(fit, Told.read(record))
-    assert figure.get_figwidth() == COLUMN
-    assert figure.axes[0].get_title().replace("\\", "").startswith(f"{worst}, whole recording")
-    assert figure.axes[0].get_ylabel() == "motor torque (N m)"
-    assert figure.axes[1].get_ylabel() == "residual (N m)"
-    p = next(p for p in fit.held_out if p.held_out.name == worst)
-    (line,) = [a for a in figure.axes[0].get_children() if a.get_gid() == "measured"]
-    drawn = line.get_ydata()
-    np.testing.assert_array_equal(drawn[np.isfinite(drawn)], p.measured)
-    (curve,) = [a for a in figure.axes[3].get_children() if a.get_gid() == "coverage"]
-    at = dict(zip(curve.get_xdata(), curve.get_ydata(), strict=True))
-    assert at[90.0] == pytest.approx(100 * record["pooled"]["coverage"]["0.9"]["share"])
-    save(figure, tmp_path, "validation")
-    assert validation_figure(knee, None) is None  # nothing was held out
+def test_noise_without_a_variance(knee):
+    """A Student-t of one and a half degrees: coverage is told, a root mean square is not."""
+    target = make_target(
+        knee.chain,
+        knee.observations,
+        read_priors(knee.chain, {}, knee.observations, ("sigma", "dof")),
+        "shared",
+        StudentT(),
+    )
+    draws = np.concatenate(
+        [knee.posterior.draws, np.full((*knee.posterior.draws.shape[:3], 1), 1.5)], axis=3
+    )
+    posterior = replace(knee.posterior, draws=draws, names=target.names, priors=target.priors)
+    _, record = predicted(replace(knee, target=target, posterior=posterior), n=600)
+    pooled = record["pooled"]
+    assert pooled["predictive_sd"] is None
+    assert pooled["discrepancy"] is None
+    assert pooled["verdict"] == "too wide"
+    assert "\n".join(validation_lines(record))

@@ -7,7 +7,6 @@ from importlib.resources import files
 import pytest
 
 from bayesfric.inference import gearbox_coordinates
-from bayesfric.report.paper.methods_text import methods_text
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
@@ -30,8 +29,7 @@ def test_what_a_run_writes(written_run):
 
 def test_what_a_paper_and_a_terminal_are_told(knee):
     summary = summarise(knee)
-    said = methods_text(knee, summary)
-    every = {"terminal": "\n".join(fit_text(summary)), "methods": said.plain + said.latex}
+    every = {"terminal": "\n".join(fit_text(summary))}
     every |= latex_texts(summary, "run") | summary_texts(summary, "run")
     for name, text in every.items():
         assert not limbs(text), name

@@ -40,7 +40,6 @@ def test_what_is_no_module_is_installed_too():
         "py.typed",
         "examples/knee.csv",
         "examples/knee.truth.json",
-        "report/templates/methods.txt.j2",
         "report/page/templates/run.html.j2",
         "report/paper/references.bib",
         "identifiability/wording/sentences.toml",

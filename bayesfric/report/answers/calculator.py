@@ -6,11 +6,15 @@ down from its row in the table of quantities.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from typing import Literal
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from bayesfric.configuration_errors import read_text
+from bayesfric.errors import BadInput
 from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import load_at_outputs
@@ -27,9 +31,11 @@ from bayesfric.mechanism.quantities import (
 )
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.answers.formula import Formula, Unwritten, formula_of, mentions
-from bayesfric.report.answers.page_record import Calculator, ElementRow, GroupRow, Seen, TermRow
 from bayesfric.report.summary.derived_quantities import LEVEL
 
+FILE = "page.json"
+# Of a few hundred draws; anything larger is some other file.
+_LARGEST = 2_000_000
 # Ends of a 90 % band of so many draws are known to a tenth of its width.
 _DRAWS = 300
 # Of a draw; far finer than draws differ, and a third of the bytes.
@@ -44,10 +50,11 @@ ELEMENT_FORMS = frozenset(
 )  # fmt: skip
 LOAD_FORMS = frozenset(("gravity_angle", "gain"))
 # What may be chosen besides speed and load, where a term depends on one of these.
-_INPUTS: Mapping[Literal["position", "acceleration"], tuple[str, ...]] = {
+_INPUTS: Mapping[str, tuple[str, ...]] = {
     "position": ("position", "gravity"),
     "acceleration": ("acceleration",),
 }
+Calculator = dict[str, Any]  # what the page's script works with, see `written`
 # What the load itself needs, as :func:`bayesfric.mechanism.inverse.load_torque` has it.
 _WEIGHT = ("inertia", "first_moment")
 
@@ -67,34 +74,57 @@ def calculator(fit: Fit) -> Calculator:
     return written(chain, values, seen, open_scale=open_scale)
 
 
-def written(chain: Joint, values: Array, seen: Seen, *, open_scale: bool) -> Calculator:
+def written(
+    chain: Joint, values: Array, seen: Mapping[str, Any], *, open_scale: bool
+) -> Calculator:
     """Write a joint down with vectors ``(n, n_parameters)`` of its parameters.
 
-    ``open_scale`` is whether the scale between load and load losses is open.
+    ``values`` has a column of draws for each of ``names``, or a number where it does not vary;
+    ``elements`` have their ratio, their input's speed over the joint's (``reach``) and parameters
+    by slot; ``terms`` are told in ``groups``. ``open_scale`` is whether the scale between load and
+    load losses is open; ``begins`` whether there are terms of temperature or time, which are those
+    of 20 degC and of a beginning; ``scaled`` whether ``drive.gain`` is the torque's factor. Where
+    the law has a term that cannot be written down, ``missing`` names it, and nothing else is there.
     """
     try:
         law = _Law(chain)
     except Unwritten as error:
-        return Calculator(missing=str(error))
-    return Calculator(
-        level=LEVEL,
-        names=list(chain.names),
-        values=[float(x[0]) if np.ptp(x) == 0.0 else x.tolist() for x in values.T],
-        elements=law.elements,
-        gravity=chain.load.gravity,
-        load_forms=law.load_forms,
-        terms=law.terms,
-        groups=law.groups,
-        inputs=[name for name, fields in _INPUTS.items() if law.mentions(fields)],
-        lossy=any(element.load_loss != "none" for element in chain.elements),
-        open_scale=open_scale,
-        own_offsets=bool(chain.own_offsets),
-        begins=law.begins,
-        scaled=chain.gain,
-        motion=chain.load.motion,
-        motor_motion=chain.motor_motion,
-        seen=seen,
-    )
+        return {"missing": str(error)}
+    return {
+        "missing": "",
+        "level": LEVEL,
+        "names": list(chain.names),
+        "values": [float(x[0]) if np.ptp(x) == 0.0 else x.tolist() for x in values.T],
+        "elements": law.elements,
+        "gravity": chain.load.gravity,
+        "load_forms": law.load_forms,
+        "terms": law.terms,
+        "groups": law.groups,
+        "inputs": [name for name, fields in _INPUTS.items() if law.mentions(fields)],
+        "lossy": any(element.load_loss != "none" for element in chain.elements),
+        "open_scale": open_scale,
+        "own_offsets": bool(chain.own_offsets),
+        "begins": law.begins,
+        "scaled": chain.gain,
+        "motion": chain.load.motion,
+        "motor_motion": chain.motor_motion,
+        "seen": dict(seen),
+    }
+
+
+def calculator_json(found: Calculator) -> str:
+    """Write ``page.json``."""
+    return json.dumps({"calculator": found}, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_calculator(run: Path) -> Calculator | None:
+    """Read what a run directory holds for its page; nothing where it holds none that is whole."""
+    try:
+        text = read_text(run / FILE, _LARGEST, "page", "fit the run again", "fit the run again")
+        found = json.loads(text)["calculator"]
+        return found if found["missing"] or found["seen"] else None
+    except (OSError, ValueError, KeyError, TypeError, BadInput):
+        return None
 
 
 class _Law:
@@ -102,12 +132,12 @@ class _Law:
 
     def __init__(self, chain: Joint) -> None:
         self.chain = chain
-        self.elements = [
-            ElementRow(ratio=e.ratio, reach=chain.reaches[e.name], forms={}) for e in chain.elements
+        self.elements: list[dict[str, Any]] = [
+            {"ratio": e.ratio, "reach": chain.reaches[e.name], "forms": {}} for e in chain.elements
         ]
         self.load_forms: dict[str, int] = {}
-        self.terms: list[TermRow] = []
-        self.groups: list[GroupRow] = []
+        self.terms: list[dict[str, Any]] = []
+        self.groups: list[dict[str, Any]] = []
         self.begins = False
         self._keys: list[str] = []
         places = {e.name: k for k, e in enumerate(chain.elements)}
@@ -117,7 +147,7 @@ class _Law:
 
     def mentions(self, fields: tuple[str, ...]) -> bool:
         """Tell whether a term depends on one of some fields of a state."""
-        return any(mentions(term.formula, fields) for term in self.terms)
+        return any(mentions(term["formula"], fields) for term in self.terms)
 
     def _put(self, index: int, p: Parameter, place: int) -> None:
         row = p.row
@@ -130,7 +160,7 @@ class _Law:
             return
         if row.role != "own":
             at_element = place < len(self.elements)
-            forms = self.elements[place].forms if at_element else self.load_forms
+            forms = self.elements[place]["forms"] if at_element else self.load_forms
             for slot in (p.quantity,) if row.slots is None else row.slots:
                 if slot not in (ELEMENT_FORMS if at_element else LOAD_FORMS):
                     raise Unwritten(p.name)
@@ -146,15 +176,17 @@ class _Law:
         self.begins = self.begins or mentions(formula, ("time",))
         shape = self.chain.names.index(f"{p.owner}.{row.shape}") if row.shape else -1
         self.terms.append(
-            TermRow(
-                place=place,
-                parameter=index,
-                shape=shape,
-                rises=row.rises,
-                group=self._group(p, loss=mentions(formula, ("speed", "direction"))),
-                formula=formula,
-                weight=p.owner == "load" and p.quantity in _WEIGHT,
-            )
+            {
+                # of its element; the load is the number of elements, and one more what is on top
+                "place": place,
+                "parameter": index,
+                "shape": shape,  # index of the parameter that shapes it, or -1
+                "rises": row.rises,  # whether the rise at low speed multiplies it
+                "group": self._group(p, loss=mentions(formula, ("speed", "direction"))),
+                "formula": formula,
+                # whether it is of the load torque that `seen` tells the range of
+                "weight": p.owner == "load" and p.quantity in _WEIGHT,
+            }
         )
 
     def _group(self, p: Parameter, *, loss: bool) -> int:
@@ -163,7 +195,7 @@ class _Law:
         key = option or p.name
         if key not in self._keys:
             self._keys.append(key)
-            self.groups.append(GroupRow(words=_words(p), loss=loss))
+            self.groups.append({"words": _words(p), "loss": loss})
         return self._keys.index(key)
 
 
@@ -176,8 +208,8 @@ def _words(p: Parameter) -> str:
     return next(iter({**CHOICES, **LOAD_CHOICES}[option].values()))
 
 
-def _seen(fit: Fit, values: Array, *, open_scale: bool) -> Seen:
-    """Say where the outputs were; loads are those of the draws' median."""
+def _seen(fit: Fit, values: Array, *, open_scale: bool) -> dict[str, Any]:
+    """Say where the outputs were, of the joint; loads, at the motor, are the draws' median's."""
     chain, middle = fit.chain, np.median(values, axis=0)
     motion = [
         (o.q[at], o.speed, o.acceleration, load_at_outputs(chain, o, middle))
@@ -188,15 +220,15 @@ def _seen(fit: Fit, values: Array, *, open_scale: bool) -> Seen:
     reach = float(load_reach(chain, middle[None], open_scale=open_scale)[0])
     # a joint without a load may still be asked for one
     largest = max(float(np.abs(o.measured).max()) for o in fit.observations) * chain.ratio
-    return Seen(
-        speed=_ends(qd),
-        slowest=float(np.abs(qd).min()),
-        position=_ends(q),
-        acceleration=_ends(qdd),
-        load=_ends(reach * load),
-        outside=float(np.abs(load).max()) or largest,
-        typical=_typical(q, qd, qdd),
-    )
+    return {
+        "speed": _ends(qd),
+        "slowest": float(np.abs(qd).min()),
+        "position": _ends(q),
+        "acceleration": _ends(qdd),
+        "load": _ends(reach * load),
+        "outside": float(np.abs(load).max()) or largest,  # load at the joint worth trying
+        "typical": _typical(q, qd, qdd),
+    }
 
 
 def _typical(q: Array, qd: Array, qdd: Array) -> list[float]:

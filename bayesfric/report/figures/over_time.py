@@ -43,5 +43,11 @@ def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **nam
 def draw_measured(
     ax: Axes, o: Outputs | Observation, time: Array, values: Array, **named: Any
 ) -> None:
-    """Draw what was measured, broken already; ``named`` is its marks, width, label and name."""
-    ax.plot(time, values, color=MEASURED, markersize=1.5, rasterized=as_pixels(o), **named)
+    """Draw what was measured, broken already; ``named`` is its width, label and name.
+
+    An output between two gaps is a dot: no line reaches it.
+    """
+    here = np.pad(np.isfinite(values), 1)
+    alone = np.flatnonzero(here[1:-1] & ~here[:-2] & ~here[2:]).tolist()
+    named |= {"marker": ".", "markersize": 1.5, "markevery": alone, "rasterized": as_pixels(o)}
+    ax.plot(time, values, color=MEASURED, **named)

@@ -24,8 +24,6 @@ _MOST = 3
 _DRAWS = 200
 # Numbers held at once while predicting: windows of the filter, 160 MB.
 _BUDGET = 20_000_000
-# Above so many outputs in a figure's width, dots would hide the lines.
-_MOST_DOTS = 960.0
 _HEIGHT = 3.4
 _GREY = "#8a8a8a"
 
@@ -93,13 +91,12 @@ def prediction_figure(fit: Fit) -> Figure:
         axes = figure.subplots(
             2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
         )
-        most_dots = _MOST_DOTS / len(shown)
         drawn = zip(axes.T, shown, predictive(fit), fit.observations, strict=False)
         for (above, below), o, p, of in drawn:
-            draw_predicted(above, o, p, most_dots)
-            draw_left_out(above, of)
-            draw_left_out(below, of)
-            _residual(below, o, p, most_dots)
+            _predicted(above, o, p)
+            _residual(below, o, p)
+            for ax in (above, below):
+                _left_out(ax, of)
             below.set_xlabel("time (s)")
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
             few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
@@ -117,7 +114,7 @@ def prediction_figure(fit: Fit) -> Figure:
     return figure
 
 
-def draw_left_out(ax: Axes, o: Observation) -> None:
+def _left_out(ax: Axes, o: Observation) -> None:
     """Hatch the spans that the user left out."""
     spans = [(one.start, one.length) for one in o.left_out if one.by != "cut"]
     if spans:
@@ -126,7 +123,7 @@ def draw_left_out(ax: Axes, o: Observation) -> None:
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **look, **named)
 
 
-def draw_predicted(ax: Axes, o: Outputs, p: Predictive, most_dots: float = _MOST_DOTS) -> None:
+def _predicted(ax: Axes, o: Outputs, p: Predictive) -> None:
     """Draw what was measured, and mean and band of what is predicted."""
     draw_band(ax, o, *p.band(LEVEL), label=f"{100 * LEVEL:.0f} % predictive band", gid="band")
     time, measured, mean = broken(o, o.measured, p.mean)
@@ -134,29 +131,17 @@ def draw_predicted(ax: Axes, o: Outputs, p: Predictive, most_dots: float = _MOST
     width = 1.0 if as_pixels(o) else 1.5
     named: Look = {"label": "predictive mean", "gid": "mean", "rasterized": as_pixels(o)}
     ax.plot(time, mean, color=style.PALETTE[2], linewidth=width, **named)
-    dots = _dots(measured, most_dots)
-    named = {"marker": ".", "markevery": dots, "label": "measured", "gid": "measured"}
-    draw_measured(ax, o, time, measured, linewidth=0.5, **named)
+    draw_measured(ax, o, time, measured, linewidth=0.5, label="measured", gid="measured")
 
 
-def _residual(ax: Axes, o: Outputs, p: Predictive, most_dots: float) -> None:
+def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
     # once more, for on the scale of the torque a good fit's band is a hairline
     draw_band(ax, o, *(end - p.mean for end in p.band(LEVEL)))
     time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
-    named: Look = {"marker": ".", "markevery": _dots(residual, most_dots), "gid": "residual"}
-    draw_measured(ax, o, time, residual, linewidth=0.4, **named)
+    draw_measured(ax, o, time, residual, linewidth=0.4, gid="residual")
     look: Look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED}
     ax.plot(time, -2.0 * sigma, gid="sigma", **look)
     ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", gid="sigma", **look)
-
-
-def _dots(broken: Array, most: float) -> list[int]:
-    """Which points to mark: all where there is room, else those no line reaches."""
-    present = np.isfinite(broken)
-    if present.sum() > most:
-        padded = np.concatenate([[False], present, [False]])
-        present &= ~padded[:-2] & ~padded[2:]
-    return [int(i) for i in np.flatnonzero(present)]
 
 
 FIGURE = RunFigure(

@@ -23,7 +23,7 @@ from bayesfric.report.summary.record import Summary
 
 # Of the pages of a run and of a comparison, in their order.
 Section = Literal[
-    "methods", "ridge", "prediction", "held-out", "roll-out", "friction", "posterior", "together",
+    "methods", "ridge", "prediction", "roll-out", "friction", "posterior", "together",
     "side-by-side",
 ]  # fmt: skip
 

@@ -5,7 +5,6 @@ What else explains them, a fit asks by itself (:mod:`bayesfric.diagnostics`); th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -176,37 +175,31 @@ def _autocorrelation(outputs: tuple[Outputs, ...], left: list[Array]) -> tuple[A
 
     About zero, as noise is modelled, and as lag 1 is told elsewhere.
     """
-    longest = max(r.size for r in left)
-    lags = np.arange(1, min(_LAGS, max(longest // 4, 1)) + 1)
-    products, pairs = np.zeros(lags.size), np.zeros(lags.size)
-    power, total = 0.0, 0
-    for o, r in zip(outputs, left, strict=True):
-        rms = rms_of(r)
-        if not rms > 0.0:
-            continue
-        scaled = r / rms
-        power += float(scaled @ scaled)
-        total += r.size
-        for k, (here, there) in enumerate(_pairs(o, lags.size)):
-            products[k] += scaled[here] @ scaled[there]
-            pairs[k] += here.size
-    seen = (pairs > 0) & (power > 0.0)
-    correlation = (products[seen] / pairs[seen]) / (power / total if power > 0.0 else 1.0)
+    most = min(_LAGS, max(max(r.size for r in left) // 4, 1))
+    grids = [_on_grid(o, r, most) for o, r in zip(outputs, left, strict=True) if rms_of(r) > 0.0]
+    if not grids:
+        return np.empty(0), np.empty(0), np.empty(0)
+    every = np.concatenate(grids)
+    lags = np.arange(1, most + 1)
+    products = [every[lag:] * every[:-lag] for lag in lags]
+    pairs = np.array([np.isfinite(x).sum() for x in products])
+    sums = np.array([np.nansum(x) for x in products])
+    seen = pairs > 0
+    correlation = sums[seen] / pairs[seen] / np.nanmean(every**2)
     return lags[seen].astype(np.float64), correlation, np.asarray(_HALF / np.sqrt(pairs[seen]))
 
 
-def _pairs(o: Outputs, most: int) -> Iterator[tuple[Places, Places]]:
-    """Give the outputs that are 1, 2, .., ``most`` periods apart, gaps left out."""
-    # place on an even grid of time; segments are not in step with each other
+def _on_grid(o: Outputs, r: Array, room: int) -> Array:
+    """Put residuals over their rms on an even grid of time, nothing in gaps, and room behind.
+
+    Segments are not in step with each other.
+    """
     begin = o.time[np.searchsorted(o.segment_of, o.segment_of)]
     place = np.rint((begin - o.time[0]) / o.period) + np.rint((o.time - begin) / o.period)
-    place = place.astype(np.int64) + o.segment_of * (most + 1)
-    number = np.full(int(place.max()) + 1 + most, -1)
-    number[place] = np.arange(place.size)
-    for lag in range(1, most + 1):
-        there = number[place + lag]
-        here = np.flatnonzero(there >= 0)
-        yield here, there[here]
+    place = place.astype(np.int64) + o.segment_of * (room + 1)
+    grid = np.full(int(place.max()) + 1 + room, np.nan)
+    grid[place] = r / rms_of(r)
+    return grid
 
 
 def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, str, list[Array]]]:
@@ -232,28 +225,27 @@ def _abscissae(fit: Fit, outputs: tuple[Outputs, ...]) -> list[tuple[str, str, s
 def _binned(
     quantity: tuple[str, str, str], x: Array, outputs: tuple[Outputs, ...], left: list[Array]
 ) -> Binned:
-    """Mean and spread in bins; outputs that repeat what the ones before said count once.
+    """Mean in bins; outputs that repeat what the ones before said count once.
 
     How often they do is measured with the means taken off: a dependence is no memory.
     """
     r = np.concatenate(left)
     parts = np.array_split(np.argsort(x, kind="stable"), max(1, min(_BINS, r.size // _LEAST)))
-    centre, mean, sd, size = (
-        np.array([of(p) for p in parts])
-        for of in (lambda p: x[p].mean(), lambda p: r[p].mean(), lambda p: r[p].std(), np.size)
-    )
-    inside = r.copy()
-    for part, one in zip(parts, mean, strict=True):
-        inside[part] -= one
+    bins = np.empty(r.size, dtype=np.int64)
+    bins[np.concatenate(parts)] = np.repeat(np.arange(len(parts)), [p.size for p in parts])
+    size = np.bincount(bins)
+    centre, mean, square = (np.bincount(bins, y) / size for y in (x, r, r**2))
+    inside = r - mean[bins]
     ends = np.cumsum([one.size for one in left])[:-1]
     _, correlation, white = _autocorrelation(outputs, np.split(inside, ends))
     # up to the first lag that chance explains
     few = int(np.argmin(np.append(correlation > white, False)))
-    repeated = 1.0 + 2.0 * float(correlation[:few].sum())
-    total = float(((r - r.mean()) ** 2).sum())
-    between = float((size * (mean - r.mean()) ** 2).sum())
-    error = sd * np.sqrt(np.minimum(repeated, size) / size)
-    return Binned(*quantity, centre, mean, error, between / total if total > 0.0 else 0.0)
+    repeated = np.minimum(1.0 + 2.0 * float(correlation[:few].sum()), size)
+    error = np.sqrt(np.maximum(square - mean**2, 0.0) * repeated / size)
+    total = float(np.var(r))
+    return Binned(
+        *quantity, centre, mean, error, 1.0 - float(np.var(inside)) / total if total > 0.0 else 0.0
+    )
 
 
 FIGURE = RunFigure(

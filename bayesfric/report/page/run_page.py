@@ -12,7 +12,7 @@ from bayesfric.errors import BadInput
 from bayesfric.opened import read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
-from bayesfric.report.answers.page_record import Calculator, read_calculator
+from bayesfric.report.answers.calculator import Calculator, read_calculator
 from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.layout import explained
@@ -54,7 +54,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
         config=_text(folder / "config.toml"),
-        methods_text=_text(folder / "text" / "methods.txt").strip(),
     )
 
 
@@ -66,9 +65,9 @@ def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | Non
     if table.summary.unexplained:
         doubted = "wrong"
     return {
-        **told.model_dump(),
-        "text": json.dumps(told.as_dict(), allow_nan=False),
-        "draws": max((len(x) for x in told.values if isinstance(x, list)), default=1),
+        **told,
+        "text": json.dumps(told, allow_nan=False),
+        "draws": max((len(x) for x in told.get("values", ()) if isinstance(x, list)), default=1),
         "widened": table.summary.widened,
         "unsettled": any(row.by == "open" for row in table.joint),
         "doubted": doubted,

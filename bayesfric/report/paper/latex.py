@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from importlib.resources import files
+
+from bayesfric.version import __version__
 
 # What every file says that goes into a paper.
-PACKAGES = r"% needs \usepackage{amsmath,array,booktabs,siunitx,tabularx}, siunitx version 3"
+PACKAGES = r"% needs \usepackage{array,booktabs,siunitx,tabularx}, siunitx version 3"
 _ESCAPED = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
     "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
@@ -36,15 +39,10 @@ def _printable(character: str) -> str:
     return "".join(_ESCAPED.get(c, c) for c in plain) or "?"
 
 
-def width(formula: str) -> float:
-    """Measure a formula that stands by itself in 10 pt Computer Modern, in points."""
-    displayed = formula.replace(r"\frac", r"\dfrac")
-    # brings Matplotlib with it, which numbers on a terminal do not wait for
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.mathtext import MathTextParser
-
-    parser, font = MathTextParser("path"), FontProperties(size=10, math_fontfamily="cm")
-    return float(parser.parse(f"${displayed}$", dpi=72, prop=font).width)
+def references() -> str:
+    """Give the BibTeX entries of what this package stands on, and its own."""
+    text = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
+    return text.replace("VERSION", __version__)
 
 
 def symbol(latex: str, name: str) -> str:

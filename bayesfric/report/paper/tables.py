@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison
@@ -24,11 +23,6 @@ from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow, is_skewed
 from bayesfric.report.summary.self_check_part import seldom_held_sentence
 from bayesfric.report.text_templates import filled
-
-# Of a normal's 90 % interval, by which its ends are rounded.
-_WIDTHS = 1.0 / 3.29
-if TYPE_CHECKING:
-    from bayesfric.report.comparison.between_runs import PooledQuantity
 
 _GROUPS = {
     "free": "Quantities seen at the motor (base parameters)",
@@ -275,28 +269,6 @@ def methods_latex(found: Comparison) -> str:
     return _table(title, notes, label, columns, head, body)
 
 
-def between_runs_latex(found: Sequence[PooledQuantity]) -> str:
-    """Lay what runs say together out as a ``table*``; empty where nothing is pooled."""
-    if not found:
-        return ""
-    body = []
-    for one in found:
-        intervals = (one.pool.mean, one.pool.following, one.pool.spread)
-        cells = [latex.symbol(one.told.symbol, one.name), latex.unit(one.told.unit)]
-        cells += [LATEX.interval(x.low, x.high, _WIDTHS * (x.high - x.low)) for x in intervals]
-        cells += [str(len(one.runs)), LATEX.number(one.pool.p_value, 2)]
-        body.append(" & ".join(cells) + r" \\")
-    head = r"& Unit & Population mean & Next recording & Sd between runs & Runs & $p$ \\"
-    notes = [f"Intervals hold {100 * found[0].told.level:g} %"]
-    notes += ["p: how often chance alone would part runs of one truth so far (Cochran's Q)"]
-    if any(row.widened for one in found for row in one.runs.values()):
-        notes += [
-            "Both count room for models that are not exactly right, which runs of like motions may "
-            "have in common, as chance"
-        ]
-    return _table("Runs together", notes, "tab:between-runs", "@{}lllllll@{}", head, body)
-
-
 def _cell(cell: Cell | None) -> str:
     if cell is None:
         return ""
@@ -335,9 +307,10 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 
 
 def latex_texts(summary: Readable, run: str) -> dict[str, str]:
-    """Lay the same numbers out as LaTeX, by file name inside the run directory."""
+    """Give what a paper takes over, by file name inside the run directory: tables, references."""
     table = parameter_table(summary, run)
     return {
+        "text/references.bib": latex.references(),
         "tables/parameters.tex": parameters_latex(table),
         "tables/estimates.tex": methods_latex(comparison({run: summary})),
     }

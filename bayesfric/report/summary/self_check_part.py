@@ -87,11 +87,6 @@ def _rows(summary: Summary) -> dict[str, SelfCheckRow]:
     return {name: row for name, row in rows.items() if summary.rows[name].verdict != "prior"}
 
 
-def biased(summary: Summary) -> list[str]:
-    """Name what is biased enough to be corrected."""
-    return [name for name, row in _rows(summary).items() if row.corrected_interval]
-
-
 def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
     """Give corrected values: value, ends of the interval and sd, by name.
 
