@@ -313,29 +313,26 @@ def export(
     run: RunFolder,
     to: Annotated[str, Option(metavar="FORMAT", help=FORMATS)],
     output: Annotated[
-        Path | None, Option("-o", "--output", help="folder or main file; RUN-FORMAT if left out")
+        Path | None, Option("-o", "--output", help="folder to make; RUN-FORMAT if left out")
     ] = None,
-    joint: Annotated[str | None, Option(help="what the simulator calls the joint")] = None,
+    joint: Annotated[str, Option(help="what the simulator calls the joint")] = "joint",
     at_load: Annotated[
         float | None, Option(metavar="TORQUE", help="N m at the joint, for a load loss' constant")
     ] = None,
     into: Annotated[
         Path | None, Option(metavar="MODEL", help="mujoco: model whose joint is changed")
     ] = None,
-    damping_terms: Annotated[int | None, Option(help="mujoco: 3 (from 3.7 on), or 1")] = None,
-    isaac_sim: Annotated[str | None, Option(help="isaac: version, 5.0 or 4.5")] = None,
-    actuator: Annotated[str | None, Option(help="bam: its name of the actuator")] = None,
     draws: Annotated[int | None, Option(help="csv, parquet, npz: how many draws")] = None,
-    seed: Annotated[int | None, Option(min=0, help="csv, parquet, npz: of which draws")] = None,
     force: Annotated[bool, Option("--force", help="keep an old export aside")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Put a finished run into a simulator's files, and say what these cannot carry."""
-    from bayesfric.commands.export import export_run
+    from bayesfric.export.exported import export as run_to
 
+    place = output or Path(f"{run.resolve().name}-{to}")
     options: dict[str, Any] = {"joint": joint, "at_load": at_load, "into": into, "draws": draws}
-    options |= {"damping_terms": damping_terms, "isaac_sim": isaac_sim, "actuator": actuator}
-    found, written = export_run(run, to, output, force=force, seed=seed, **options)
+    found = run_to(run, to, output=place, force=force, **options)
+    written = [str(place / name) for name in found.names]
     lines = [*found.text().splitlines(), "", f"Written: {', '.join(written)}"]
     _print(found.as_json(), as_json, lines)
 

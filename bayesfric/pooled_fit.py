@@ -1,8 +1,4 @@
-"""Several recordings of one joint of which some parameters differ, in both ways beside each other.
-
-By one joint posterior, in which everything else is shared; and by weighting anew the draws of runs
-that were each fitted alone. Where they agree, the second will do for many runs.
-"""
+"""Several recordings of one joint of which some parameters differ: one posterior of all."""
 
 from __future__ import annotations
 
@@ -10,29 +6,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from bayesfric.check_report import check
 from bayesfric.errors import BadInput, nearest
 from bayesfric.inference.fitting import fit, make_target
-from bayesfric.inference.posterior import Posterior, Status
-from bayesfric.inference.sampling.sampling import Sampling, sample
+from bayesfric.inference.posterior import Status
+from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
-from bayesfric.population.population import (
-    Interval,
-    Population,
-    Varying,
-    interval,
-    likelihood,
-    population,
-)
+from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem
 from bayesfric.problem.starting_point import starting_point
 from bayesfric.progress import Progress, Shown, Spent
 
 LEVEL = 0.9
-# Runs that a joint posterior has room for, and draws of priors that posteriors are divided by.
-_MOST, _PRIOR_DRAWS = 12, 2000
+# Runs that a joint posterior has room for.
+_MOST = 12
 
 
 @dataclass(frozen=True)
@@ -42,7 +29,6 @@ class PooledParameter:
     name: str
     unit: str
     jointly: Varying
-    reweighted: Population
 
 
 @dataclass(frozen=True)
@@ -112,10 +98,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     flat = posterior.flat()
     return Pooled(
         recordings=tuple(names),
-        varying=tuple(
-            PooledParameter(name, units[name], jointly[name], _reweighted(alone, name, settings))
-            for name in vary
-        ),
+        varying=tuple(PooledParameter(name, units[name], jointly[name]) for name in vary),
         shared=tuple(
             SharedParameter(name, units[name], interval(flat[:, j], LEVEL))
             for j, name in enumerate(posterior.names)
@@ -128,16 +111,6 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
         seconds=spent.seconds,
         cpu_seconds=spent.cpu_seconds,
     )
-
-
-def _reweighted(alone: Sequence[Posterior], name: str, settings: Sampling) -> Population:
-    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(14,)))
-    runs = []
-    for posterior in alone:
-        j = posterior.names.index(name)
-        prior = posterior.priors[j].draw(_PRIOR_DRAWS, rng)
-        runs.append(likelihood(posterior.flat()[:, j], prior=prior))
-    return population(runs, LEVEL, settings.seed)
 
 
 def _check(problem: Problem, vary: Sequence[str]) -> None:

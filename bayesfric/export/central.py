@@ -49,16 +49,10 @@ class Vectors:
     draws: Array  # (n, d)
 
 
-def vectors(
-    found: Finished, motions: Sequence[Moved], most: int, seed: int | None = None
-) -> Vectors:
-    """Take at most so many draws of a run, evenly spread or by chance; and one central vector."""
+def vectors(found: Finished, motions: Sequence[Moved], most: int) -> Vectors:
+    """Take at most so many draws of a run, evenly spread; and one central vector."""
     chain, moved = found.joint, open_scalings(found)
-    picked = found.picked(most)
-    if seed is not None:
-        size = min(most, len(found.draws))
-        picked = found.draws[np.random.default_rng(seed).choice(len(found.draws), size, False)]
-    draws, many = (_evened(_unbiased(found, x), moved) for x in (picked, found.picked(_MANY)))
+    draws, many = (_evened(_unbiased(found, found.picked(count)), moved) for count in (most, _MANY))
     middle = _evened(_middle(found, _medians(chain, many), moved)[None], moved)[0]
     better = central(chain, many, middle, motions)
     if better is not None:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from bayesfric.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, at_joint, without_load_losses
-from bayesfric.export.carried import carried, law_lost, lost_terms
+from bayesfric.export.carried import AROUND, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.error import SPAN, wrong
 from bayesfric.export.figure import ExportPicture, export_figure
@@ -24,7 +23,7 @@ from bayesfric.finished_run import Finished, finished
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.figures.style import save
-from bayesfric.report.files import check_free, made_beside, parents_made, unwritable
+from bayesfric.report.files import check_free, made_beside
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.reported import ORDER
@@ -56,76 +55,43 @@ class Exported:
         """Say it for people: numbers, what is lost, and how much torque that is."""
         return filled("export.txt.j2", **self.record, level=100 * LEVEL).rstrip()
 
-    def write(self, output: Path | str, *, force: bool = False) -> list[str]:
+    def write(self, folder: Path | str, *, force: bool = False) -> list[str]:
         """Write the files, what they lose (``export.json``) and the figure; give their paths.
 
-        Parameters
-        ----------
-        output
-            A folder to make, or, with a suffix, the main file: the others stand beside it under
-            its name.
-        force
-            Whether an old folder may be kept under another name, or old files be replaced.
-
-        Raises
-        ------
-        BadInput
-            If something is there already, or cannot be written; nothing is left behind.
+        ``force`` is whether an old folder may be kept under another name. ``BadInput`` if something
+        is there already, or cannot be written; nothing is left behind.
         """
-        output = Path(output)
-        if not _is_file(output):
-            check_output(output, force=force)
-            with made_beside(output) as beside:
-                names = self._fill(beside)
-            return [str(output / name) for name in names]
-        check_output(output, force=force)
-        try:
-            with (
-                parents_made(output),
-                TemporaryDirectory(prefix=".", dir=output.parent) as aside,
-            ):
-                places = {name: self._place(output, name) for name in self._fill(Path(aside))}
-                if not force and (taken := [x for x in places.values() if x.exists()]):
-                    raise BadInput(str(taken[0]), "exists already", "add --force to replace it")
-                for name, place in places.items():
-                    Path(aside, name).replace(place)
-        except OSError as error:
-            raise unwritable(output, error, "file") from None
-        return [str(place) for place in places.values()]
+        folder = Path(folder)
+        check_free(folder, force=force, marked="export.json")
+        with made_beside(folder) as beside:
+            self._fill(beside)
+        return [str(folder / name) for name in self.names]
 
-    def _place(self, output: Path, name: str) -> Path:
-        main = next(iter(self.files))
-        return output if name == main else output.with_name(f"{output.stem}-{name}")
+    @property
+    def names(self) -> list[str]:
+        """Files that are written."""
+        more = ("export.json", "torque-error.pdf", "torque-error.svg", "torque-error.png")
+        return [*self.files, *more]
 
-    def _fill(self, folder: Path) -> list[str]:
+    def _fill(self, folder: Path) -> None:
         for name, content in self.files.items():
             data = content if isinstance(content, bytes) else content.encode()
             (folder / name).write_bytes(data)
         text = json.dumps(self.record, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "export.json").write_text(text + "\n", encoding="utf-8")
         save(export_figure(self.picture), folder, "torque-error")
-        more = ("export.json", "torque-error.pdf", "torque-error.svg", "torque-error.png")
-        return [*self.files, *more]
-
-
-def _is_file(output: Path) -> bool:
-    """Whether a path names a file; a folder's name may hold a dot, as of the run "knee.v2"."""
-    return output.suffix[1:].isalnum()
-
-
-def check_output(output: Path, *, force: bool) -> None:
-    """Refuse what would be overwritten or cannot be made, before anything is computed."""
-    if not _is_file(output):
-        check_free(output, force=force, marked="export.json")
-        return
-    if output.is_dir():
-        raise BadInput(str(output), "is a folder", "name a file, or a folder without a suffix")
-    if output.exists() and not force:
-        raise BadInput(str(output), "exists already", "add --force to replace it")
 
 
 def export(
-    posterior: Any, to: str, *, output: Path | str | None = None, **options: Any
+    posterior: Any,
+    to: str,
+    *,
+    output: Path | str | None = None,
+    force: bool = False,
+    joint: str = "joint",
+    at_load: float | None = None,
+    into: Path | str | None = None,
+    draws: int | None = None,
 ) -> Exported:
     """Put a finished posterior into a simulator's files, and say what these lose.
 
@@ -137,11 +103,17 @@ def export(
         ``mujoco``, ``urdf``, ``sdf``, ``drake``, ``pinocchio``, ``isaac``, ``bam``,
         ``ros2-control``, ``csv``, ``parquet``, ``npz``, ``c`` or ``python``.
     output
-        Folder to make, or main file; nothing is written if left out.
-    **options
-        ``joint`` (its name in the simulator), ``at_load`` (torque at the joint, N m or N, at which
-        a load loss is met), and of single formats ``into``, ``damping_terms``, ``isaac_sim``,
-        ``actuator``, ``draws``, ``seed``.
+        Folder to make; nothing is written if left out.
+    force
+        Keep an old one under another name.
+    joint
+        Its name in the simulator.
+    at_load
+        Torque at the joint, N m or N, at which a load loss is met.
+    into
+        MuJoCo: model whose joint is changed.
+    draws
+        CSV, Parquet and NPZ: how many.
 
     Returns
     -------
@@ -153,42 +125,36 @@ def export(
     BadInput
         If there is no such format or option, or the joint has what no export knows.
     """
-    form, chosen = format_of(to), _options(to, options)
+    form = format_of(to)
+    chosen = Options(joint, at_load, None if into is None else Path(into), draws)
+    _check(form, chosen)
     if output is not None:
-        check_output(Path(output), force=False)
+        check_free(Path(output), force=force, marked="export.json")
     found = posterior if isinstance(posterior, Finished) else finished(posterior)
     found = replace(found, summary=put_reported(found.summary))
     made = _exported(found, form, chosen)
     if output is not None:
-        made.write(output)
+        made.write(output, force=force)
     return made
 
 
-def _options(to: str, given: Mapping[str, Any]) -> Options:
-    known = {"joint", "at_load", *format_of(to).options}
-    for name, value in given.items():
-        if name not in {f.name for f in fields(Options)}:
-            raise BadInput(name, "is no option of an export", f"use {', '.join(sorted(known))}")
-        if name not in known and value is not None:
-            key = f"--{name.replace('_', '-')}"
-            raise BadInput(key, f"says nothing to the format {to}", "leave it out")
-    chosen = Options(**{k: v for k, v in given.items() if v is not None})
-    if chosen.into is not None:
-        chosen = Options(**{**vars(chosen), "into": Path(chosen.into)})
+def _check(form: Format, chosen: Options) -> None:
+    for name in {"into", "draws"} - form.options:
+        if getattr(chosen, name) is not None:
+            raise BadInput(f"--{name}", f"says nothing to the format {form.name}", "leave it out")
+    if chosen.into is not None and not chosen.into.is_file():
+        raise BadInput(f"--into {chosen.into}", "does not exist", "name an MJCF file")
     if chosen.at_load is not None and not (np.isfinite(chosen.at_load) and chosen.at_load >= 0.0):
         raise BadInput("--at-load", f"is {chosen.at_load:g}", "give a torque of zero or more")
     if chosen.draws is not None and chosen.draws < 1:
         raise BadInput("--draws", f"is {chosen.draws}", "ask for one or more")
     if not chosen.joint or not all(c.isalnum() or c in "_-./" for c in chosen.joint):
         raise BadInput("--joint", f"{chosen.joint!r} is no name", "use letters, digits, _ - . /")
-    return chosen
 
 
 def _exported(found: Finished, form: Format, options: Options) -> Exported:
-    if form.check is not None:
-        form.check(options)
     chain, motions = found.joint, [Moved.of(o) for o in found.model.observations]
-    told = vectors(found, motions, options.draws or _DRAWS, options.seed)
+    told = vectors(found, motions, options.draws or _DRAWS)
     own_loads = "load" in form.keeps
 
     def here(values: Array) -> AtJoint:
@@ -196,7 +162,9 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         return at_joint(chain, kept, motions, options.at_load)
 
     middle, each = here(told.middle[None]), here(told.draws)
-    carries = form.names(options).values()
+    # a link and a drive that a model has already are its own
+    names = {k: n for k, n in form.names.items() if options.into is None or n not in AROUND}
+    carries = names.values()
     kept = carried(middle, carries, motions, chain)
     spread = carried(each, carries, motions, chain).values
     # both joints under one torque: that a delay moves a back-EMF makes no difference there
@@ -215,7 +183,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         "format": form.name,
         "meaning": form.meaning,
         "joint": options.joint,
-        "numbers": _rows(found, form, options, numbers, spread, middle, told),
+        "numbers": _rows(found, names, numbers, spread, middle, told),
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in middle.reference.items()},
         "lost": [
@@ -277,8 +245,7 @@ def _notes(
 
 def _rows(
     found: Finished,
-    form: Format,
-    options: Options,
+    names: Mapping[str, str],
     numbers: Mapping[str, float],
     draws: Mapping[str, Array],
     middle: AtJoint,
@@ -288,9 +255,9 @@ def _rows(
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     unusable = found.summary.sampler.status == "unusable"
     rows = []
-    for attribute, number in form.names(options).items():
-        names = middle.made_from[number]
-        if not names and number != "gain":
+    for attribute, number in names.items():
+        made_from = middle.made_from[number]
+        if not made_from and number != "gain":
             continue  # the joint has none
         value, spread = numbers[number], draws[number]
         fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable
@@ -301,8 +268,8 @@ def _rows(
                 "interval": None if fixed else np.percentile(spread, ends).tolist(),
                 "unit": NUMBERS[number].unit(found.joint),
                 "meaning": NUMBERS[number].meaning,
-                "made_from": list(names),
-                "not_identified": _not_identified(found, names, told),
+                "made_from": list(made_from),
+                "not_identified": _not_identified(found, made_from, told),
             }
         )
     return rows

@@ -30,11 +30,7 @@ class Options:
     joint: str = "joint"  # name of the joint in the simulator's model
     at_load: float | None = None  # torque at the joint at which load losses are met, N m or N
     into: Path | None = None  # model whose joint is to be changed
-    damping_terms: int | None = None  # numbers of MuJoCo's damping, 1 or 3
-    isaac_sim: str | None = None  # version of Isaac Sim
-    actuator: str | None = None  # name of BAM's actuator
     draws: int | None = None  # how many draws
-    seed: int | None = None  # of which draws
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +79,7 @@ class Format:
     name: str
     meaning: str  # what it is for, as it stands in a sentence
     # what it calls each of bayesfric.export.at_joint.NUMBERS that it has
-    names: Callable[[Options], Mapping[str, str]]
+    names: Mapping[str, str]
     write: Callable[[Content], Files]  # the main file first
     options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load
     notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 asks for
@@ -91,8 +87,6 @@ class Format:
     keeps: frozenset[str] = frozenset()  # quantities that it has in its own way
     # motor torque along the recordings by a law of its own, of the fitted joint and its vector
     torque: Callable[[Joint, Array, Sequence[Moved]], Array] | None = None
-    # refuses options that do not go together, before anything is computed
-    check: Callable[[Options], None] | None = None
 
 
 @cache

@@ -136,12 +136,11 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         low, high = float(degrees[part].min()), float(degrees[part].max())
         steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
     pushed = None
-    if source.load_torques:
-        parts = [channels.load_torque(one, table, drive) for one in source.load_torques]
-        pushed = Signal(grid.time, grid.linear(sum(parts[1:], parts[0])))
-        how = f"sum of {len(parts)} columns" if len(parts) > 1 else "as measured"
-        if any(one.side == "motor" for one in source.load_torques):
-            how += f"; what acts on the motor times {drive.ratio:g}"
+    if source.load_torque is not None:
+        outside = channels.load_torque(source.load_torque, table, drive)
+        pushed = Signal(grid.time, grid.linear(outside))
+        motor = source.load_torque.side == "motor"
+        how = f"of the motor, times {drive.ratio:g}" if motor else "as measured"
         steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
     others = {str(one): Signal(grid.time, grid.linear(table.column(one))) for one in source.others}
     excluded = _excluded(source, grid.time, warnings)

@@ -157,8 +157,7 @@ class Recording:
     def filed(self, file: str) -> Source:
         """Give the keys of the recording once :meth:`saved` has made it a file of that name."""
         keys = self.source.model_dump(exclude_unset=True, exclude_none=True)
-        given = [keys[key] for key in CHANNELS if key in keys]
-        for channel in [c for one in given for c in (one if isinstance(one, tuple) else (one,))]:
+        for channel in (keys[key] for key in CHANNELS if key in keys):
             found = [k for k in ("column", "times") if k in channel]
             channel |= {k: self._header[channel[k]] for k in found}
         if "valid" in keys:
@@ -183,10 +182,6 @@ def _checked(
     for key in CHANNELS:
         if key in document:
             given = document[key]
-            if isinstance(given, list | tuple):
-                # several load torques; of other channels it is refused as no table
-                document[key] = [{"unit": (units or {}).get(key, SI), **dict(one)} for one in given]
-                continue
             channel = dict(given) if isinstance(given, Mapping) else {"column": given}
             channel.setdefault("unit", (units or {}).get(key, SI))
             if side is not None and key in ("position", "velocity", "target"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
@@ -209,11 +209,10 @@ class Columns(Options):
         description="The position that the drive goes for and its controller's gains; in place of "
         "the torque where none was recorded. Beside it, a roll-out closes the loop.",
     )
-    load_torque: LoadTorque | tuple[LoadTorque, ...] | None = Field(
+    load_torque: LoadTorque | None = Field(
         None,
         description="Torque (or force) that acts on the load from outside, as a dynamometer "
-        "measures it, positive where it pushes towards higher positions; or a list of several, "
-        "which are summed.",
+        "measures it, positive where it pushes towards higher positions.",
     )
     temperature: Channel | None = Field(
         None,
@@ -246,13 +245,6 @@ class Columns(Options):
         None, min_length=1, description="Name of the recording; the file's stem if left out."
     )
 
-    @field_validator("load_torque")
-    @classmethod
-    def _some(cls, value: LoadTorque | tuple[LoadTorque, ...] | None) -> Any:
-        if value == ():
-            raise ValueError("names no channel")
-        return value
-
     @field_validator("exclude")
     @classmethod
     def _forward(cls, value: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
@@ -280,17 +272,8 @@ class Columns(Options):
 
     @property
     def channels(self) -> dict[str, Channel]:
-        """The channels that are given, by key; of several load torques the others by number."""
-        given = {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
-        more = self.load_torques
-        given |= {"load_torque": more[0]} if more else {}
-        return given | {f"load_torque.{k}": one for k, one in enumerate(more[1:], start=2)}
-
-    @property
-    def load_torques(self) -> tuple[LoadTorque, ...]:
-        """All torques from outside."""
-        one = self.load_torque
-        return one if isinstance(one, tuple) else () if one is None else (one,)
+        """The channels that are given, by key."""
+        return {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
 
     @property
     def columns(self) -> list[str | int]:

@@ -165,7 +165,7 @@ def test_what_is_refused_the_schema_refuses(case, validators, tmp_path):
         ('start = "2 s"', True),
         ("start = -1.0", False),
         ('where = { episode = 3, robot = "a" }', True),
-        ('load_torque = [{ column = "l", unit = "N m" }, { column = 4, unit = "N m" }]', True),
+        ('load_torque = { column = "l", unit = "N m" }', True),
         ("valid = 0.5", False),
         ('format = "csw"', False),
     ],

@@ -23,7 +23,7 @@ from bayesfric.export.at_joint import (
 from bayesfric.export.carried import carried, lost_terms
 from bayesfric.export.central import central
 from bayesfric.export.figure import export_figure
-from bayesfric.export.format import Options, formats
+from bayesfric.export.format import formats
 from bayesfric.export.pendulum import pendulum
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
@@ -210,7 +210,7 @@ def test_static_friction_is_what_the_stribeck_rise_ends_at():
 @pytest.mark.parametrize("name", ["urdf", "drake", "mujoco"])
 def test_what_is_folded_keeps_the_torque_of_a_joint_alone(name):
     numbers = at_joint(*_knee(), wave())
-    carries = formats()[name].names(Options()).values()
+    carries = formats()[name].names.values()
     kept = carried(numbers, carries, wave(), _knee()[0])
     whole = numbers.values["armature"] + numbers.values["link_inertia"]
     np.testing.assert_allclose(kept.values["armature"] + kept.values["link_inertia"], whole)
@@ -301,10 +301,7 @@ def test_what_is_doubted_is_called_doubtful_and_not_the_priors(form):
         ({"to": "csv", "draws": 1000}, "the run has 60"),
         ({"to": "csv", "draws": 0}, "ask for one or more"),
         ({"to": "mujoco", "at_load": -1.0}, "zero or more"),
-        ({"to": "mujoco", "damping_terms": 2}, "give 1 or 3"),
-        ({"to": "isaac", "isaac_sim": "6"}, "give 5.0"),
         ({"to": "mujoco", "joint": 'a"b'}, "is no name"),
-        ({"to": "mujoco", "jont": "a"}, "is no option"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_in_a_line(options, words):
@@ -312,11 +309,10 @@ def test_what_cannot_be_meant_is_refused_in_a_line(options, words):
         bf.export(found("motor-axis"), **options)
 
 
-def test_draws_are_the_same_bytes_for_the_same_seed():
+def test_draws_are_the_same_bytes_every_time():
     done = found("motor-axis")
     for to in ("csv", "parquet", "npz"):
-        one, again, other = (bf.export(done, to, draws=20, seed=s).main for s in (1, 1, 2))
-        assert one == again != other
+        assert bf.export(done, to, draws=20).main == bf.export(done, to, draws=20).main
 
 
 def test_the_table_of_draws_names_units_and_holds_the_parameters():

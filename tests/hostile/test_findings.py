@@ -197,31 +197,6 @@ def mat(*matrices):
     return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"".join(matrices)
 
 
-BIG, NUMBERS = 2**31 - 1, np.arange(250.0).tobytes()
-
-
-@pytest.mark.parametrize(
-    "odd",
-    cases(
-        # more of everything than there are bytes
-        ("text", (4, (BIG, 1), element(16, b""))),
-        ("text-short", (4, (BIG, 2), element(16, b"x"))),
-        ("text-wide", (4, (1, BIG), element(17, b"xx"))),
-        ("struct", (2, (BIG, 1), integers(32), element(1, b""))),
-        ("struct-0", (2, (BIG, BIG, 0), integers(8), element(1, b"a".ljust(8, b"\0")))),
-        ("cell", (1, (BIG, 1))),
-        ("cell-0", (1, (BIG, 0))),
-        ("object", (3, (BIG, 1), element(1, b"c"), integers(32), element(1, b""))),
-        ("numbers-0", (6, (BIG, BIG, 0), element(9, b""))),
-        ("sparse", (5, (BIG, BIG), integers(), integers(0), element(9, b""))),
-        ("sparse-wide", (5, (1, BIG), integers(9), integers(0, 99), element(9, bytes(8)))),
-    ),
-)
-def test_mat_that_claims_much(tmp_path, odd):
-    others = (matrix(name, 6, (250, 1), element(9, NUMBERS)) for name in (b"t", b"tau"))
-    refused(tmp_path, mat(matrix(b"q", *odd), *others), "mat", parts=["run.mat"])
-
-
 def test_mat_of_many_empty_cells(tmp_path):
     """Each takes eight bytes in the file, and hundreds in memory."""
     body = matrix(b"q", 1, (3_000_000, 1), element(14, b"") * 3_000_000)
@@ -264,7 +239,7 @@ N = good.N
         ("time32", pa.array(range(N), pa.time32("ms")), ["'q'", "time32[ms], not numbers"]),
         ("duration", pa.array(range(N), pa.duration("ns")), ["'q'", "not numbers"]),
         ("list", pa.array([[1.0]] * N), ["'q'", "no vector", "'q[0]'"]),
-        ("ragged", pa.array([[1.0], [1.0, 2.0]] * (N // 2)), ["'q'", "row 1", "list", "'q[0]'"]),
+        ("ragged", pa.array([[1.0], [1.0, 2.0]] * (N // 2)), ["'q'", "row 1", "list"]),
         ("texts", pa.array([["a"]] * N), ["'q'", "'q[0]'"]),
         ("table", pa.array([{"q": 1.0}] * N), ["'q'", "struct", "not numbers"]),
         ("map", pa.array([[(1, 1.0)]] * N, pa.map_(pa.int8(), pa.float64())), ["'q'", "map"]),
@@ -403,4 +378,4 @@ def test_a_choice_between_a_word_and_true(tmp_path):
     (tmp_path / "c.toml").write_text(text)
     told = []
     assert broken_rule(tmp_path / "c.toml", "viscous", told=told) is None
-    has(told[0].err, "got '-'", "true or false or 'by-direction'")
+    has(told[0].err, "got '-'", "a valid boolean or 'by-direction'")

@@ -293,12 +293,17 @@ def test_lists_that_are_ragged(tmp_path, form):
     else:
         (tmp_path / "run.jsonl").write_text("\n".join(json.dumps({"q": row}) for row in rows))
     table = opened(tmp_path / f"run.{form}")
-    has(refusal(lambda: table.column("q[0]")), "'q[0]'", "row 6", "a list of 1, the first has 2")
+    has(
+        refusal(lambda: table.column("q[0]")),
+        "'q[0]'",
+        "row 6",
+        "a list of 1, the first row a list of 2",
+    )
 
 
 def test_lists_of_other_things(tmp_path):
     rows = [{"q": [1.0, 2.0]}, {"q": 3.0}, {"q": [1.0, None]}, {"q": [1.0, "x"]}]
-    for bad, parts in ((1, ["row 2", "3.0, not a list"]), (2, ["empty"]), (3, ["'x'"])):
+    for bad, parts in ((1, ["row 2", "3.0, the first row a list"]), (2, ["empty"]), (3, ["'x'"])):
         path = tmp_path / "run.jsonl"
         path.write_text("\n".join(json.dumps(row) for row in (rows[0], rows[bad])))
         has(refusal(lambda path=path: opened(path).column("q[1]")), "row 2", *parts)

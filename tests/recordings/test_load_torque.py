@@ -50,7 +50,7 @@ def test_what_is_no_torque_is_refused():
         bf.Model(CHAIN, recorded(units={"load_torque": "rad"}))
 
 
-# -- several, and on the side of the motor
+# -- on the side of the motor
 
 
 def table_of(**columns):
@@ -71,45 +71,22 @@ def pushed(load_torque, ratio=50.0, **columns):
 A, B = np.linspace(-1.0, 2.0, 400), np.sin(np.arange(400))
 
 
-def test_several_are_summed_with_their_signs_and_sides():
-    found = pushed(
-        [
-            {"column": "a", "unit": "N m", "sign": -1},
-            {"column": "b", "unit": "mN m", "side": "motor"},
-        ],
-        a=A,
-        b=B,
-    )
-    np.testing.assert_allclose(found.inputs.load_torque.values, -A + 50.0 * 1e-3 * B, rtol=1e-12)
-    assert [step for step in found.steps if "load torque: sum of 2" in step and "50" in step]
-
-
-def test_one_in_a_list_is_one():
-    listed, plain = (pushed(x, a=A) for x in ([{"column": "a"}], "a"))
-    np.testing.assert_array_equal(listed.inputs.load_torque.values, plain.inputs.load_torque.values)
+def test_it_may_act_on_the_motor_with_a_sign():
+    given = {"column": "b", "unit": "mN m", "side": "motor", "sign": -1}
+    found = pushed(given, b=B)
+    np.testing.assert_allclose(found.inputs.load_torque.values, -50.0 * 1e-3 * B, rtol=1e-12)
+    plain = pushed("a", a=A)
     np.testing.assert_array_equal(plain.inputs.load_torque.values, A)
 
 
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ([], "names no channel"),
-        ([{"column": "a"}, {"column": "a"}], "is taken both"),
-        ([{"column": "a", "side": "gear"}], "side"),
-        ([{"column": "a", "unit": "rad"}], "unit of load_torque"),
-        ([{"column": "c"}], "does not exist"),
+        ({"column": "a", "side": "gear"}, "side"),
+        ({"column": "a", "unit": "rad"}, "unit of load_torque"),
+        ({"column": "c"}, "does not exist"),
     ],
 )
-def test_what_cannot_be_summed_is_refused(given, says):
+def test_what_cannot_be_used_is_refused(given, says):
     with pytest.raises(BadInput, match=says):
         pushed(given, a=A)
-
-
-def test_several_are_saved_with_a_run(tmp_path):
-    recording = bf.Recording.from_dataframe(
-        table_of(a=A, b=B), time="t", position="q", torque="tau",
-        load_torque=[{"column": "a"}, {"column": 5, "side": "motor"}],
-    )  # fmt: skip
-    again = recording.saved(tmp_path / "one.csv")
-    one, two = map(measured, (recording, again))
-    np.testing.assert_array_equal(one.inputs.load_torque.values, two.inputs.load_torque.values)

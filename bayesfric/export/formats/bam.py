@@ -122,7 +122,7 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
 
 def _write(content: Content) -> Files:
     found = parameters(content.found.joint, content.vectors.middle, content.motions)
-    found["actuator"] = content.options.actuator or ""
+    found["actuator"] = ""  # its name there
     return {"params.json": json.dumps(found, indent=1) + "\n"}
 
 
@@ -130,13 +130,12 @@ FORMATS = (
     Format(
         name="bam",
         meaning="BAM",
-        names=lambda _: {
+        names={
             "armature": "armature",
             "friction_base": "friction",
             "friction_viscous": "damping",
         },
         write=_write,
-        options=frozenset({"actuator"}),
         notes=frozenset({"joint torque", "bam"}),
         torque=_torque,
         keeps=frozenset(

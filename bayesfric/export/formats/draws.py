@@ -60,9 +60,9 @@ def _format(suffix: str, meaning: str, write: Callable[[Content], bytes]) -> For
     return Format(
         name=suffix,
         meaning=f"{meaning} of draws",
-        names=lambda _: {name: name for name in NUMBERS},
+        names={name: name for name in NUMBERS},
         write=lambda content: {f"draws.{suffix}": write(content)},
-        options=frozenset({"draws", "seed"}),
+        options=frozenset({"draws"}),
     )
 
 

@@ -46,7 +46,7 @@ FORMATS = tuple(
     Format(
         name=name,
         meaning=meaning,
-        names=lambda _: _ABOUT,
+        names=_ABOUT,
         write=write,
         whole=True,
         torque=_torque,

@@ -8,8 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.export.carried import AROUND
-from bayesfric.export.format import Content, Files, Format, Options
+from bayesfric.export.format import Content, Files, Format
 from bayesfric.export.written_law import law, unwritten
 from bayesfric.opened import read_text
 
@@ -31,19 +30,13 @@ _NAMES = {
 }
 
 
-def _names(options: Options) -> Mapping[str, str]:
-    without = set(AROUND if options.into is not None else ())
-    without |= {"quadratic", "stiffness_cubic"} if options.damping_terms == 1 else set()
-    return {name: number for name, number in _NAMES.items() if number not in without}
-
-
-def _joint(numbers: Mapping[str, float], terms: int | None) -> dict[str, str]:
+def _joint(numbers: Mapping[str, float]) -> dict[str, str]:
     """Attributes of the joint, as text."""
     damping, quadratic = numbers["damping"], numbers["quadratic"]
     stiffness, cubic = numbers["stiffness"], numbers["stiffness_cubic"]
     found = {
         "armature": repr(numbers["armature"]),
-        "damping": f"{damping!r} {quadratic!r} 0" if quadratic or terms == 3 else repr(damping),
+        "damping": f"{damping!r} {quadratic!r} 0" if quadratic else repr(damping),
         "frictionloss": repr(numbers["friction"]),
     }
     if stiffness or cubic:
@@ -59,10 +52,10 @@ def _write(content: Content) -> Files:
         text = content.filled("mujoco_friction.py.j2", law=made)
         files = {f"{content.stem}_friction.py": text}
     if (path := options.into) is not None:
-        attributes = _joint(numbers, options.damping_terms)
+        attributes = _joint(numbers)
         return {path.name: patched(_read(path), options.joint, attributes, str(path)), **files}
     body = content.body
-    joint = _joint(numbers | {"armature": body.armature}, options.damping_terms)
+    joint = _joint(numbers | {"armature": body.armature})
     text = content.filled("mujoco.xml.j2", joint=joint, body=body, step=_STEP)
     return {f"{content.stem}.xml": text, **files}
 
@@ -110,21 +103,13 @@ def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> 
     return before + changed + rest[tag.end() :]
 
 
-def _check(options: Options) -> None:
-    if options.damping_terms not in (None, 1, 3):
-        raise BadInput("--damping-terms", f"is {options.damping_terms}", "give 1 or 3")
-    if options.into is not None:
-        patched(_read(options.into), options.joint, {}, str(options.into))
-
-
 FORMATS = (
     Format(
         name="mujoco",
         meaning="MuJoCo",
-        names=_names,
+        names=_NAMES,
         write=_write,
-        options=frozenset({"into", "damping_terms"}),
+        options=frozenset({"into"}),
         notes=frozenset({"mujoco"}),
-        check=_check,
     ),
 )

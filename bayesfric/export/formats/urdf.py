@@ -40,9 +40,8 @@ def _sdf(content: Content) -> Files:
 def _format(
     name: str, meaning: str, own: Mapping[str, str], write: Callable[[Content], Files], *notes: str
 ) -> Format:
-    names = {**own, **_AROUND}
     told = frozenset({"joint torque", "body", *notes})
-    return Format(name=name, meaning=meaning, names=lambda _: names, write=write, notes=told)
+    return Format(name=name, meaning=meaning, names={**own, **_AROUND}, write=write, notes=told)
 
 
 FORMATS = (

@@ -37,7 +37,7 @@ def read_json(path: Path, options: TableOptions) -> Table:
 
     def load(index: int) -> NDArray[Any]:
         value = values[index]
-        return _objects(value) if isinstance(value, list) else np.asarray(None)
+        return np.array(value if isinstance(value, list) else None, dtype=object)
 
     return Table(str(path), list(data), load)
 
@@ -71,11 +71,6 @@ def _is_rows(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(v, dict) for v in value)
 
 
-def _objects(values: list[Any]) -> NDArray[Any]:
-    # numpy would turn nested lists into a matrix; cells must stay cells
-    return np.fromiter(values, dtype=object, count=len(values))
-
-
 def from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -> Table:
     """Make a table of objects, one a row; ``lines`` are those of the file that they stand in."""
     if not rows:
@@ -98,7 +93,7 @@ def from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -
                     "is missing",
                     "correct the row, or cut it out of the file",
                 )
-        return _objects([row[name] for row in rows])
+        return np.array([row[name] for row in rows], dtype=object)
 
     return Table(str(path), names, load, lines=lines, by_rows=True)
 

@@ -53,7 +53,7 @@ def _matrix(column: Any) -> NDArray[Any]:
     lengths = pc.unique(pc.list_value_length(column)).to_pylist()
     flat = pc.list_flatten(column)
     if len(lengths) != 1 or not lengths[0] or flat.null_count:
-        return np.fromiter(column.to_pylist(), dtype=object, count=len(column))
+        return np.array(column.to_pylist(), dtype=object)
     return np.asarray(flat.to_numpy()).reshape(-1, lengths[0])
 
 

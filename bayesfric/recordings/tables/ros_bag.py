@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -171,13 +172,11 @@ def _cells(values: list[Any]) -> NDArray[Any]:
     if kind in (_TIME, _DURATION):
         stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]
         return _since_first(stamps) if kind == _TIME else np.array([n / 10**9 for n in stamps])
-    if all(isinstance(value, int | float) for value in values):
-        return np.array(values)
-    lengths = {len(value) if isinstance(value, np.ndarray) else -1 for value in values}
-    if len(lengths) == 1 and -1 not in lengths:
-        return np.stack(values)
-    plain = (value.item() if isinstance(value, np.generic) else value for value in values)
-    return np.fromiter(plain, dtype=object, count=len(values))
+    plain = [v.tolist() if isinstance(v, np.ndarray | np.generic) else v for v in values]
+    with suppress(ValueError):  # lists of different lengths
+        if (found := np.array(plain)).dtype.kind in "biuf":
+            return found
+    return np.array(plain, dtype=object)
 
 
 def _since_first(stamps: list[int]) -> NDArray[np.float64]:

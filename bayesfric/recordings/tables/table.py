@@ -23,8 +23,7 @@ _MOST_COLUMNS = 10_000
 _LONGEST_NAME = 60
 _PLAIN = (bool, int, float, np.integer, np.floating, np.bool_)
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
-# What a column of several values a sample is named with.
-_INDEX = "with an index from 0 in brackets"
+_LISTS = (list, tuple, np.ndarray)
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
@@ -111,56 +110,38 @@ class Table:
         """Take the raw cells of the rows used: (n,), unless it is no column of one value."""
         place, index = self.place(key)
         cells = self.load(place)
-        if index is not None:
-            cells = self._signal(cells, index, key)
-        if self.kept is None or cells.ndim != 1:
-            return cells
-        if len(cells) != self.rows:
-            what = f"has {len(cells)} values, the column in where has {self.rows}"
-            raise BadInput(self.label(key), what, "give columns of one length")
-        return cells[self.kept]
+        # of samples there are more than signals
+        if cells.ndim == 2 and not self.by_rows and cells.shape[1] > cells.shape[0]:
+            cells = cells.T
+        if self.kept is not None and cells.ndim:
+            if len(cells) != self.rows:
+                what = f"has {len(cells)} values, the column in where has {self.rows}"
+                raise BadInput(self.label(key), what, "give columns of one length")
+            cells = cells[self.kept]
+        return cells if index is None else self._signal(cells, index, key)
 
     def _signal(self, cells: NDArray[Any], index: int, key: str | int) -> NDArray[Any]:
         """Take one of several signals out of a column that holds them all."""
-        if cells.ndim == 1 and cells.dtype == object and cells.size:
-            cells = self._matrix(cells, key)
+        if cells.ndim == 1 and cells.size and isinstance(cells[0], _LISTS):
+            width = len(cells[0])  # those of one length are a matrix by now
+            wrong = (isinstance(cell, _LISTS) and len(cell) == width for cell in cells)
+            row = list(wrong).index(False)
+            what = f"holds {_shown(cells[row])}, the first row a list of {width}"
+            raise self._bad_cell(key, row, what)
         if cells.ndim != 2:
-            what = "one value a sample" if cells.ndim == 1 else f"{cells.ndim} axes"
-            raise BadInput(self.label(key), f"holds {what}", "leave the index in brackets out")
-        # of samples there are more than signals
-        if not self.by_rows and cells.shape[1] > cells.shape[0]:
-            cells = cells.T
+            raise BadInput(self.label(key), "holds no lists", "leave the index in brackets out")
         count = cells.shape[1]
         if index >= count:
-            raise BadInput(
-                self.label(key),
-                f"holds {count} values a sample",
-                f"give an index from 0 to {count - 1}" if count else "choose another column",
-            )
+            mend = f"give an index from 0 to {count - 1}" if count else "choose another column"
+            raise BadInput(self.label(key), f"holds {count} values a sample", mend)
         return cells[:, index]
-
-    def _matrix(self, cells: NDArray[Any], key: str | int) -> NDArray[Any]:
-        """Put lists of one length under each other; other cells are refused with their row."""
-        width = None
-        for i, cell in enumerate(cells):
-            if not isinstance(cell, list | tuple | np.ndarray):
-                mend = "leave the index in brackets out" if i == 0 else "correct the cell"
-                raise self._bad_cell(key, i, f"holds {_shown(cell)}, not a list", mend, raw=True)
-            width = len(cell) if width is None else width
-            if len(cell) != width:
-                what = f"holds a list of {len(cell)}, the first has {width}"
-                raise self._bad_cell(key, i, what, "correct the lists", raw=True)
-        out = np.empty((len(cells), width or 0), dtype=object)
-        for i, cell in enumerate(cells):
-            out[i, :] = [_item(value) for value in cell]
-        return out
 
     def _checked(self, cells: NDArray[Any], key: str | int) -> NDArray[np.float64]:
         if cells.ndim != 1:
             shape = " x ".join(str(n) for n in cells.shape) or "one value"
             mend = "give a vector of one value a sample"
             if cells.ndim == 2:
-                mend = f"name one of its signals {_INDEX}, such as '{self._first_of(key)}'"
+                mend = f"name one of its signals with an index from 0, such as '{key}[0]'"
             raise BadInput(self.label(key), f"is no vector but {shape}", mend)
         if cells.dtype.kind in "biuf":
             with np.errstate(all="ignore"):  # a long double may become infinite
@@ -187,21 +168,11 @@ class Table:
                 return float(cell)
         except OverflowError:
             pass
-        mend = ""
-        if isinstance(cell, list | tuple | np.ndarray):
-            mend = f"name one of its values {_INDEX}, such as '{self._first_of(key)}'"
-        raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number", mend)
+        raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number")
 
-    def _bad_cell(
-        self, key: str | int, index: int, what: str, mend: str = "", raw: bool = False
-    ) -> BadInput:
-        """``raw`` tells that rows which are not used are counted, too."""
-        row = replace(self, kept=None).row(index) if raw else self.row(index)
-        mend = mend or "correct the cell, or cut the row out of the file"
-        return BadInput(f"{self.label(key)}, {row}", what, mend)
-
-    def _first_of(self, key: str | int) -> str:
-        return f"{key if isinstance(key, str) else self.names[key - 1] or key}[0]"
+    def _bad_cell(self, key: str | int, index: int, what: str) -> BadInput:
+        mend = "correct the cell, or cut the row out of the file"
+        return BadInput(f"{self.label(key)}, {self.row(index)}", what, mend)
 
     def place(self, key: str | int) -> tuple[int, int | None]:
         """Give the place of a column among the others, and of a signal in it, from 0.
@@ -233,11 +204,6 @@ class Table:
 def row_name(index: int, lines: Sequence[int] | None) -> str:
     """Name a row, given from 0, and the line of a text file that it stands in."""
     return f"row {index + 1}" + ("" if lines is None else f" (line {lines[index]})")
-
-
-def _item(value: Any) -> Any:
-    """Give a cell of an array as Python's own."""
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def column_cells(series: Any) -> NDArray[Any]:
@@ -277,8 +243,8 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _shown(cell: object) -> str:
-    if isinstance(cell, list | tuple | np.ndarray):
-        return "a list"
+    if isinstance(cell, _LISTS):
+        return f"a list of {len(cell)}"
     if isinstance(cell, dict) or hasattr(cell, "_fieldnames"):
         return "a table"
     text = repr(cell.item() if isinstance(cell, np.generic) else cell)
