@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
-from bayesfric.inference.noise.student_t import StudentT
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
@@ -192,24 +190,3 @@ def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds,
     assert pooled["verdict"] == verdict
     assert ("more than noise and posterior explain" in pooled["says"]) == beyond
     assert ("too few" in pooled["says"]) == (verdict == "undecided")
-
-
-def test_noise_without_a_variance(knee):
-    """A Student-t of one and a half degrees: coverage is told, a root mean square is not."""
-    target = make_target(
-        knee.chain,
-        knee.observations,
-        read_priors(knee.chain, {}, knee.observations, ("sigma", "dof")),
-        "shared",
-        StudentT(),
-    )
-    draws = np.concatenate(
-        [knee.posterior.draws, np.full((*knee.posterior.draws.shape[:3], 1), 1.5)], axis=3
-    )
-    posterior = replace(knee.posterior, draws=draws, names=target.names, priors=target.priors)
-    _, record = predicted(replace(knee, target=target, posterior=posterior), n=600)
-    pooled = record["pooled"]
-    assert pooled["predictive_sd"] is None
-    assert pooled["discrepancy"] is None
-    assert pooled["verdict"] == "too wide"
-    assert "\n".join(validation_lines(record))

@@ -28,7 +28,7 @@ FORMATS = (
     Format(
         name="ros2-control",
         meaning="ros2_control, and its feed-forward in C99",
-        names=lambda _: _NAMES,
+        names=_NAMES,
         write=_write,
         notes=frozenset({"joint torque"}),
     ),

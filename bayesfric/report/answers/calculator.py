@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.configuration_errors import read_text
 from bayesfric.errors import BadInput
 from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
@@ -29,6 +28,7 @@ from bayesfric.mechanism.quantities import (
     LOAD_CHOICES,
     SHAPES,
 )
+from bayesfric.opened import read_json
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.answers.formula import Formula, Unwritten, formula_of, mentions
 from bayesfric.report.summary.derived_quantities import LEVEL
@@ -120,10 +120,9 @@ def calculator_json(found: Calculator) -> str:
 def read_calculator(run: Path) -> Calculator | None:
     """Read what a run directory holds for its page; nothing where it holds none that is whole."""
     try:
-        text = read_text(run / FILE, _LARGEST, "page", "fit the run again", "fit the run again")
-        found = json.loads(text)["calculator"]
+        found = read_json(run / FILE, largest=_LARGEST)["calculator"]
         return found if found["missing"] or found["seen"] else None
-    except (OSError, ValueError, KeyError, TypeError, BadInput):
+    except (BadInput, ValueError, KeyError, TypeError):
         return None
 
 
