@@ -228,12 +228,3 @@ def test_told_values_close_null_directions():
     assert sd == pytest.approx(0.2, rel=1e-9)
     sum_sd = information.sigma / np.linalg.norm(x)
     assert information.sds(np.array([1.0, 0.0]))[0] == pytest.approx(np.hypot(0.2, sum_sd))
-
-
-def test_inflation_multiplies_the_plain_sd():
-    rng = np.random.default_rng(12)
-    x = rng.standard_normal((100, 2))
-    _, residual = fit(x, rng.standard_normal(100))
-    plain = Information(x, residual, np.ones(2)).sds(np.ones(2))[0]
-    wider = Information(x, residual, np.ones(2), scatter=Scatter(inflation=1.3)).sds(np.ones(2))[0]
-    assert wider == pytest.approx(1.3 * plain, rel=1e-12)
