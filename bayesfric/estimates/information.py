@@ -83,17 +83,6 @@ def directions(
     return Directions(units, values, rows, tolerance, basis)
 
 
-@dataclass(frozen=True, eq=False)
-class Scatter:
-    """What is known of how residuals scatter."""
-
-    # (n,) number of the group each belongs to, where they may be correlated within groups in any
-    # way but not between them
-    groups: NDArray[np.int64] | None = None
-    lost: int = 0  # quantities fitted besides and already taken out, for example initial states
-    least: float = 0.0  # sd of a residual that rounding alone makes, as of an encoder
-
-
 class Information:
     """Standard deviations of whatever is computed from estimated parameters."""
 
@@ -108,20 +97,24 @@ class Information:
         known: Array | None = None,  # (k, d) rows 1/sd of independent knowledge
         tolerance: float = NULL,
         known_null: Array | None = None,
-        scatter: Scatter = Scatter(),
+        # (n,) number of the group each residual belongs to, where they may be correlated within
+        # groups in any way but not between them
+        groups: NDArray[np.int64] | None = None,
+        lost: int = 0,  # quantities fitted besides and already taken out, such as initial states
+        least: float = 0.0,  # sd of a residual that rounding alone makes, as of an encoder
     ) -> None:
         n, d = jacobian.shape
         self._jacobian, self._residual = jacobian, residual
         self._places = np.arange(n) if places is None else places
-        self._groups = scatter.groups
+        self._groups = groups
         self._known = np.zeros((0, d)) if known is None else known
         rank = 0
         if d:
             found = directions(jacobian, units, tolerance, known_null=known_null)
             rank = int(np.count_nonzero(~found.null))
-        self.freedom = max(n - rank - scatter.lost, 1)
+        self.freedom = max(n - rank - lost, 1)
         self.sigma = float(np.sqrt(residual @ residual / self.freedom))
-        self.sigma = max(self.sigma, scatter.least)
+        self.sigma = max(self.sigma, least)
         # Knowledge enters as residuals of the same standard deviation as the others.
         self.directions = directions(
             np.concatenate([jacobian, self.sigma * self._known]) if self._known.size else jacobian,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.information import LEAST_GROUPS, Information, Scatter
+from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.point_estimate import Estimate
@@ -114,7 +114,7 @@ def output_error(
         same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.solution.converged
         if same and _spread(longer) < _spread(chosen) - _CLEARLY:
             chosen = longer
-    return problem.estimate(chosen, fits, values)
+    return problem.estimate(chosen, values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ class OutputError:
         fitting = [length for length in LENGTHS if length >= least and total >= needed * length]
         return tuple(fitting) or (max(LENGTHS[0], least),)
 
-    def estimate(self, fit: Fit, others: Sequence[Fit], start: Array) -> Estimate:
+    def estimate(self, fit: Fit, start: Array) -> Estimate:
         """State everything a fit says, the input error being ``start``."""
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         solution, shooting = fit.solution, fit.frame.shooting
@@ -222,9 +222,7 @@ class OutputError:
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         n = shooting.n_segments
         notes = [
-            f"simulated anew in {n} segments of {length:.3g} s ({self._why(others)})"
-            if n > len(self.trajectories)
-            else f"simulated without restart, {length:.3g} s ({self._why(others)})",
+            f"simulated in {n} segments of {length:.3g} s",
             f"integration steps a sample: {shooting.substeps}, discretisation error "
             f"{fit.error:.1e} {unit}, position resolution {finest:.1e} {unit}",
         ]
@@ -233,12 +231,6 @@ class OutputError:
                 f"{n} segments are too few for sums over segments: sd_robust takes residuals for "
                 "a stationary series and is too small where they drift; give a shorter 'segment'"
             )
-        if fit.at_bound.any():
-            names = ", ".join(n for n, b in zip(self.free, fit.at_bound, strict=True) if b)
-            notes.append(
-                f"stands on a bound: {names}; the others carry the standard deviations they would "
-                "have without it"
-            )
         # of residuals that are rounding anyway nothing is left to gain
         variance = float(np.mean(solution.residual**2))
         rounding = 1e-12 * fit.frame.span**2
@@ -246,21 +238,14 @@ class OutputError:
         converged = solution.converged or (near and not self.late)
         if not converged:
             values = tuple(replace(v, sd=np.nan, sd_robust=np.nan, span=None) for v in values)
-            steps = f"the search stopped after {solution.iterations} steps"
-            allowed = f"{self.options.max_seconds:g} s of CPU time"
             why = (
-                f"the search was stopped after {allowed}; these numbers are no estimate (raise "
+                f"the search was stopped after {self.options.max_seconds:g} s of CPU time (raise "
                 "estimation.max_seconds, or give fewer recordings)"
                 if self.late
-                else f"{steps} in a place that is no minimum; these numbers are no estimate "
-                "(another segment length, or longer recordings, may help)"
+                else f"the search stopped after {solution.iterations} steps in a place that is no "
+                "minimum (another segment length, or longer recordings, may help)"
             )
-            notes.insert(0, f"NOT CONVERGED: {why}")
-        elif self.late:
-            notes.append(
-                f"estimation.max_seconds = {self.options.max_seconds:g} ended the search before "
-                "all segment lengths were compared"
-            )
+            notes.insert(0, f"NOT CONVERGED, these numbers are no estimate: {why}")
         before, left = self._torque_left(start), self._torque_left(solution.values)
         if converged and left > _MORE * before:
             notes.insert(
@@ -287,14 +272,6 @@ class OutputError:
             (o.measured, filtered_torque(self.chain, o, values[None])) for o in self.observations
         )
         return float(np.sqrt(np.mean(np.concatenate([y - x[0] for y, x in pairs]) ** 2)))
-
-    def _why(self, others: Sequence[Fit]) -> str:
-        if self.options.segment is not None:
-            return "as told"
-        if len(others) < 2:
-            return "chosen: longer ones would be too few for sound standard deviations"
-        compared = ", ".join(f"{f.length:g}" for f in others)
-        return f"chosen among {compared} s: shortest unless sd_robust clearly falls"
 
     def _frame(self, shooting: Shooting, values: Array) -> Frame:
         rows, targets = self.knowledge.rows(self.chain)
@@ -346,11 +323,9 @@ class OutputError:
                 self.chain, self.knowledge, self.observations, solution.values
             ),
             tolerance=_NULL,
-            scatter=Scatter(
-                frame.shooting.segment_of,
-                linear.elimination.lost,
-                least=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
-            ),
+            groups=frame.shooting.segment_of,
+            lost=linear.elimination.lost,
+            least=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
         )
 
 

@@ -157,6 +157,14 @@ class Linearised:
         onto = self.elimination.onto
         return np.asarray(onto[:, :, 0] - onto[:, :, 1:] @ (step * self._frame.units))
 
+    def positions_only(self, change: Array) -> Array:
+        """Give what a change of the states ``(K, 2)`` would be if speeds stayed, ``(K, 2)``."""
+        back = self.elimination.back
+        by_speed = np.divide(
+            back[:, 0, 1], back[:, 1, 1], out=np.zeros(len(back)), where=back[:, 1, 1] != 0.0
+        )
+        return np.column_stack([change[:, 0] - by_speed * change[:, 1], 0.0 * change[:, 1]])
+
 
 def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Solution:
     """Find the least cost over free parameters, within limits, and initial states.
@@ -186,9 +194,11 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
         found = None
         while found is None and damping < 1e12:
             dampings = [damping * f for f in _DAMPINGS]
-            trial, worked = _try(frame, weights, at, linear, dampings)
-            if trial.cost < at.cost:
-                found, damping = trial, worked
+            for stuck in (False, True):
+                trial, worked = _try(frame, weights, at, linear, dampings, stuck=stuck)
+                if trial.cost < at.cost:
+                    found, damping = trial, worked
+                    break
             else:
                 damping *= 1e3
         if found is None:
@@ -243,8 +253,14 @@ def _try(
     solution: Solution,
     linear: Linearised,
     dampings: list[float],
+    *,
+    stuck: bool = False,
 ) -> tuple[Solution, float]:
-    """Simulate the steps of several dampings; give the best, and its damping."""
+    """Simulate the steps of several dampings; give the best, and its damping.
+
+    Where nothing helps, ``stuck``, only positions are changed: a joint that starts next to
+    rest and soon sticks hardly moves with its speed, so the full step of that is far off.
+    """
     columns = frame.columns
     moves = []
     for damping in dampings:
@@ -253,7 +269,8 @@ def _try(
     shares = len(_SHARES) + 1
     vectors = np.repeat(np.array([moved for _, moved, _ in moves]), shares, axis=0)
     starts = np.empty((len(moves), shares, *solution.states.shape))
-    for i, (_, _, change) in enumerate(moves):
+    for i, (_, _, whole) in enumerate(moves):
+        change = linear.positions_only(whole) if stuck else whole
         for j, share in enumerate(_SHARES):
             starts[i, j] = solution.states + share * change
         # Where a segment starts at rest, Newton's steps on its speed only ever halve it.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.estimates.information import Information, Scatter, directions, long_run_variance
+from bayesfric.estimates.information import Information, directions, long_run_variance
 
 
 def autoregression(rng, n, rho, burn=200):
@@ -143,7 +143,7 @@ def test_groups_take_any_correlation_within():
     for i in range(repeats):
         errors = rng.standard_normal(groups)[number] + 0.1 * rng.standard_normal(number.size)
         solution, residual = fit(x, errors)
-        information = Information(x, residual, np.ones(2), scatter=Scatter(number))
+        information = Information(x, residual, np.ones(2), groups=number)
         found[i] = solution
         claimed[i] = [information.sds(row)[1] for row in np.eye(2)]
     ratio = np.sqrt((claimed**2).mean(axis=0)) / found.std(axis=0, ddof=1)
@@ -155,7 +155,7 @@ def test_too_few_groups_fall_back_on_neighbours():
     rng = np.random.default_rng(7)
     x = regressors(300)
     _, residual = fit(x, rng.standard_normal(300))
-    few = Information(x, residual, np.ones(3), scatter=Scatter(np.repeat(np.arange(3), 100)))
+    few = Information(x, residual, np.ones(3), groups=np.repeat(np.arange(3), 100))
     none = Information(x, residual, np.ones(3))
     assert few.sds(np.eye(3)[1]) == none.sds(np.eye(3)[1])
 
@@ -228,12 +228,3 @@ def test_told_values_close_null_directions():
     assert sd == pytest.approx(0.2, rel=1e-9)
     sum_sd = information.sigma / np.linalg.norm(x)
     assert information.sds(np.array([1.0, 0.0]))[0] == pytest.approx(np.hypot(0.2, sum_sd))
-
-
-def test_inflation_multiplies_the_plain_sd():
-    rng = np.random.default_rng(12)
-    x = rng.standard_normal((100, 2))
-    _, residual = fit(x, rng.standard_normal(100))
-    plain = Information(x, residual, np.ones(2)).sds(np.ones(2))[0]
-    wider = Information(x, residual, np.ones(2), scatter=Scatter(inflation=1.3)).sds(np.ones(2))[0]
-    assert wider == pytest.approx(1.3 * plain, rel=1e-12)

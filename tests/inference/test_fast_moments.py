@@ -378,16 +378,6 @@ def test_the_prepared_likelihood_says_what_it_does_and_changes_nothing(make_obse
     np.testing.assert_allclose(fast.sum_of_squares(draws), expected, rtol=1e-9)
 
 
-def test_many_vectors_in_threads_are_each_by_itself(cases):
-    case = cases["knee-4-2"]
-    many = np.tile(case.draws, (20, 1))
-    together = case.fast.at(many).lagged
-    # matrix products of other shapes round differently
-    np.testing.assert_allclose(
-        together, np.tile(case.fast.at(case.draws).lagged, (20, 1, 1, 1)), rtol=1e-12, atol=1e-15
-    )
-
-
 def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):
     from bayesfric.inference.moments import moment_matrices
 

@@ -12,9 +12,11 @@ from scipy import stats
 import bayesfric as bf
 from bayesfric.errors import BadInput
 from bayesfric.estimates.sizes import Scales, measured_scales
+from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
+from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.defaults import default_prior
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.prior.priors import JointPrior, read_prior
 from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf
@@ -211,3 +213,65 @@ def test_noise_of_a_position_may_be_as_small_as_what_the_encoder_resolves():
     assert prior.upper == 30.0
     smooth = SCALES["position"].read_prior({}, replace(sizes, position_step=0.0))
     assert smooth.lower == pytest.approx(1e-10 * sizes.position)
+
+
+TEXTS = [
+    {"distribution": "norm", "loc": 0.3, "scale": 0.7},
+    {"distribution": "halfnorm", "scale": 0.4},
+    {"distribution": "halfnorm", "loc": 0.1, "scale": 0.4},
+    {"distribution": "lognorm", "s": 0.8, "scale": 0.2},
+    {"distribution": "lognorm", "s": 0.3, "loc": 0.05, "scale": 2.0},
+    {"distribution": "loguniform", "a": 1e-3, "b": 10.0},
+    {"distribution": "loguniform", "a": 1e-3, "b": 10.0, "loc": 0.2, "scale": 2.0},
+    [0.1, 2.5],
+    {"distribution": "gamma", "a": 2.0, "scale": 0.5},
+    {"distribution": "truncnorm", "a": -0.5, "b": 3.0, "loc": 0.4, "scale": 0.3},
+]
+PRIORS = [read_prior(f"p{i}", text, lower=0.0, upper=INF) for i, text in enumerate(TEXTS)]
+
+
+@given(
+    st.lists(st.integers(0, len(PRIORS) - 1), min_size=1, max_size=12),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.1, 1.0, 10.0]),
+)
+def test_all_priors_at_once_are_the_product_of_each(chosen, seed, size):
+    priors = [PRIORS[i] for i in chosen]
+    rng = np.random.default_rng(seed)
+    x = size * rng.standard_normal((7, len(priors))) ** 2
+    x[3] = np.stack([p.draw(1, rng) for p in priors], axis=1)
+    x[4, 0] = -0.1
+    x[5] = [p.lower for p in priors]
+    x[6, -1] = math.nan
+    one_by_one = sum(p.log_density(x[:, j]) for j, p in enumerate(priors))
+    np.testing.assert_allclose(
+        JointPrior(priors).log_density(x), one_by_one, rtol=1e-12, atol=1e-10
+    )
+
+
+def test_a_point_estimate_takes_what_is_fixed_ranged_and_told(make_observation):
+    chain = PRESETS["motor-axis"].chain()
+    o = make_observation(chain, PRESETS["motor-axis"].values)
+    texts = {
+        "motor.inertia": 0.01,
+        "motor.viscous": [0.01, 0.2],
+        "motor.coulomb": {"distribution": "norm", "loc": 0.2, "scale": 0.02},
+    }
+    found = as_knowledge(chain, read_priors(chain, texts, [o]))
+    assert found.fixed == {"motor.inertia": 0.01}
+    assert found.bounds["motor.viscous"] == (0.01, 0.2)
+    # ten sds above its bound: the cut does not show
+    assert found.told == {"motor.coulomb": pytest.approx((0.2, 0.02))}
+    # a default prior is a guess of ours, not knowledge
+    assert found.bounds["offset"] == (-math.inf, math.inf)
+
+
+def test_a_cut_distribution_has_the_cut_ones_mean():
+    prior = read_prior(
+        "x", {"distribution": "norm", "loc": 0.0, "scale": 1.0}, lower=0.0, upper=math.inf
+    )
+    # a normal cut at its middle is a half-normal
+    assert prior.mean() == pytest.approx(math.sqrt(2.0 / math.pi), rel=1e-3)
+    assert prior.sd() == pytest.approx(math.sqrt(1.0 - 2.0 / math.pi), rel=1e-3)
+    fixed = read_prior("x", 3.0, lower=0.0, upper=math.inf)
+    assert (fixed.mean(), fixed.sd()) == (3.0, 0.0)

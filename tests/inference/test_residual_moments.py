@@ -85,7 +85,7 @@ def test_moments_are_their_definition(make_observation, factor, order):
     np.testing.assert_allclose(found.sum_of_squares, squares, rtol=1e-11)
 
 
-def test_many_vectors_in_threads_are_each_by_itself(make_observation):
+def test_many_vectors_are_each_by_itself(make_observation):
     chain = KNEE.chain()
     o = make_observation(chain, KNEE.values, n=20_000)
     plain = PlainMoments(chain, [o], 2)
@@ -94,7 +94,6 @@ def test_many_vectors_in_threads_are_each_by_itself(make_observation):
     together = plain.at(values)
     for i in range(6):
         np.testing.assert_array_equal(plain.at(values[i : i + 1]).lagged[0], together.lagged[i])
-    # more samples than one block: the border between two shows nowhere
     lagged, *_ = by_definition(chain, [o], values[:1], 2)
     np.testing.assert_allclose(together.lagged[:1], lagged, rtol=1e-10)
 

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.mechanism import kernels
@@ -23,10 +22,8 @@ from bayesfric.recordings.observation import Observation
 
 Short = NDArray[np.int16]
 
-# Samples in one call below which starting threads costs more than it saves.
-WORTH_THREADS = 50_000
-# Raw samples whose torque is held at once: what a fast cache holds.
-_BLOCK = 8192
+# Numbers of torque held at once: about what a fast cache holds.
+_AT_ONCE = 500_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,26 +111,6 @@ def unpacked(flat: Array, order: int) -> Moments:
     return Moments(parts[0], tuple(parts[1:]))
 
 
-class _Outputs(NamedTuple):
-    """Outputs of one recording, as the compiled functions read them."""
-
-    # apart from the samples: inside another such tuple they go to no thread
-    taps: Array  # taps, starts, used, gains: of its filter
-    starts: NDArray[np.int64]
-    used: Array
-    gains: Array
-    measured: Array
-    borders: NDArray[np.int64]  # of blocks of outputs
-    age: Short  # age, head: of Runs
-    head: Short
-
-    @classmethod
-    def of(cls, o: Observation, runs: Runs) -> _Outputs:
-        f, measured = o.filter, np.ascontiguousarray(o.measured)
-        borders = _blocks(f.starts, f.taps.size)
-        return cls(f.taps, f.starts, f.used, f.gains, measured, borders, runs.age, runs.head)
-
-
 class PlainMoments:
     """Moments by going through every sample for every vector; holds for every chain.
 
@@ -164,33 +141,33 @@ class PlainMoments:
         self.counts = np.array([n for n, _ in counted], dtype=np.int64)
         self.head_counts = np.array([heads for _, heads in counted]).reshape(len(runs), order)
         self._recordings = [
-            (chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps), _Outputs.of(o, r))
+            (o, chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps), r)
             for o, r in zip(observations, runs, strict=True)
         ]
 
     def at(self, values: Array) -> Moments:
         """Moments at parameter vectors ``(n, n_parameters)``."""
-        n = values.shape[0]
-        flat = np.zeros((n, len(self._recordings), n_entries(self.order)))
-        for i, (samples, outputs) in enumerate(self._recordings):
-            tables = self.chain.tables(values, self._inputs[i])
-            out = np.zeros((n, flat.shape[2]))
-            many = n > 1 and n * samples.speed.size > WORTH_THREADS
-            (_in_threads if many else _in_line)(out, self.order, *tables, samples, outputs)
-            flat[:, i] = out
+        flat = np.empty((values.shape[0], len(self._recordings), n_entries(self.order)))
+        for i, (o, samples, runs) in enumerate(self._recordings):
+            rows = max(1, _AT_ONCE // max(o.q.size, 1))
+            for first in range(0, values.shape[0], rows):
+                some = slice(first, first + rows)
+                tables = self.chain.tables(values[some], o.inputs)
+                residual = o.measured - o.filter.apply(kernels.inverse_many(*tables, samples))
+                flat[some, i] = _products(residual, runs, self.order)
         return unpacked(flat, self.order)
 
 
-def _blocks(starts: NDArray[np.int64], length: int) -> NDArray[np.int64]:
-    """Borders ``(n_blocks + 1,)`` of outputs whose windows span about one block of samples."""
-    # long windows overlap: most of a block should not be done twice
-    reach = max(_BLOCK, 8 * length) - length
-    borders = [0]
-    while borders[-1] < starts.size:
-        begin = borders[-1]
-        nearest = starts[begin : begin + reach + 1]
-        borders.append(begin + int(np.searchsorted(nearest, starts[begin] + reach, side="right")))
-    return np.array(borders, dtype=np.int64)
+def _products(residual: Array, runs: Runs, order: int) -> Array:
+    """Sum the products of residuals ``(n, M)`` with those before them, ``(n, n_entries)``."""
+    whole = np.flatnonzero(runs.age == order)
+    lagged = [residual[:, whole - j] if order else residual for j in range(order + 1)]
+    pairs = [(lagged[j], lagged[k]) for j in range(order + 1) for k in range(j, order + 1)]
+    for length in range(1, order + 1):
+        at = [np.flatnonzero((runs.head == length) & (runs.age == k)) for k in range(length)]
+        rows = [residual[:, one] for one in at]
+        pairs += [(rows[j], rows[k]) for j in range(length) for k in range(j, length)]
+    return np.stack([np.einsum("vm,vm->v", one, other) for one, other in pairs], axis=1)
 
 
 @njit(cache=True, inline="always")
@@ -215,128 +192,3 @@ def head_entry(order: int, length: int, j: int, k: int) -> int:
     """Place of ``r_j r_k``, ``j <= k``, of a head of this length in the flat layout."""
     before = (order + 1) * (order + 2) // 2 + (length - 1) * length * (length + 1) // 6
     return before + j * length - j * (j - 1) // 2 + k - j
-
-
-@njit(cache=True)
-def _accumulate(
-    order: int, residual: Array, n: int, age: Short, head: Short, first: int, out: Array
-) -> None:
-    """Add the products of ``n`` residuals from output ``first`` on; ``order`` older ones lead."""
-    i = 0
-    while i < n:
-        if age[first + i] < order:
-            k = age[first + i]
-            for j in range(k + 1):
-                place = head_entry(order, head[first + i], j, k)
-                out[place] += residual[order + i] * residual[order + i - (k - j)]
-            i += 1
-            continue
-        end = n
-        if order > 0:
-            end = i + 1
-            while end < n and age[first + end] == order:
-                end += 1
-        entry = 0
-        for j in range(order + 1):
-            for k in range(j, order + 1):
-                out[entry] += product_sum(
-                    residual[order + i - j : order + end - j],
-                    residual[order + i - k : order + end - k],
-                )
-                entry += 1
-        i = end
-
-
-@njit(cache=True)
-def _working_space(outputs: _Outputs) -> Any:
-    """Most samples and most outputs of a block."""
-    longest, most = 0, 0
-    starts, borders = outputs.starts, outputs.borders
-    for b in range(borders.shape[0] - 1):
-        last = borders[b + 1] - 1
-        longest = max(longest, starts[last] + outputs.taps.shape[0] - starts[borders[b]])
-        most = max(most, last + 1 - borders[b])
-    return longest, most
-
-
-@njit(cache=True)
-def _block(
-    now: Array,
-    torque: Array,
-    first: int,
-    n: int,
-    elements: Array,
-    load: Array,
-    carried: Array,
-    samples: kernels.Samples,
-    outputs: _Outputs,
-) -> None:
-    """Write ``n`` residuals from output ``first`` on into ``now``."""
-    taps, starts = outputs.taps, outputs.starts
-    length = taps.shape[0]
-    begin, end = starts[first], starts[first + n - 1] + length
-    kernels.inverse_one(elements, load, carried, samples, begin, torque[: end - begin])
-    # slices, since an index that might be negative keeps the compiler from vectorising
-    windows, target = starts[first : first + n], outputs.measured[first : first + n]
-    gain = outputs.gains[first : first + n]
-    counted = outputs.used[begin:end]
-    for i in range(end - begin):
-        torque[i] *= counted[i]
-    if length == 1:
-        for i in range(n):
-            now[i] = target[i] - gain[i] * (taps[0] * torque[windows[i] - begin])
-    else:
-        for i in range(n):
-            at = windows[i] - begin
-            now[i] = target[i] - gain[i] * product_sum(taps, torque[at : at + length])
-
-
-@njit(cache=True)
-def _one_vector(
-    out: Array,
-    order: int,
-    elements: Array,
-    load: Array,
-    carried: Array,
-    samples: kernels.Samples,
-    outputs: _Outputs,
-) -> None:
-    longest, most = _working_space(outputs)
-    torque = np.empty(longest)
-    residual = np.zeros(order + most)
-    borders = outputs.borders
-    for b in range(borders.shape[0] - 1):
-        first, n = borders[b], borders[b + 1] - borders[b]
-        _block(residual[order:], torque, first, n, elements, load, carried, samples, outputs)
-        _accumulate(order, residual, n, outputs.age, outputs.head, first, out)
-        # the next block's first outputs look back at these
-        for i in range(order):
-            residual[i] = residual[n + i]
-
-
-@njit(cache=True)
-def _in_line(
-    out: Array,
-    order: int,
-    elements: Array,
-    load: Array,
-    carried: Array,
-    samples: kernels.Samples,
-    outputs: _Outputs,
-) -> None:
-    for i in range(elements.shape[0]):
-        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, outputs)
-
-
-@njit(cache=True, parallel=True)
-def _in_threads(
-    out: Array,
-    order: int,
-    elements: Array,
-    load: Array,
-    carried: Array,
-    samples: kernels.Samples,
-    outputs: _Outputs,
-) -> None:
-    for i in prange(elements.shape[0]):
-        _one_vector(out[i], order, elements[i], load[i], carried[i], samples, outputs)
