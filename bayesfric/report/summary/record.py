@@ -432,10 +432,9 @@ class Summary(Part):
         """Parameters, then derived quantities, as a table with a line for each.
 
         It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
-        columns of their own, and ``current``, in A, what is a torque of the motor that was measured
-        as one; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd`` are what
-        tables and page print, with room for the model's error; ``posterior_low`` and so on the
-        posterior's own.
+        columns of their own; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd``
+        are what tables and page print, with room for the model's error; ``posterior_low`` and so on
+        the posterior's own.
         """
         import pandas as pd
 
@@ -447,8 +446,6 @@ class Summary(Part):
                 ends: dict[str, float | None] = {"sd": row.told_sd, "posterior_sd": row.sd}
                 ends["low"], ends["high"] = row.told_interval
                 ends["posterior_low"], ends["posterior_high"] = row.interval
-                current = row.current or (None, None, None)
-                ends["current"], ends["current_low"], ends["current_high"] = current
                 ends |= self._checked(name)
                 told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
                 yield {"name": name, "group": group} | told
@@ -470,8 +467,7 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "gauge_free",
     "posterior_low", "posterior_high", "posterior_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
-    "current", "current_low", "current_high")  # fmt: skip
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
 # One that shows itself stays one.
 Own = TypeVar("Own", bound=Summary)
 Readable = Summary | Mapping[str, Any]
