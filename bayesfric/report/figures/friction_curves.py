@@ -61,7 +61,7 @@ class Curve:
     @property
     def median(self) -> Array:
         """The posterior's."""
-        return self.ends[1]
+        return np.asarray(self.ends[1])
 
     @property
     def shown(self) -> Flags:
@@ -109,7 +109,8 @@ def friction_curves(fit: Fit) -> FrictionCurves:
         *(_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in sides if x.size),
     ]
     # nearly all: single jerks would leave the rest no room
-    grid = np.linspace(*np.quantile(place.load, [0.005, 0.995]), _POINTS)
+    ends = [float(x) for x in np.quantile(place.load, [0.005, 0.995])]
+    grid = np.linspace(ends[0], ends[1], _POINTS)
     top = float(np.quantile(np.abs(place.speed), 0.95)) * (1.0 if high > 0.0 else -1.0)
     return FrictionCurves(
         open_scale,
