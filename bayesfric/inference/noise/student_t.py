@@ -25,7 +25,6 @@ _DOF = Scale(
     lower=1.0,
     unit="",
     shared=True,
-    remark="The degrees of freedom of its Student-t have the prior of [@juarez2010].",
 )
 
 
