@@ -165,7 +165,7 @@ def _upright(subscript: str) -> str:
 
 
 def shortened(name: str, most: int = 36) -> str:
-    """Cut a name of the user's to what there is room for, and let no dollar sign set it as formula."""
+    """Cut a name of the user's to what there is room for; no dollar sign sets it as formula."""
     if len(name) > most:
         name = f"{name[: most - 1]}…"
     return name.replace("$", r"\$")
