@@ -21,9 +21,8 @@ def compare(
 
     ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.tex`` and
     ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
-    and ``each-run.csv`` and, where something is pooled, ``figures/population``. Point
-    estimates are shown of a single run only if ``estimates`` is left out. Of what cannot be
-    compared nothing is written.
+    and ``each-run.csv``. Point estimates are shown of a single run only if ``estimates`` is left
+    out. Of what cannot be compared nothing is written.
     """
     summaries = read_summaries(runs)
     if output is None:
@@ -37,7 +36,7 @@ def compare(
         each_run_csv,
     )
     from bayesfric.report.comparison.run_draws import read_draws
-    from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
+    from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.files import check_free, made_beside
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
@@ -57,9 +56,9 @@ def compare(
     pooled = [] if shared_recordings(provenance) else between_runs(checked, draws)
     order = {row.name: k for k, row in enumerate(found.rows)}
     pooled.sort(key=lambda one: order[one.name])
-    compared = ComparedRuns(found, checked, pooled)
     # what cannot be drawn is told before anything is written
-    drawn = {stem: one.draw(compared) for stem, one in comparison_figures().items()}
+    figure = FOREST.draw(found)
+    assert figure is not None
     with made_beside(output) as beside:
         as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {
@@ -71,10 +70,8 @@ def compare(
             texts["between-runs.csv"] = between_runs_csv(pooled)
             texts["each-run.csv"] = each_run_csv(pooled)
         (beside / "figures").mkdir()
-        for stem, figure in drawn.items():
-            if figure is not None:
-                save(figure, beside / "figures", stem)
-        texts["report.html"] = compare_page(beside, compared, provenance)
+        save(figure, beside / "figures", FOREST.stem)
+        texts["report.html"] = compare_page(beside, found, checked, pooled, provenance)
         for name, text in texts.items():
             (beside / name).write_text(text, encoding="utf-8")
     return found

@@ -35,6 +35,8 @@ _SMALL_SIGNED = 1e-2
 # A direction along which the data leave more than this in a logarithm is weak: a factor
 # exp(0.5) = 1.6 either way.
 WEAK = 0.5
+# Share of the prior's sd from which on data do not determine a number.
+WIDE = 0.5
 # Share of the measured torque that counts as one for values the data cannot tell from zero.
 _FELT = 0.1
 # Entries of a null direction smaller than this do not belong to it.
@@ -217,9 +219,9 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
         return "prior"
     width = prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else np.inf
     left, share = posterior_sd / width, posterior_sd / data_sd
-    if left > 0.9 or share < (0.5 if data_sd > 0.5 * width else 0.2):
+    if left > 0.9 or share < (0.5 if data_sd > WIDE * width else 0.2):
         return "prior"
-    return "data" if 0.85 < share < 1.5 and left < 0.5 else "weak"
+    return "data" if 0.85 < share < 1.5 and left < WIDE else "weak"
 
 
 def units_of(target: Target, parameters: Array) -> LocalUnits:

@@ -21,8 +21,6 @@ from bayesfric.recordings.held_out import HeldOut
 _DRAWS = 400
 _BUDGET = 20_000_000
 _BLOCK = 1_000_000
-# Halvings of the interval that a quantile lies in: to less than the width of a line.
-_HALVINGS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +70,6 @@ class Prediction:
             density = self.noise.logpdf(self.measured[part] - self.torque[:, part])
             found[part] = logsumexp(density, axis=0) - np.log(len(self.torque))
         return found
-
-    def quantile(self, probability: float) -> Array:
-        """Predictive quantile, ``(M,)``."""
-        # a mixture's quantile lies between those of its components
-        own = self.noise.ppf(probability)
-        low, high = np.empty(self.measured.size), np.empty(self.measured.size)
-        for part in self._blocks():
-            ends = self.torque[:, part] + own
-            low[part], high[part] = ends.min(axis=0), ends.max(axis=0)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            below = self._probability(middle) < probability
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
-        return np.asarray(0.5 * (low + high))
 
     def _probability(self, x: Array) -> Array:
         """Predictive probability of less than ``x`` ``(M,)``."""

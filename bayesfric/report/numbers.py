@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from decimal import ROUND_HALF_EVEN, Decimal
-from typing import Protocol
 
 from markupsafe import Markup, escape
 
@@ -19,29 +18,6 @@ _DIGITS = 2
 _FINEST = 1e-3
 # Beyond these powers of ten a number is written with an exponent.
 _PLAIN = (-3, 4)
-
-
-class Medium(Protocol):
-    """How one medium writes numbers, by an uncertainty that sets the last digit of all.
-
-    ``limits`` are the signs of an upper and a lower limit, ``none`` what stands for no number.
-    """
-
-    limits: tuple[str, str]
-    none: str
-    sds: bool  # whether its tables have room for sds beside intervals
-
-    def number(self, value: float, digits: int = 4, /) -> str:
-        """Write an exact number."""
-
-    def value(self, value: float, sd: float, /) -> str:
-        """Write a value with its standard deviation."""
-
-    def ends(self, value: float, low: float, high: float, sd: float, /) -> str:
-        """Write a value with its distances to both ends of an interval, for a skewed posterior."""
-
-    def interval(self, low: float, high: float, sd: float, /) -> str:
-        """Write both ends of an interval."""
 
 
 def last_digit(uncertainty: float) -> int:
@@ -114,6 +90,12 @@ def _interval(low: float, high: float, sd: float) -> tuple[list[str], int]:
     last = last_digit(sd)
     exponent = _shared_exponent(max(abs(low), abs(high)), last)
     return [_digits(end, last, exponent) for end in (low, high)], exponent
+
+
+# Media write an exact `number`; a `value` with its sd, or for a skewed posterior with its distances
+# to the `ends` of an interval; and an `interval`: an uncertainty sets the last digit of all.
+# `limits` are the signs of an upper and a lower limit, `none` stands for no number, and `sds` is
+# whether tables have room for sds beside intervals.
 
 
 class _Text:
@@ -208,6 +190,7 @@ class _Html:
         return _scaled(ends, exponent, brackets=False)
 
 
+Medium = _Text | _Latex | _Html
 TEXT, LATEX, HTML = _Text(), _Latex(), _Html()
 
 

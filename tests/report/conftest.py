@@ -68,7 +68,6 @@ def build(
     samples=1500,
     noise_scale="shared",
     thin=3,
-    constant=(),
     ensembles=3,
     spread=1e-3,
     processing=None,
@@ -87,9 +86,6 @@ def build(
     centre = np.append(x, np.full(len(target.noise.names), NOISE))
     rng = np.random.default_rng(5)
     draws = centre * (1 + spread * rng.standard_normal((ensembles, 16, 40, centre.size)))
-    for name in constant:
-        j = target.names.index(name)
-        draws[..., j] = centre[j]
     d = centre.size
     diagnostics = Diagnostics(
         status="reliable",

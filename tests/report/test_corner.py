@@ -118,19 +118,6 @@ def test_all_draws_constant_but_the_noise(make_fit):
     draw_fast(drawn(make_fit(spread=0.0)))
 
 
-@pytest.mark.parametrize("constant", [("motor.viscous",), ("motor.inertia", "joint.viscous")])
-def test_constant_draws(make_fit, constant):
-    fit = make_fit(constant=constant)
-    figure = corner_figure(fit, Summary.read(determined(fit)))
-    draw_fast(figure)
-    j = fit.posterior.names.index(constant[0])
-    (line,) = [
-        a for a in panels(figure)[j, j].lines if a.get_gid() is None and len(a.get_xdata()) == 2
-    ]
-    q = quantities(fit)[j]
-    assert line.get_xdata()[0] == pytest.approx(q.draws[0] / q.factor)
-
-
 def test_contours_hold_the_stated_mass(make_fit):
     from matplotlib.path import Path
 

@@ -7,11 +7,8 @@ import pytest
 
 from bayesfric.report import figures, run_directory
 from bayesfric.report.figures import registry
-from bayesfric.report.figures.registry import (
-    Section,
-    comparison_figures,
-    read_captions,
-)
+from bayesfric.report.figures.forest import FOREST
+from bayesfric.report.figures.registry import Section, read_captions
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.summary.summary import summarise
@@ -69,7 +66,7 @@ def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
 
 
 def test_what_figures_declare():
-    kinds = (run_directory.FIGURES, {ROLL_OUT.stem: ROLL_OUT}, comparison_figures())
+    kinds = (run_directory.FIGURES, {one.stem: one for one in (ROLL_OUT, FOREST)})
     both = {stem: one for kind in kinds for stem, one in kind.items()}
     assert len(both) == sum(map(len, kinds))
     assert {one.section for one in both.values()} == set(get_args(Section))

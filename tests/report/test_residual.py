@@ -13,12 +13,9 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.recordings import Processing
 from bayesfric.report.figures.residual import residual_analysis, residual_figure
 from bayesfric.report.figures.style import PAGE
-from bayesfric.report.page.run_page import run_page
-from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import SLIDE, draw_fast
-from .page_reader import read_page
 
 # Outputs at 100 Hz.
 SLOW = Processing(lowpass=0, decimate=10, dead_zone=0.02)
@@ -166,51 +163,6 @@ def test_no_words_stand_on_bars(knee):
                     beside = (ends[:, 0] < box.x0) | (ends[:, 0] > box.x1)
                     assert (beside | (ends[:, 1].max() < box.y0)).all()
     assert words >= 4
-
-
-def test_what_was_measured_as_a_current_is_told_in_amperes_too(knee, monkeypatch):
-    assert summarise(knee).fit.current_rms is None
-    (o,) = knee.observations
-    monkeypatch.setitem(o.settings, "torque_constant", 0.32)
-    summary = summarise(knee)
-    current = summary.fit.residual_rms / 0.32
-    assert summary.fit.current_rms == pytest.approx(current)
-
-
-def test_torques_of_the_motor_are_told_in_amperes_and_no_others(knee, tmp_path, monkeypatch):
-    (o,) = knee.observations
-    assert not any(row.current for row in summarise(knee).rows.values())
-    # a negative constant: current is counted the other way
-    monkeypatch.setitem(o.settings, "torque_constant", -0.32)
-    summary = summarise(knee)
-    told = {name: row.current for name, row in summary.rows.items() if row.current}
-    # simulated with 0.02 N m of noise
-    assert told["noise.sigma"][0] == pytest.approx(0.02 / 0.32, rel=0.02)
-    assert {name.partition(".")[0] for name in told} == {
-        *("motor", "noise", "total", "total_drive", "total_back")
-    }
-    # of the joint's bearing only what the motor feels of it
-    rest = [name for name, row in summary.rows.items() if row.unit == "N m" and name not in told]
-    assert {name.partition(".")[0] for name in rest} == {"joint"}
-    assert all(summary.rows[name].unit == "N m" for name in told)
-    frame = summary.frame.set_index("name")
-    assert set(frame.index[frame["current"].notna()]) == set(told)
-    ends = frame.loc["motor.coulomb_positive", ["low", "high", "current_low", "current_high"]]
-    np.testing.assert_allclose(ends.iloc[:2].astype(float), 0.32 * ends.iloc[2:].astype(float))
-    table = parameter_table(summary)
-    (note,) = [x for x in table.notes() if "in A" in x]
-    assert f"noise.sigma is {told['noise.sigma'][0]:.3g}" in note
-    page = read_page(run_page(tmp_path, summary, "knee"))
-    (line,) = [r for r in page.all("tr") if r.attrs.get("data-name") == "noise.sigma"]
-    assert f"{told['noise.sigma'][0]:.3g} A [" in line.text
-
-
-def test_behind_an_unknown_gain_only_the_noise_is_a_current(make_fit):
-    fit = make_fit(replace(SLIDE, gain=True), samples=400)
-    (o,) = fit.observations
-    o.settings["torque_constant"] = 5.0
-    told = {name for name, row in summarise(fit).rows.items() if row.current}
-    assert told == {"noise.sigma"}
 
 
 def test_lag_1_is_one_number_in_caption_and_summary(many):

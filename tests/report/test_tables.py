@@ -261,17 +261,8 @@ def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
     assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"
 
 
-def test_latex_notes_have_the_symbols_of_the_table():
-    """One name may begin another, and a text has no symbols."""
-    run = knee()
-    name, other = "motor.inertia", "motor.viscous"
-    for one in (name, other):
-        run["parameters"][one] |= {"torque_constant": 2.0}
-    table = parameter_table(run)
-    (note,) = [text for text in table.notes() if "current was measured" in text]
-    assert f"{name} is " in note
-    below = parameters_latex(table).partition(r"\bottomrule")[2]
-    rows = {r.name: r for r in table.rows}
-    for one in (name, other):
-        assert f"{latex.symbol(rows[one].symbol, one)} is " in below
-        assert one not in below.replace(rf"\texttt{{{one}}}", "")
+def test_notes_have_the_symbols_of_the_table():
+    """One name may begin another."""
+    symbols = {"motor.inertia": "J_{m}", "motor.inertia_2": "J_{2}", "offset": "c"}
+    text = latex.escaped("motor.inertia_2, motor.inertia and the offset")
+    assert latex.with_symbols(text, symbols) == "$J_{2}$, $J_{m}$ and the offset"

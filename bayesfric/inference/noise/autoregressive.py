@@ -41,7 +41,6 @@ def _pacf(lag: int) -> Scale:
         unit="",
         shared=True,
         chosen=True,
-        remark="Its coefficients are told by partial autocorrelations [@barndorff1973].",
     )
 
 

@@ -33,7 +33,6 @@ class Scale:
     shared: bool = False
     # whether the residuals of an estimate say if the noise has it, and how much
     chosen: bool = False
-    remark: str = ""  # a sentence for the methods paragraph, with the reference it rests on
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:
         """Take the prior that a configuration gives by parameter name, or the default."""

@@ -141,8 +141,6 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) ->
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
         highest = max(peak, min(2.0 * peak, highest))
-    else:
-        ax.axvline(float(draws[0]), color=POSTERIOR)
     ax.set(xlim=limits, ylim=(0.0, 1.12 * highest or 1.0))
     ax.set_yticks([])
 
@@ -166,13 +164,6 @@ def _pair(
         look |= {"plot_datapoints": False, "plot_density": False, "fill_contours": filled}
         look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
         corner.hist2d(*pair, ax=ax, quiet=True, **look)
-    else:
-        # a parameter that never changes: the interval of the other one, or a point
-        ends = [
-            np.quantile(v, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]) if _moves(v) else np.repeat(v[0], 2)
-            for v in pair
-        ]
-        ax.plot(*ends, color=POSTERIOR, marker=".", markersize=3.0)
     ax.set(xlim=limits[0], ylim=limits[1])
     few_ticks(ax.yaxis, 3, inner=True)
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from itertools import cycle
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,7 +17,7 @@ from bayesfric.estimates.point_estimate import HALF
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import ComparisonFigure, RunFigure
+from bayesfric.report.figures.registry import Declared, RunFigure
 from bayesfric.report.figures.style import Look, power_of_ten, remark_below, shortened
 from bayesfric.report.summary.derived_quantities import LEVEL
 
@@ -23,8 +25,10 @@ from bayesfric.report.summary.derived_quantities import LEVEL
 _FEW = 4
 _ACROSS = 3
 _HIGHEST = 9.0
-# Inches: between lines, for the axis below a panel, for the legend, a letter of a name.
-_LINE, _AXIS, _LEGEND, _LETTER = 0.155, 0.40, 0.3, 0.054
+# Inches: between lines, for the axis below a panel, for the legend.
+_LINE, _AXIS, _LEGEND = 0.155, 0.40, 0.3
+# Letters that there is room for: of a column's name, of a reference's.
+_LETTERS, _SOURCE = 24, 22
 _MARGIN = 0.65  # lines above the first and below the last
 _REFERENCE = style.PALETTE[2]
 _THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
@@ -41,8 +45,7 @@ _POSTERIORS = ("o", "v", "P", "X", "<", ">")
 _RUNS = (style.POSTERIOR, style.PALETTE[0], style.PALETTE[3])  # orange is a reference's
 
 
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """How a column is drawn: its height in the panels, its marker and colour."""
 
     column: Column
@@ -58,9 +61,9 @@ class _Line:
             "markerfacecolor": self.colour if filled else "white",
         }  # fmt: skip
 
-    def draw(self, ax: Axes, x: list[float], kind: str, look: Look) -> None:
+    def draw(self, ax: Axes, x: Iterable[float], kind: str, look: Look) -> None:
         """Draw a bar of some kind."""
-        ax.plot(x, [self.y] * 2, color=self.colour, gid=kind, **look)
+        ax.plot([*x], [self.y] * 2, color=self.colour, gid=kind, **look)
 
 
 def forest_figure(found: Comparison) -> Figure:
@@ -81,19 +84,16 @@ def forest_figure(found: Comparison) -> Figure:
     room = _LINE * (len(columns) - 1 + 2 * _MARGIN + above) + _AXIS
     most = max(1, int((_HIGHEST - _LEGEND) / room))
     shown = rows[: across * most]
-    deep = -(-len(shown) // across)
     # the run alone where there is nothing but posteriors
     runs = len(columns) > 1 and all(column.kind == "posterior" for column in columns)
-    longest = int((0.4 * width - 0.26) / _LETTER)
-    names = [shortened(c.run if runs else c.label, longest) for c in columns]
-    each = (width - _LETTER * max(map(len, names)) - 0.2) / across - 0.05
-    with style.paper_figure(width, _LEGEND + deep * room) as figure:
+    names = [shortened(c.run if runs else c.label, _LETTERS) for c in columns]
+    lines = _styled(columns)
+    with style.paper_figure(width, _LEGEND + -(-len(shown) // across) * room) as figure:
         panels = style.panel_grid(figure, len(shown), across)
         for k, (ax, row) in enumerate(zip(panels, shown, strict=True)):
             ax.set_ylim(-_MARGIN, len(columns) - 1 + _MARGIN + above)
             ax.set_gid(row.name)
-            lines = _styled(columns)
-            _panel(ax, row, lines, each)
+            _panel(ax, row, lines)
             ax.set_yticks([])
             if k % across == 0:
                 ax.set_yticks([line.y for line in lines], names)
@@ -105,16 +105,15 @@ def forest_figure(found: Comparison) -> Figure:
 
 
 def _styled(columns: list[Column]) -> list[_Line]:
-    lines, posteriors = [], 0
-    for k, column in enumerate(columns):
-        if column.method is not None:
-            marker, colour = _ESTIMATES[column.method]
-        else:
-            marker = _POSTERIORS[posteriors % len(_POSTERIORS)]
-            colour = _RUNS[posteriors % len(_RUNS)]
-            posteriors += 1
-        lines.append(_Line(column, float(len(columns) - 1 - k), marker, colour))
-    return lines
+    posteriors = zip(cycle(_POSTERIORS), cycle(_RUNS), strict=True)
+    return [
+        _Line(
+            c,
+            float(len(columns) - 1 - k),
+            *(_ESTIMATES[c.method] if c.method else next(posteriors)),
+        )
+        for k, c in enumerate(columns)
+    ]
 
 
 def _drawable(found: Comparison) -> list[Row]:
@@ -131,7 +130,7 @@ def _drawable(found: Comparison) -> list[Row]:
     )
 
 
-def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
+def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
     low, high = _range(row)
     exponent = power_of_ten(low, high)
     factor = 10.0**exponent
@@ -147,24 +146,23 @@ def _panel(ax: Axes, row: Row, lines: list[_Line], inches: float) -> None:
             if inside:
                 ax.plot(at, line.y, gid="open", **line.mark(filled=False))
             if cell.span is not None:
-                line.draw(ax, [x / factor for x in cell.span], "span", _SPAN)
+                line.draw(ax, (x / factor for x in cell.span), "span", _SPAN)
             words = "not determined" if cell.converged else "not converged"
             _words(ax, at if inside else None, line.y, words)
         elif cell.status == "limit":
             _limit(ax, line, cell, factor)
         else:
             for ends, kind, look in _bars(cell):
-                line.draw(ax, [end / factor for end in ends], kind, look)
+                line.draw(ax, (end / factor for end in ends), kind, look)
             ax.plot(at, line.y, gid="value", **line.mark())
             if cell.status != "determined":
                 _words(ax, at, line.y, cell.remark)
     if REFERENCE in row.cells:
-        _reference(ax, row.cells[REFERENCE], factor, inches)
-    style.few_ticks(ax.xaxis, max(3, int(inches / 0.4)), inner=True)
+        _reference(ax, row.cells[REFERENCE], factor)
+    style.few_ticks(ax.xaxis, 4, inner=True)
     label = style.axis_label(row.symbol, row.name, exponent, row.unit)
     # names are longer than symbols
-    long = not row.symbol and _LETTER * len(label) > inches
-    ax.set_xlabel(label, fontsize=style.WORDS if long else style.SMALL + 1.0)
+    ax.set_xlabel(label, fontsize=style.SMALL + 1.0 if row.symbol else style.WORDS)
 
 
 def _around(cell: Cell, sd: float) -> tuple[float, float]:
@@ -173,14 +171,10 @@ def _around(cell: Cell, sd: float) -> tuple[float, float]:
 
 def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
     """List the 90 % intervals of what is determined, with kind and look."""
-    if cell.interval is not None and cell.level == LEVEL:
-        ends = cell.interval
-    elif cell.sd is not None:
-        ends = _around(cell, cell.sd)
-    else:
+    if cell.status != "determined" or cell.sd is None:
         return []
-    if cell.status != "determined":
-        return []
+    exact = cell.interval is not None and cell.level == LEVEL
+    ends = cell.interval if cell.interval is not None and exact else _around(cell, cell.sd)
     bars = [(ends, "thick", _THICK)] if cell.accounts else []
     if cell.sd_plain is not None:
         plain = _around(cell, cell.sd_plain) if cell.accounts else ends
@@ -217,14 +211,14 @@ def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
     said.set_in_layout(False)
 
 
-def _reference(ax: Axes, cell: Cell, factor: float, inches: float) -> None:
+def _reference(ax: Axes, cell: Cell, factor: float) -> None:
     at = cell.value / factor
     if cell.sd:
         low, high = (end / factor for end in _around(cell, cell.sd))
         ax.axvspan(low, high, color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
     ax.axvline(at, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
     side, away = ("left", 2.0) if at < sum(ax.get_xlim()) / 2.0 else ("right", -2.0)
-    words = shortened(cell.remark, max(6, int((0.6 * inches - 0.1) / _LETTER)))
+    words = shortened(cell.remark, _SOURCE)
     look: Look = {"xycoords": ax.get_xaxis_transform(), "color": _REFERENCE, "va": "top"}
     look |= {"textcoords": "offset points", "ha": side, "fontsize": style.WORDS}
     ax.annotate(words, (at, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
@@ -287,10 +281,10 @@ METHODS = RunFigure(
     draw=lambda run: forest_figure(comparison({"run": run.summary})),
     caption=f"Every quantity by every method and by the posterior. {_BARS}",
 )
-FOREST = ComparisonFigure(
+FOREST = Declared(
     stem="forest",
     title="Every quantity by every run and method",
     section="side-by-side",
-    draw=lambda compared: forest_figure(compared.found),
+    draw=forest_figure,
     caption=_BARS,
 )

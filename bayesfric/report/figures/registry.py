@@ -1,12 +1,12 @@
 """What a figure declares of itself, and how the figures of this folder are found.
 
-A figure is one file of this folder that holds a :class:`RunFigure` or a
-:class:`ComparisonFigure`; files, captions and the page's words and sections follow from that.
+A figure of a run is one file of this folder that holds a :class:`RunFigure`; files, captions and
+the page's words and sections follow from that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -17,14 +17,11 @@ from matplotlib.figure import Figure
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
-from bayesfric.report.comparison.between_runs import PooledQuantity
-from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.summary.record import Summary
 
-# Of the pages of a run and of a comparison, in their order.
+# Of the page of a run, in their order, and of a comparison.
 Section = Literal[
-    "methods", "ridge", "prediction", "roll-out", "friction", "posterior", "together",
-    "side-by-side",
+    "methods", "ridge", "prediction", "roll-out", "friction", "posterior", "side-by-side",
 ]  # fmt: skip
 
 
@@ -34,15 +31,6 @@ class FinishedRun:
 
     fit: Fit
     summary: Summary
-
-
-@dataclass(frozen=True, eq=False)
-class ComparedRuns:
-    """What the figures of a comparison are made of; see ``bayesfric.report.comparison``."""
-
-    found: Comparison
-    runs: Mapping[str, Summary]
-    pooled: Sequence[PooledQuantity] = ()
 
 
 @dataclass(frozen=True)
@@ -66,26 +54,12 @@ class RunFigure(Declared):
     """A figure of a :class:`FinishedRun`."""
 
 
-class ComparisonFigure(Declared):
-    """A figure of :class:`ComparedRuns`."""
-
-
 @cache
 def run_figures() -> dict[str, Declared]:
     """Find the figures of a run, by stem in the order of the page."""
-    return _found(RunFigure)
-
-
-@cache
-def comparison_figures() -> dict[str, Declared]:
-    """Find the figures of a comparison, by stem in the order of the page."""
-    return _found(ComparisonFigure)
-
-
-def _found(kind: type[Declared]) -> dict[str, Declared]:
     folder = import_module(__package__)
     modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
-    figures = {one for m in modules for one in vars(m).values() if isinstance(one, kind)}
+    figures = {one for m in modules for one in vars(m).values() if isinstance(one, RunFigure)}
     order = get_args(Section)
     ranked = sorted(figures, key=lambda one: (order.index(one.section), one.stem))
     return {one.stem: one for one in ranked}

@@ -164,13 +164,10 @@ def _upright(subscript: str) -> str:
     return re.sub(words, lambda m: rf"\mathrm{{{m[0].replace(' ', chr(92) + ' ')}}}", subscript)
 
 
-def shortened(name: str, most: int = 36, *, keep_end: bool = False) -> str:
-    """Cut a name of the user's to what there is room for, and let no dollar sign set it as formula.
-
-    Runs in one folder differ at the end of their names: ``keep_end`` cuts the beginning.
-    """
+def shortened(name: str, most: int = 36) -> str:
+    """Cut a name of the user's to what there is room for; no dollar sign sets it as formula."""
     if len(name) > most:
-        name = f"…{name[1 - most :]}" if keep_end else f"{name[: most - 1]}…"
+        name = f"{name[: most - 1]}…"
     return name.replace("$", r"\$")
 
 

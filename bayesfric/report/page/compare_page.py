@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 
 from bayesfric.report.alerts import alerts_of
+from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.cell import posterior_cells
+from bayesfric.report.comparison.comparison import Comparison
 from bayesfric.report.comparison.layout import explained
-from bayesfric.report.figures.registry import ComparedRuns, comparison_figures
+from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.page.page_figures import page_figures
 from bayesfric.report.page.provenance import Provenance
 from bayesfric.report.page.rendering import render
@@ -32,11 +34,13 @@ def _counts(run: Summary) -> Iterator[int]:
 
 
 def compare_page(
-    folder: Path, compared: ComparedRuns, provenance: Mapping[str, Provenance | None]
+    folder: Path,
+    found: Comparison,
+    runs: Mapping[str, Summary],
+    pooled: Sequence[PooledQuantity],
+    provenance: Mapping[str, Provenance | None],
 ) -> str:
-    """Write the page of a comparison; figures that ``folder`` lacks are left out."""
-    found, runs, pooled = compared.found, compared.runs, compared.pooled
-    captions = {stem: one.caption_of(compared) for stem, one in comparison_figures().items()}
+    """Write the page of a comparison; a figure that ``folder`` lacks is left out."""
     return render(
         "compare.html.j2",
         title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
@@ -48,6 +52,6 @@ def compare_page(
         unknown=[run for run, one in provenance.items() if not (one and one.known)],
         methods=found,
         explained=list(explained(found)),
-        figures=page_figures(folder, comparison_figures().values(), captions),
+        figures=page_figures(folder, [FOREST], {}),
         version=next(iter(runs.values())).bayesfric,
     )

@@ -22,7 +22,7 @@ from bayesfric.report import numbers
 from bayesfric.report.comparison.cell import Cell, settled_by
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML, finer
-from bayesfric.report.paper.tables import ParameterRow, counts, parameter_table
+from bayesfric.report.paper.tables import ParameterRow, parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.text_templates import FILTERS
 from bayesfric.report.words import clause
@@ -81,7 +81,6 @@ def _environment() -> Environment:
         "named": clause,
         "factor": factor,
         "cell": cell_html,
-        "counts": counts,
         "value_of": value_html,
         "interval_of": interval_html,
         "were_right": were_right_html,

@@ -172,15 +172,6 @@ def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTa
     return ParameterTable(tuple(rows), read)
 
 
-def counts(rows: Sequence[ParameterRow]) -> dict[str, int]:
-    """Count numbers by what settles them: ``data``, ``together``, ``limit``, ``open``.
-
-    Those that are ``doubtful`` are none of these.
-    """
-    by = ["doubtful" if row.cell.doubted else row.by for row in rows]
-    return {key: by.count(key) for key in ("data", "together", "limit", "open", "doubtful")}
-
-
 def parameters_latex(table: ParameterTable) -> str:
     r"""Lay the table out as a ``table*`` for two-column papers.
 

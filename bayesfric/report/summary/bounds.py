@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.report.summary.part import Bound
@@ -43,7 +44,7 @@ def leaning(
 
 def told_by_data(row: PosteriorRow) -> bool:
     """Whether the data say how far from its bound a number may be, with a scale told if need be."""
-    known = row.data_sd is not None and row.data_sd < 0.5 * (row.prior_sd or math.inf)
+    known = row.data_sd is not None and row.data_sd < WIDE * (row.prior_sd or math.inf)
     return known or bool(row.given_by)
 
 

@@ -7,14 +7,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.summary.bounds import held, leaning
 from bayesfric.report.summary.derived_quantities import Groups, spread
 from bayesfric.report.summary.record import ModelError, Own, Summary, of_noise
-
-# Share of the prior's sd from which on data do not determine a number, as in
-# bayesfric.identifiability.local.verdict.
-_WIDE = 0.5
 
 
 def add_model_error(summary: Own, fit: Fit, derived: Groups) -> Own:
@@ -57,6 +54,6 @@ def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
     sd = min(wide["sd"], (high - low) / (2.0 * norm.ppf(0.5 + 0.5 * wide["level"])))
     change = {"model_error_value": wide["median"], "model_error_sd": sd}
     change["model_error_interval"] = wide["interval"]
-    if row.verdict == "data" and row.prior_sd and sd > _WIDE * row.prior_sd:
+    if row.verdict == "data" and row.prior_sd and sd > WIDE * row.prior_sd:
         change["verdict"] = "weak"
     return change

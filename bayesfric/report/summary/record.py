@@ -5,7 +5,7 @@ Tables, page, terminal and comparison are views of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
@@ -433,46 +433,35 @@ class Summary(Part):
         """Parameters, then derived quantities, as a table with a line for each.
 
         It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
-        columns of their own, and ``current``, in A, what is a torque of the motor that was measured
-        as one; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd`` are what
-        tables and page print, with room for the model's error; ``posterior_low`` and so on the
-        posterior's own.
+        columns of their own; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd``
+        are what tables and page print, with room for the model's error; ``posterior_low`` and so on
+        the posterior's own.
         """
         import pandas as pd
 
-        return pd.DataFrame(list(self._lines()), columns=[*_FRAME])
-
-    def _lines(self) -> Iterator[dict[str, Any]]:
+        checked = self.self_check.rows if self.self_check else {}
+        lines = []
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
-                ends: dict[str, float | None] = {"sd": row.told_sd, "posterior_sd": row.sd}
-                ends["low"], ends["high"] = row.told_interval
-                ends["posterior_low"], ends["posterior_high"] = row.interval
-                current = row.current or (None, None, None)
-                ends["current"], ends["current_low"], ends["current_high"] = current
-                ends |= self._checked(name)
-                told = dict(row) | ends | {"doubted": ", ".join(row.doubted)}
-                yield {"name": name, "group": group} | told
+                line = {"name": name, "group": group} | dict(row)
+                line |= {"doubted": ", ".join(row.doubted), "sd": row.told_sd}
+                line |= _ends("", row.told_interval)
+                line |= {"posterior_sd": row.sd} | _ends("posterior_", row.interval)
+                if (one := checked.get(name)) is not None:
+                    line |= dict(one) | _ends("corrected_", one.corrected_interval)
+                lines.append(line)
+        return pd.DataFrame(lines, columns=[*_FRAME])
 
-    def _checked(self, name: str) -> dict[str, float | None]:
-        """Give what the self-check says of a quantity, for the table."""
-        row = self.self_check.rows.get(name) if self.self_check else None
-        low, high = (row.corrected_interval if row else None) or (None, None)
-        return {
-            "bias": row.bias if row else None,
-            "coverage": row.coverage if row else None,
-            "corrected": row.corrected if row else None,
-            "corrected_low": low,
-            "corrected_high": high,
-        }
+
+def _ends(of: str, interval: list[float] | None) -> dict[str, float]:
+    return dict(zip((f"{of}low", f"{of}high"), interval or (), strict=False))
 
 
 _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
     "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
     "contraction", "at_bound", "undefined_share", "gauge_free",
     "posterior_low", "posterior_high", "posterior_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high",
-    "current", "current_low", "current_high")  # fmt: skip
+    "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
 # One that shows itself stays one.
 Own = TypeVar("Own", bound=Summary)
 Readable = Summary | Mapping[str, Any]

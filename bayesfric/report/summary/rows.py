@@ -39,11 +39,6 @@ def sd_towards(other: float, middle: float, interval: Sequence[float], sd: float
     return abs((high if other > middle else low) - middle) / HALF
 
 
-def amperes(torque: float, constant: float) -> float:
-    """Tell a torque of the motor as its current, which a negative constant counts backwards."""
-    return torque / abs(constant)
-
-
 class EstimatedRow(Described):
     """One number of a point estimate, as ``EstimatedValue`` of estimates has it."""
 
@@ -80,11 +75,9 @@ class PosteriorRow(Spread, Described):
     kinds of doubts there are of it, ``undoubted`` its verdict without them (``data`` in older
     files, which do not tell), ``given_by`` parameters whose told priors give it its scale,
     ``mirrored`` the share of outputs in which who drives as it says did drive, where that is too
-    few to see it and it follows from the other way,
-    ``torque_constant`` (N m/A or N/A) is of a torque of the motor that was measured as a current,
-    ``period`` that of an angle, ``of_motion`` whether another motion of the same joint has another
-    value. Priors' texts and diagnostics are of parameters only, ``undefined_share`` of derived
-    quantities.
+    few to see it and it follows from the other way, ``period`` is that of an angle, ``of_motion``
+    whether another motion of the same joint has another value. Priors' texts and diagnostics are of
+    parameters only, ``undefined_share`` of derived quantities.
     """
 
     rhat: FiniteFloat | None = None
@@ -111,23 +104,12 @@ class PosteriorRow(Spread, Described):
     model_error_interval: Pair | None = None
     model_error_sd: NotNegative | None = None
     model_error_value: FiniteFloat | None = None
-    torque_constant: FiniteFloat | None = None
     reported: Reported | None = None
 
     @property
     def value(self) -> float:
         """The one to print."""
         return self.middle if self.reported is None else self.reported.value
-
-    @property
-    def current(self) -> tuple[float, float, float] | None:
-        """What :attr:`value` and the ends of :attr:`told_interval` are in A, if of a current."""
-        if not self.torque_constant:
-            return None
-        middle, low, high = (
-            amperes(x, self.torque_constant) for x in (self.value, *self.told_interval)
-        )
-        return middle, low, high
 
     @property
     def doubtful(self) -> bool:
@@ -257,10 +239,3 @@ class Residual(Part):
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
-
-    @property
-    def current_rms(self) -> float | None:
-        """The residuals' root mean square in A, where a current was measured."""
-        if self.residual_rms is None or not self.torque_constant:
-            return None
-        return amperes(self.residual_rms, self.torque_constant)

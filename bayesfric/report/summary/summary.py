@@ -33,7 +33,6 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
-from bayesfric.report.summary.record import of_noise
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import line_of
@@ -106,7 +105,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = _with_mirrored(_with_currents(Summary.model_validate(found), fit), fit)
+    summary = _with_mirrored(Summary.model_validate(found), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     unseen = fit.chain.unseen_inertia
     warnings = [
@@ -153,26 +152,6 @@ def torque_constant(fit: Fit) -> float | None:
     found = {o.settings.get("torque_constant") for o in fit.observations}
     (only,) = found if len(found) == 1 else (None,)
     return None if only is None else float(only)
-
-
-def _with_currents(summary: Summary, fit: Fit) -> Summary:
-    """Mark torques of the motor, where all of them were measured as one current.
-
-    A loss behind the motor is none, but totals are. An unknown ``drive.gain`` stands between
-    current and torque: then only the noise, which is of what was measured, is one.
-    """
-    constant, chain = torque_constant(fit), fit.chain
-    if constant is None:
-        return summary
-    unit = fit.target.likelihood.outputs[0].unit
-    at_motor = {p.name for p in chain.parameters if p.owner in ("", chain.elements[0].name)}
-    names = [
-        name
-        for name, row in summary.rows.items()
-        if row.unit == unit
-        and (of_noise(name) or (not chain.gain and (name in at_motor or name in summary.derived)))
-    ]
-    return summary.with_rows({name: {"torque_constant": constant} for name in names})
 
 
 def _with_mirrored(summary: Summary, fit: Fit) -> Summary:
