@@ -303,9 +303,9 @@ def test_file(bench, file, parts):
         ("nothing", 'preset = "motor-axis"', "", ["c.toml: mechanism: describes no joint; set"]),
         ("slides", "preset", 'motion = "linear"\npreset', ["'q'", "a length like", "'rad'"]),
         # no TOML
-        ("quote", '"motor-axis"', '"motor-axis', ["c.toml, line 2", "is no TOML", '"quotes"']),
-        ("bare", '"motor-axis"', "motor-axis", ["line 2: 'preset = motor-axis' is no TOML"]),
-        ("twice", "order = 4", "order = 4\norder = 5", ["line 12: 'order = 5' is there twice"]),
+        ("quote", '"motor-axis"', '"motor-axis', ["c.toml: is no TOML", "line 2", '"quotes"']),
+        ("bare", '"motor-axis"', "motor-axis", ["c.toml: is no TOML", "line 2"]),
+        ("twice", "order = 4", "order = 4\norder = 5", ["c.toml: is no TOML", "line 12"]),
         ("digits", "seed = 1", "seed = 1" + "1" * 5000, ["c.toml: is no TOML"]),
         ("brackets", PRIOR, "a = " + "[" * 9000, ["c.toml: is no TOML"]),
         ("deep", PRIOR, "a = " + "[" * 250 + "]" * 250, ["c.toml: is nested too deep"]),
