@@ -23,11 +23,11 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.forward import simulate
+from bayesfric.options import Options
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.tables.reader import Options
 
 # Recordings that are simulated where none are asked for, and samples in all: of long recordings
 # fewer are made, as the check should never take longer than the sampling.

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from bayesfric.recordings.tables.reader import Options
+from bayesfric.options import Options
 from bayesfric.recordings.units import in_unit
 
 

@@ -15,8 +15,7 @@ from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, at_joint, without
 from bayesfric.export.carried import AROUND, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.error import SPAN, wrong
-from bayesfric.export.format import Content, Files, Format, Options, filled, format_of
-from bayesfric.export.pendulum import pendulum
+from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
 from bayesfric.finished_run import Finished, finished
 from bayesfric.recordings.arrays import Array

@@ -28,12 +28,12 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import Joint
+from bayesfric.options import Options
 from bayesfric.population.options import PoolingOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
-from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import in_unit
 
 if TYPE_CHECKING:

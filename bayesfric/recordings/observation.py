@@ -31,7 +31,16 @@ from bayesfric.recordings.filters import (
 )
 from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import LeftOut, Measurement
-from bayesfric.recordings.moving import compared_parts, moving_samples, near, too_slow, trimmed
+from bayesfric.recordings.moving import (
+    Rest,
+    at_rest,
+    compared_parts,
+    moving_samples,
+    near,
+    rests,
+    too_slow,
+    trimmed,
+)
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
@@ -44,7 +53,6 @@ from bayesfric.recordings.resolution import (
     resolve,
     too_coarse,
 )
-from bayesfric.recordings.rest import Rest, at_rest, rests
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10

@@ -21,8 +21,7 @@ from bayesfric.export.at_joint import (
 )
 from bayesfric.export.carried import carried, lost_terms
 from bayesfric.export.central import central
-from bayesfric.export.format import formats
-from bayesfric.export.pendulum import pendulum
+from bayesfric.export.format import formats, pendulum
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES

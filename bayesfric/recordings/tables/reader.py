@@ -15,17 +15,12 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bayesfric.errors import BadInput, Unfit
+from bayesfric.options import Options
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import in_unit
-
-
-class Options(BaseModel):
-    """Options that refuse keys they do not know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 def _name_formats(schema: dict[str, Any]) -> None:
