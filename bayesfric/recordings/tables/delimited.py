@@ -194,4 +194,4 @@ def _refuse_ragged(
             )
 
 
-READER = Reader("csv", (".csv", ".tsv", ".txt", ".dat"), read_delimited)
+READERS = (Reader("csv", (".csv", ".tsv", ".txt", ".dat"), read_delimited),)

@@ -87,11 +87,11 @@ class Reader:
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Find the readers: what every module of this folder calls ``READER``, by name."""
+    """Find the readers: what every module of this folder calls ``READERS``, by name."""
     package = import_module("bayesfric.recordings.tables")
     names = (f"{package.__name__}.{m.name}" for m in pkgutil.iter_modules(package.__path__))
-    found = (getattr(import_module(name), "READER", None) for name in names)
-    return {reader.name: reader for reader in found if isinstance(reader, Reader)}
+    found = (one for name in names for one in getattr(import_module(name), "READERS", ()))
+    return {reader.name: reader for reader in found}
 
 
 def read_table(path: Path, options: TableOptions) -> Table:
