@@ -29,7 +29,6 @@ from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import Joint
 from bayesfric.options import Options
-from bayesfric.population.options import PoolingOptions
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
@@ -83,6 +82,16 @@ class LikelihoodOptions(Options):
         le=1e5,
         description="s after which the output-error simulation starts anew",
         json_schema_extra=in_unit("s"),
+    )
+
+
+class PoolingOptions(Options):
+    """The ``[pooling]`` table: parameters that may differ between recordings."""
+
+    vary: dict[str, Literal["recording"]] = Field(
+        default_factory=dict,
+        examples=[{"motor.viscous": "recording", "offset": "recording"}],
+        description='which, by name: { "motor.viscous" = "recording" }; all others are shared',
     )
 
 
