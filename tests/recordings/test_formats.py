@@ -267,7 +267,7 @@ def test_a_format_is_one_file(tmp_path, monkeypatch):
     t, q, tau = swing()
     np.concatenate([t, q, tau]).tofile(tmp_path / "run.raw")
     message = refused(tmp_path, source("run.raw"))
-    has(message, "'.raw'", "parquet, npz, csv, hdf5, mat, json, jsonl, ros")
+    has(message, "'.raw'", "csv, hdf5, mat, json, jsonl, parquet, npz, ros")
     monkeypatch.setattr(tables, "__path__", [*tables.__path__, str(tmp_path)])
     readers.cache_clear()
     try:
