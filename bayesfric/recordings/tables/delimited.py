@@ -109,8 +109,7 @@ def _delimiter(path: Path, lines: Sequence[str], options: TableOptions) -> str:
     if options.decimal == ",":
         best = max(_CANDIDATES[1:], key=lambda c: numbers(c, ","))
     elif max(numbers(c, ",") for c in _CANDIDATES[1:]) > numbers(best, "."):
-        what = "its numbers have a decimal comma"
-        raise BadInput(f"{path}, line {len(lines)}", what, 'set decimal = ","')
+        raise BadInput(str(path), "its numbers have a decimal comma", 'set decimal = ","')
     return best
 
 
