@@ -14,8 +14,7 @@ from bayesfric.identifiability.identification import Identification
 from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond
-from bayesfric.problem.problem import Problem
-from bayesfric.problem.starting_point import StartingPoint
+from bayesfric.problem.problem import Problem, StartingPoint
 from bayesfric.report.shown import Summary
 from bayesfric.report.summary.bounds import limits_of_losses
 from bayesfric.report.summary.conclusions import put_reported

@@ -21,8 +21,7 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.rests_beyond import rests_beyond
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.problem.problem import Problem
-from bayesfric.problem.starting_point import StartingPoint, starting_point
+from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.progress import Progress, Shown
 from bayesfric.result import Result
 

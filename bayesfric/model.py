@@ -27,8 +27,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.notebook import html_table
 from bayesfric.pooled_fit import Pooled, pooled
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
-from bayesfric.problem.problem import Problem
-from bayesfric.problem.starting_point import StartingPoint, starting_point
+from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.progress import Progress, Shown, by_method, progress_shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.recording import Recording

@@ -13,8 +13,7 @@ from bayesfric.inference.posterior import Status
 from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
-from bayesfric.problem.problem import Problem
-from bayesfric.problem.starting_point import starting_point
+from bayesfric.problem.problem import Problem, starting_point
 from bayesfric.progress import Progress, Shown, Spent
 
 LEVEL = 0.9

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -45,19 +45,7 @@ class Spent:
         return spent_text(self)
 
 
-class Timed(Protocol):
-    """What knows the time it took."""
-
-    @property
-    def seconds(self) -> float:
-        """By the clock."""
-
-    @property
-    def cpu_seconds(self) -> float:
-        """Of processors."""
-
-
-def spent_text(of: Timed) -> str:
+def spent_text(of: Any) -> str:
     """Word what time was taken."""
     return f"{of.seconds:.1f} s by the clock, {of.cpu_seconds:.1f} s of CPU time"
 

@@ -43,8 +43,8 @@ LONG = {
         face own_term""",
     "commands": """
         advise again alerts bad_input bad_output compare complete delay doubts estimate
-        estimate_odd explain fit identify init_from little_explained own_offsets
-        pool report resume simulate_check_init validation viscous_by_direction voltage""",
+        estimate_odd explain fit found_files identify init_from little_explained own_offsets
+        pool report resume simulate_check_init validation voltage""",
     "diagnostics": """
         explanation self_check""",
     "estimates": """

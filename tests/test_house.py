@@ -16,8 +16,8 @@ from tests.conftest import REPOSITORY
 HOUSE = REPOSITORY / "bayesfric"
 # From the ground up, and on a floor from left to right: each imports only what stands before it.
 FLOORS = (
-    ("version", "errors", "configuration_errors", "notebook", "opened", "progress", "robust",
-     "templates", "threads"),
+    ("version", "errors", "configuration_errors", "notebook", "opened", "options", "progress",
+     "robust", "templates", "threads"),
     ("recordings",),
     ("mechanism",),
     ("estimates",),

@@ -1,6 +1,6 @@
 """A run that is not finished: its checkpoints beside the run directory, its lock, its end.
 
-One process at a time is in a folder (by ``filelock``, and who is there, for the one that is not);
+One process at a time is in a folder (by ``filelock``);
 Ctrl-C and SIGTERM wait while something is done that should not break off anywhere.
 """
 
@@ -11,7 +11,6 @@ import json
 import os
 import platform
 import signal
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -26,14 +25,12 @@ from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.model import Model
-from bayesfric.opened import read_text
 from bayesfric.report.files import parents_made
 from bayesfric.version import __version__
 
 # How a disk without locks tells it: better one run without than none at all.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
-# Files of a lock.
-LOCK, OWNER = "lock", "lock.owner"
+LOCK = "lock"
 
 
 @dataclass
@@ -142,7 +139,7 @@ def _set_aside(place: Path) -> None:
     old.mkdir()
     # the manifests last: with one of them there, it can still be told what this was
     for path in sorted(place.iterdir(), key=lambda path: path.suffix == ".json"):
-        if path.name not in (LOCK, OWNER):
+        if path.name != LOCK:
             path.rename(old / path.name)
 
 
@@ -181,7 +178,7 @@ def alone_in(folder: Path, run: Path) -> Iterator[None]:
 
     The operating system gives the lock back when a process ends, however it ends.
     """
-    lock, owner = FileLock(folder / LOCK), folder / OWNER
+    lock = FileLock(folder / LOCK)
     while True:
         folder.mkdir(exist_ok=True)
         try:
@@ -189,23 +186,17 @@ def alone_in(folder: Path, run: Path) -> Iterator[None]:
         except FileNotFoundError:
             continue  # its owner just left and removed the folder
         except Timeout:
-            name = "another process"
-            with suppress(BadInput):
-                name = read_text(owner, largest=1000).strip() or name
-            what = f"{name} is making this run"
+            what = "another process is making this run"
             raise BadInput(str(run), what, "wait for it, or name another with -o") from None
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
         break
     try:
-        owner.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
         yield
     finally:
         # nobody can take it before it is released, and who waits finds it gone
-        for path in (owner, folder / LOCK):
-            with suppress(OSError):
-                path.unlink()
         with suppress(OSError):
+            (folder / LOCK).unlink()
             folder.rmdir()
         lock.release()

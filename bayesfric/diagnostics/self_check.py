@@ -21,9 +21,9 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.forward import simulate
+from bayesfric.options import Options
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.tables.reader import Options
 
 # Longest step, in units of the parameters, along which quantities are taken to be linear.
 _SMALL = 1e-3

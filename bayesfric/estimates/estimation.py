@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from bayesfric.recordings.tables.reader import Options
+from bayesfric.options import Options
 from bayesfric.recordings.units import in_unit
 
 

@@ -30,8 +30,6 @@ class Wrong:
 
     difference: Array  # (M,) along the recorded motion, measured motor torque, N m or N
     whole: Array  # (M,) torque of the fitted joint, as above
-    free: Array  # (M,) what inertia, gravity and springs alone take of it
-    load: Array  # (M,) torque of the link at the joint
     motion_rms: float | None  # rad or m, SPAN s from the same state; None where none could be run
 
     def as_dict(self) -> dict[str, Any]:
@@ -72,19 +70,13 @@ def wrong(
     whole = torque_along(chain, here, motions)[0]
     plain = simulator_joint(chain.load.motion, chain.load.gravity)
 
-    def taken(**other: Array) -> Array:
-        there = simulator_vectors(plain, {**numbers, **other})
-        return np.asarray(torque_along(plain, there, motions)[0])
-
-    none = np.zeros(1)
-    free = {"friction": none, "damping": none, "quadratic": none}
-    link = {**free, "armature": none, "torque_offset": none, "gain": np.ones(1)}
     motion: list[Array] = []
     if torque is None:
         there = simulator_vectors(plain, numbers)
-        torque, motion = taken(), _motion(chain, here, plain, there, trajectories)
+        torque = np.asarray(torque_along(plain, there, motions)[0])
+        motion = _motion(chain, here, plain, there, trajectories)
     rms = rms_of(np.concatenate(motion)) if motion else None
-    return Wrong(torque - whole, whole, taken(**free), taken(**link), rms)
+    return Wrong(torque - whole, whole, rms)
 
 
 def _motion(

@@ -15,14 +15,11 @@ from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, at_joint, without
 from bayesfric.export.carried import AROUND, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.error import SPAN, wrong
-from bayesfric.export.figure import ExportPicture, export_figure
-from bayesfric.export.format import Content, Files, Format, Options, filled, format_of
-from bayesfric.export.pendulum import pendulum
+from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
 from bayesfric.finished_run import Finished, finished
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import trajectory
-from bayesfric.report.figures.style import save
 from bayesfric.report.files import check_free, made_beside
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL
@@ -39,7 +36,6 @@ class Exported:
 
     record: dict[str, Any]
     files: Files
-    picture: ExportPicture
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``export.json`` holds and the command prints."""
@@ -56,7 +52,7 @@ class Exported:
         return filled("export.txt.j2", **self.record, level=100 * LEVEL).rstrip()
 
     def write(self, folder: Path | str, *, force: bool = False) -> list[str]:
-        """Write the files, what they lose (``export.json``) and the figure; give their paths.
+        """Write the files and what they lose (``export.json``); give their paths.
 
         ``force`` is whether an old folder may be kept under another name. ``BadInput`` if something
         is there already, or cannot be written; nothing is left behind.
@@ -70,8 +66,7 @@ class Exported:
     @property
     def names(self) -> list[str]:
         """Files that are written."""
-        more = ("export.json", "torque-error.pdf", "torque-error.svg", "torque-error.png")
-        return [*self.files, *more]
+        return [*self.files, "export.json"]
 
     def _fill(self, folder: Path) -> None:
         for name, content in self.files.items():
@@ -79,7 +74,6 @@ class Exported:
             (folder / name).write_bytes(data)
         text = json.dumps(self.record, indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "export.json").write_text(text + "\n", encoding="utf-8")
-        save(export_figure(self.picture), folder, "torque-error")
 
 
 def export(
@@ -101,7 +95,7 @@ def export(
         From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
     to
         ``mujoco``, ``urdf``, ``sdf``, ``drake``, ``pinocchio``, ``isaac``, ``bam``,
-        ``ros2-control``, ``csv``, ``parquet``, ``npz``, ``c`` or ``python``.
+        ``ros2-control``, ``csv``, ``npz``, ``c`` or ``python``.
     output
         Folder to make; nothing is written if left out.
     force
@@ -113,7 +107,7 @@ def export(
     into
         MuJoCo: model whose joint is changed.
     draws
-        CSV, Parquet and NPZ: how many.
+        CSV and NPZ: how many.
 
     Returns
     -------
@@ -201,7 +195,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     remarks = [_harmless(x) for x in filled("remarks.txt.j2", **record).splitlines() if x]
     files = form.write(Content(found, options, told, numbers, spread, motions, remarks))
     record["files"] = list(files)
-    return Exported(record, files, ExportPicture(chain, motions, error, form.name))
+    return Exported(record, files)
 
 
 def _harmless(remark: str) -> str:

@@ -14,9 +14,9 @@ from pydantic import Field, model_validator
 from bayesfric.errors import BadInput, Unfit, nearest
 from bayesfric.fleet.fleet_units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
 from bayesfric.fleet.results import COLUMNS
+from bayesfric.options import Options
 from bayesfric.problem.config import checked_toml, parse_config, read_toml
 from bayesfric.problem.config_text import document_text
-from bayesfric.recordings.tables.reader import Options
 
 
 class UnitsOptions(Options):

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from bayesfric.errors import Unfit
-from bayesfric.recordings.tables.reader import Options
+from bayesfric.options import Options
 from bayesfric.recordings.units import Kilograms, Metres, in_unit
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -28,20 +28,17 @@ from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import Joint
 from bayesfric.opened import read_json, read_text
-from bayesfric.population.options import PoolingOptions
+from bayesfric.options import Options
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
-from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import in_unit
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
 # A configuration is a page of text; anything larger is some other file.
 _LARGEST = 1_000_000
-# tomllib takes time with the square of a dotted key's length
-_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
 _NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
 
 Checked = TypeVar("Checked", bound=BaseModel)
@@ -89,6 +86,16 @@ class LikelihoodOptions(Options):
         le=1e5,
         description="s after which the output-error simulation starts anew",
         json_schema_extra=in_unit("s"),
+    )
+
+
+class PoolingOptions(Options):
+    """The ``[pooling]`` table: parameters that may differ between recordings."""
+
+    vary: dict[str, Literal["recording"]] = Field(
+        default_factory=dict,
+        examples=[{"motor.viscous": "recording", "offset": "recording"}],
+        description='which, by name: { "motor.viscous" = "recording" }; all others are shared',
     )
 
 
@@ -282,16 +289,13 @@ def chain_of(config: str) -> Joint | None:
 
 def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
     """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
-    if found := _LONG_KEY.search(text):
-        line = text.count("\n", 0, found.start()) + 1
-        raise BadInput(f"{path}, line {line}", "a key has more than 50 parts", "correct the file")
     try:
         document = tomllib.loads(text)
         # Checked as JSON, because pydantic then takes lists for tuples and still does not
         # take true for 1 or "yes" for true.
         as_json = json.dumps(document, default=str)
     except (ValueError, RecursionError) as error:
-        raise _no_toml(path, text, str(error)) from None
+        raise _no_toml(path, str(error)) from None
     if _NUL.search(as_json):
         raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
@@ -303,18 +307,9 @@ def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Chec
         raise configuration_error(f"{path}: ", kind, error, document, model) from None
 
 
-def _no_toml(path: Path, text: str, message: str) -> BadInput:
-    found = re.fullmatch(r"(.*) \(at line (\d+), column \d+\)", message, re.DOTALL)
-    if not found:
-        reason = message.partition(";")[0]
-        return BadInput(str(path), f"is no TOML ({reason})", "correct the file")
-    line = text.split("\n")[int(found[2]) - 1].strip()
-    where = f"{path}, line {found[2]}"
-    if found[1].startswith("Cannot "):
-        return BadInput(where, f"{line[:60]!r} is there twice ({found[1]})", "leave one out")
-    return BadInput(
-        where, f"{line[:60]!r} is no TOML ({found[1]})", 'write key = value, with text in "quotes"'
-    )
+def _no_toml(path: Path, message: str) -> BadInput:
+    mend = 'write key = value, each key once, with text in "quotes"'
+    return BadInput(str(path), f"is no TOML ({message.partition(';')[0]})", mend)
 
 
 def _flatten(

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from bayesfric.errors import BadInput, nearest
+from bayesfric.options import Options
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import in_unit
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that

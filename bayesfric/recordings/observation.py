@@ -31,7 +31,16 @@ from bayesfric.recordings.filters import (
 )
 from bayesfric.recordings.inputs import Inputs, Signal
 from bayesfric.recordings.measurement import LeftOut, Measurement
-from bayesfric.recordings.moving import compared_parts, moving_samples, near, too_slow, trimmed
+from bayesfric.recordings.moving import (
+    Rest,
+    at_rest,
+    compared_parts,
+    moving_samples,
+    near,
+    rests,
+    too_slow,
+    trimmed,
+)
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
@@ -44,7 +53,6 @@ from bayesfric.recordings.resolution import (
     resolve,
     too_coarse,
 )
-from bayesfric.recordings.rest import Rest, at_rest, rests
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
@@ -160,7 +168,7 @@ def observe(recording: Measurement, processing: Processing) -> Observation:
         speed = derivative(q, segments, period, numbers.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
         late = checks.speed_delay(qd, speed, compared, period)
-        warnings += _velocity_warnings(factor, late)
+        warnings += _velocity_warnings(factor, late, recording.ratio)
         # a smaller one may come of filters
         if factor is not None and not 0.5 < factor < 2.0:
             mismatch["velocity_factor"] = factor
@@ -490,7 +498,7 @@ def _band_warnings(numbers: _Numbers) -> Iterator[str]:
         )
 
 
-def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str]:
+def _velocity_warnings(factor: float | None, late: float | None, ratio: float) -> Iterator[str]:
     if late is not None:
         yield (
             f"velocity: comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
@@ -500,12 +508,12 @@ def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str
         return
     if factor is None:
         return
-    said = f"is {factor:.3g} times" if factor else "has nothing to do with"
-    yield (
-        f"velocity: {said} the differentiated position: are its column, unit, sign and side right, "
-        "and does no drive filter it? Inertia and speed losses come out wrong by as much; without "
-        "its line the position is differentiated"
-    )
+    said = f"is {factor:.3g} times the differentiated position: "
+    if factor == 0.0:
+        said = "has nothing to do with the differentiated position: is it the right column"
+    else:
+        said += checks.taken_for(factor, ratio)
+    yield f"velocity: {said}? Inertia and speed losses come out wrong by as much"
 
 
 def _end_of_band(numbers: _Numbers) -> float:

@@ -7,8 +7,8 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from bayesfric.errors import Unfit
+from bayesfric.options import Options
 from bayesfric.recordings import units
-from bayesfric.recordings.tables.reader import Options
 from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds, in_unit
 
 

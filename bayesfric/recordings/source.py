@@ -7,9 +7,10 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from bayesfric.errors import Unfit
+from bayesfric.options import Options
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import Lag
-from bayesfric.recordings.tables.reader import Options, TableOptions
+from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
 
 CHANNELS = (

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,22 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 from bayesfric.finished_run import Finished, finished
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
+from bayesfric.opened import read_text
+from bayesfric.problem.config import Config, parse_config, read_config
+from bayesfric.problem.config_text import config_of, document_text, recording_table
+from bayesfric.problem.problem import Problem
 from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.moving import without_excluded
+from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
-from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Rolled, RollOut
-from bayesfric.rollouts.recordings import Recorded, of_config, of_recordings, own
-from bayesfric.rollouts.unexplained import played, unexplained
+from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
 Array = NDArray[np.float64]
 # Fitted recordings that say how much of the unexplained torque moves the joint, at most.
@@ -295,3 +302,137 @@ def _compared(
     rms, width = np.sqrt(np.mean(left**2)), np.median((band[1] - band[0])[used])
     error = Error(float(np.mean(np.abs(left))), float(rms), inside, inside_alone, float(width))
     return band, narrow, middle, error
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recording to be played, as read and as prepared."""
+
+    measurement: Measurement
+    observation: Observation
+    part: Part
+
+
+def own(posterior: Finished, *, every: bool = False) -> list[Recorded]:
+    """Take what the run held out; what it fitted where it held nothing out, or with ``every``."""
+    model = posterior.model
+    held = [Recorded(one.recording, one.observation, "held out") for one in model.held_out]
+    if held and not every:
+        return held
+    pairs = zip(model.recordings, model.observations, strict=True)
+    return [*held, *(Recorded(m, o, "fitted") for m, o in pairs)]
+
+
+def of_config(posterior: Finished, path: Path) -> list[Recorded]:
+    """Read the recordings of another configuration, which may leave out what the run's says.
+
+    Raises
+    ------
+    BadInput
+        If it describes another mechanism than the run's, or for what cannot be used.
+    """
+    run = tomllib.loads(posterior.model.config.text)
+    try:
+        document = tomllib.loads(read_text(path, "name the .toml file"))
+    except (ValueError, RecursionError):
+        read_config(path)  # says what is wrong
+        raise
+    for table in ("mechanism", "processing"):
+        if table in run:
+            document.setdefault(table, run[table])
+    if document["mechanism"].get("terms") == "auto":  # what was put in, only the run knows
+        document["mechanism"] = run["mechanism"]
+    config = parse_config(document_text(document), path)
+    if config.tables.mechanism != posterior.model.config.tables.mechanism:
+        raise BadInput(
+            f"{path}: mechanism", "is not the run's", "leave it out: it is taken from the run"
+        )
+    return _new(posterior, config, None)
+
+
+def of_recordings(posterior: Finished, recordings: Sequence[Recording]) -> list[Recorded]:
+    """Read recordings made in Python, prepared as the run's."""
+    run = tomllib.loads(posterior.model.config.text)
+    document: dict[str, Any] = {k: run[k] for k in ("mechanism", "processing") if k in run}
+    tables = [recording_table(one, n) for n, one in enumerate(recordings, start=1)]
+    return _new(posterior, config_of({**document, "recordings": tables}), recordings)
+
+
+def _new(
+    posterior: Finished, config: Config, recordings: Sequence[Recording] | None
+) -> list[Recorded]:
+    made = Problem.from_config(config, terms=posterior.joint.terms, recordings=recordings)
+    parts = [*zip(made.recordings, made.observations, strict=True)]
+    parts += [(one.recording, one.observation) for one in made.held_out]
+    return [Recorded(m, o, _part(posterior, m)) for m, o in parts]
+
+
+def _part(posterior: Finished, m: Measurement) -> Part:
+    """Say whether any of it was fitted: a piece of a file that was is not new by another name."""
+    same = (one for one in posterior.model.recordings if one.sha256 == m.sha256)
+    within = any(one.time[0] <= m.time[-1] and m.time[0] <= one.time[-1] for one in same)
+    return "fitted" if within else "new"
+
+
+# Draws that the residuals are those of the mean of.
+_DRAWS = 100
+# Mean length of a piece in times over which residuals remember, and outputs at least.
+_MEMORIES, _LEAST = 10.0, 10
+# Of the outputs, the longest memory that is looked for.
+_LONGEST = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Residuals of one recording, N m or N, one each ``period`` s."""
+
+    values: Array
+    period: float
+
+
+def unexplained(posterior: Finished) -> list[Series]:
+    """Take the torque residuals of every fitted recording."""
+    likelihood = TorqueLikelihood(posterior.joint, posterior.model.observations)
+    predicted = likelihood.predict(posterior.values(posterior.picked(_DRAWS)))
+    return [
+        Series(o.measured - rows.mean(axis=0), o.period)
+        for o, rows in zip(posterior.model.observations, predicted, strict=True)
+    ]
+
+
+def played(
+    series: list[Series], draws: int, samples: int, period: float, rng: np.random.Generator
+) -> Array:
+    """Draw torques ``(draws, samples)``, one each ``period`` s, of pieces of residuals.
+
+    A piece is of any recording, begins anywhere in it, and has either sign; between its outputs
+    the torque goes straight.
+    """
+    lengths = np.array([one.values.size for one in series], dtype=np.float64)
+    memories = [memory(one.values) for one in series]
+    duration = samples * period
+    out = np.zeros((draws, samples))
+    time = np.arange(samples) * period
+    for row in out:
+        stamps, values, now = [], [], 0.0
+        while now <= duration:
+            k = int(rng.choice(len(series), p=lengths / lengths.sum()))
+            one = series[k]
+            mean = max(_LEAST, _MEMORIES * memories[k])
+            length = min(1 + int(rng.geometric(1.0 / mean)), one.values.size)
+            first = int(rng.integers(one.values.size))
+            place = (first + np.arange(length)) % one.values.size
+            stamps.append(now + one.period * np.arange(length))
+            values.append(rng.choice((-1.0, 1.0)) * one.values[place])
+            now = stamps[-1][-1] + one.period
+        row[:] = np.interp(time, np.concatenate(stamps), np.concatenate(values))
+    return out
+
+
+def memory(values: Array) -> float:
+    """Integrated autocorrelation time in outputs, up to the first correlation below zero."""
+    if not np.ptp(values) > 0.0:
+        return 1.0
+    r = autocorrelation(values[np.newaxis])[1 : max(2, int(_LONGEST * values.size))]
+    end = int(np.argmax(r <= 0.0)) if (r <= 0.0).any() else r.size
+    return 1.0 + 2.0 * float(r[:end].sum())

@@ -9,8 +9,7 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from bayesfric.commands.keys import Key, key_tables
-from bayesfric.commands.schema import Kind
+from bayesfric.commands.keys import Key, Kind, key_tables
 from bayesfric.diagnostics.candidates import BY_NAME
 from bayesfric.mechanism.quantities import CYCLES
 from bayesfric.report.words import words

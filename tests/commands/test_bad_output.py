@@ -127,9 +127,17 @@ def test_simulate_replaces_its_own(bench):
             "amplitud = 1",
             ["simulation.amplitud: unknown key; did you mean 'amplitude'?"],
         ),
-        ("negative", "amplitude = -1", ["simulation.amplitude: got -1; give more than 0"]),
-        ("true", "amplitude = true", ["simulation.amplitude: got true; give a number"]),
-        ("unit", 'duration = "10 s"', ["duration: got '10 s'; give a number, without quotes or u"]),
+        (
+            "negative",
+            "amplitude = -1",
+            ["simulation.amplitude: got -1; it should be greater than 0"],
+        ),
+        (
+            "true",
+            "amplitude = true",
+            ["simulation.amplitude: got true; it should be a valid number"],
+        ),
+        ("unit", 'duration = "10 s"', ["duration: got '10 s'; it should be a valid number"]),
         ("short", "duration = 0.001", ["simulation.duration: makes fewer than 10 samples"]),
         ("endless", "duration = 1e5\nrate = 1e6", ["simulation.duration: makes 1e+11 samples"]),
         ("no-chirp", 'excitation = "chirp"\nfrequencies = []', ["frequencies: is empty"]),
@@ -137,7 +145,11 @@ def test_simulate_replaces_its_own(bench):
         ("mass", "added_mass = 1", ["simulation.added_mass: has no radius"]),
         ("name", 'parameters = {"moter.inertia" = 1}', ["no such parameter", "'motor.inertia'?"]),
         ("value", 'parameters = {"motor.inertia" = -1}', ["-1 is no possible value"]),
-        ("no-number", 'parameters = {"motor.inertia" = "a"}', ["got 'a'; give a number"]),
+        (
+            "no-number",
+            'parameters = {"motor.inertia" = "a"}',
+            ["got 'a'; it should be a valid number"],
+        ),
         ("weightless", 'parameters = {"motor.inertia" = 0}', ["c.toml: simulation", "no inertia"]),
     ),
 )

@@ -104,7 +104,7 @@ excitation = "square-multisine"
             ["references.motor.viscos", "no result", "'motor.viscous'"],
         ),
         ("text", "motor.viscous = 0.05", 'motor.viscous = "0.05"', ["references.motor.viscous"]),
-        ("sd", "sd = 2e-4", "sd = -2e-4", ["references.motor.inertia.sd", "more than 0"]),
+        ("sd", "sd = 2e-4", "sd = -2e-4", ["references.motor.inertia.sd", "greater than 0"]),
         ("key", 'source = "data', 'sauce = "data', ["references.motor.inertia.sauce"]),
     ),
 )

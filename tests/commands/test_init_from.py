@@ -11,7 +11,6 @@ from bayesfric.problem.config import read_config
 from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.tables import Table, read_table
 from bayesfric.recordings.tables.reader import TableOptions
-from tests.hostile import random_files
 from tests.recordings import logs
 
 from .bench import cases, has
@@ -253,20 +252,6 @@ def test_a_reader_tells_units_that_messages_define(tmp_path):
     told = dict(zip(read.names, read.units, strict=True))
     assert told["header.stamp"] == told["received"] == "s"
     assert told["effort[knee]"] == "N m"
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_odd_logs_are_one_line_or_a_configuration(bench, seed):
-    """Whatever the columns hold: what is damaged in tests/hostile, looked at by init."""
-    rng = np.random.default_rng(seed)
-    for form in ("csv", "json", "npz", "mat", "parquet"):
-        (bench.folder / f"odd.{form}").write_bytes(random_files.ODD[form](rng))
-        ended = bench.run("init", "--from", bench.folder / f"odd.{form}")
-        assert ended.code in (0, 2), ended
-        if ended.code == 2:
-            assert re.fullmatch(r"bayesfric: [^\n]+: [^\n]+; [^\n]+\n", ended.err), ended.err
-        else:
-            assert "[[recordings]]" in ended.out
 
 
 def test_an_axis_that_slides_is_offered(bench):

@@ -14,8 +14,7 @@ from pydantic import BaseModel
 
 import bayesfric
 from bayesfric.commands.init import FLEET, configuration
-from bayesfric.commands.keys import key_tables
-from bayesfric.commands.schema import schema_of
+from bayesfric.commands.keys import key_tables, schema_of
 from bayesfric.errors import BadInput
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.presets import PRESETS

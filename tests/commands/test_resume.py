@@ -230,7 +230,7 @@ def test_force_that_is_interrupted_still_keeps_the_old_run(here, whole):
 def test_the_second_of_two_is_told(here):
     with alone_in(here.folder / HIDDEN, here.folder / "run"):
         message = refused(here)
-        has(message, f"run: process {os.getpid()} on ", "is making this run", "wait for it")
+        has(message, "run: another process ", "is making this run", "wait for it")
         has(refused(here, "--resume"), "is making this run")
         with pytest.raises(BadInput), alone_in(here.folder / HIDDEN, here.folder / "run"):
             pass
@@ -251,7 +251,7 @@ def test_a_killed_process_leaves_no_lock(tmp_path):
     ) as process:
         assert process.stdout.readline() == "in\n"
         with (
-            pytest.raises(BadInput, match=f"process {process.pid} on "),
+            pytest.raises(BadInput, match="another process"),
             alone_in(tmp_path / "place", tmp_path),
         ):
             pass
@@ -315,7 +315,7 @@ def test_signals_in_processes_of_their_own(here, whole, numbers):
         time.sleep(0.015)
         if not options:
             message = here.run("fit", "few.toml", "-o", "run").err
-            has(message, f"process {process.pid} on ")
+            has(message, "another process")
         asked = time.perf_counter()
         process.send_signal(number)
         out, err = process.communicate(timeout=60)

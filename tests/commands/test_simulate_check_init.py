@@ -176,6 +176,7 @@ def test_init_writes_what_it_prints(bench, preset):
     assert found["written"] == "new.toml"
     assert (bench.folder / "new.toml").read_text(encoding="utf-8") == found["text"]
     assert printed == found["text"] + "\n"
+    assert bench.run("init", preset, "-o", "-").out == printed
 
 
 def test_init_replaces_a_file_only_where_asked(bench):

@@ -103,7 +103,7 @@ VELOCITY = {"column": 9, "unit": "rad/s"}
         ("t,q,tau\n", source(header=True), ["no row of numbers"]),
         (PROSE, source(), ["no cell is a number"]),
         (PLAIN, source(skip_rows=500), ["500"]),
-        (COMMAS, source(), ["line ", "decimal"]),
+        (COMMAS, source(), ["decimal comma"]),
         (PLAIN.replace("\n", '\n"', 9), source(), []),  # an open quote
     ],
 )

@@ -262,12 +262,12 @@ def test_a_format_is_one_file(tmp_path, monkeypatch):
         "def read(path, options):\n"
         "    columns = np.fromfile(path).reshape(3, -1)\n"
         "    return Table(str(path), ['t', 'q', 'tau'], columns.__getitem__)\n"
-        "READER = Reader('raw', ('.raw',), read)\n"
+        "READERS = (Reader('raw', ('.raw',), read),)\n"
     )
     t, q, tau = swing()
     np.concatenate([t, q, tau]).tofile(tmp_path / "run.raw")
     message = refused(tmp_path, source("run.raw"))
-    has(message, "'.raw'", "csv, hdf5, jsonl, json, mat, npz, parquet, ros")
+    has(message, "'.raw'", "csv, hdf5, mat, json, jsonl, parquet, npz, ros")
     monkeypatch.setattr(tables, "__path__", [*tables.__path__, str(tmp_path)])
     readers.cache_clear()
     try:

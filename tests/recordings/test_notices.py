@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.recordings import Position, Processing, Torque, observe
-from bayesfric.recordings.checks import clipped
+from bayesfric.recordings.checks import clipped, taken_for
 from tests.conftest import made_recording
 from tests.recordings.samples import Channel, has, read, source
 from tests.recordings.test_motion_checks import table
@@ -13,11 +13,39 @@ T = 0.005 * np.arange(4000)
 Q, V = np.sin(3 * T), 3 * np.cos(3 * T)
 
 
-@pytest.mark.parametrize("factor", [180 / np.pi, 0.02, -1.0, 1.3])
-def test_a_velocity_in_another_unit(factor):
-    wrong = made_recording(T, Q, V, 0.005, velocity=factor * V)
+@pytest.mark.parametrize(
+    ("factor", "ratio", "says"),
+    [
+        (180 / np.pi, 1.0, "deg/s"),
+        (30 / np.pi, 1.0, "rpm"),
+        (np.pi / 180, 1.0, "position in deg"),
+        (6.0, 1.0, "deg/s and taken for rpm"),
+        (50.0, 50.0, "of the motor"),
+        (0.02, 50.0, "of the joint"),
+        (-1.0, 50.0, "sign"),
+        (-180 / np.pi, 1.0, "taken for deg, with the sign turned around"),
+        (1.3, 1.0, "unit, sign and side"),
+    ],
+)
+def test_the_likely_mistake_of_a_velocity(factor, ratio, says):
+    has(taken_for(factor, ratio), says)
+    wrong = made_recording(T, Q, V, 0.005, velocity=factor * V, ratio=ratio)
     (said,) = [w for w in observe(wrong, Processing()).warnings if w.startswith("velocity")]
-    has(said, f"is {factor:.3g} times", "unit, sign and side")
+    has(said, says)
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "says"),
+    [
+        (1.0, np.pi / 180, "or the position in rad and taken for deg"),
+        (1e-3, 1.0, "or the time in s and taken for ms"),
+        (1e3, 1.0, "or the time in ms and taken for s"),
+    ],
+)
+def test_a_velocity_that_is_right_is_not_blamed_alone(time, position, says):
+    wrong = made_recording(time * T, position * Q, V, 0.005 * time, velocity=V)
+    said = [w for w in observe(wrong, Processing()).warnings if w.startswith("velocity")]
+    has(said[0], says)
 
 
 def warned(tmp_path, columns, word, **used):

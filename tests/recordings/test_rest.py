@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings.rest import at_rest, rests
+from bayesfric.recordings.moving import at_rest, rests
 
 STEP = 2.0 * np.pi / 4096
 

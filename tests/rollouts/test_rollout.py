@@ -19,8 +19,7 @@ from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rollout_part import rollout_part
 from bayesfric.result import result_of
-from bayesfric.rollouts.recordings import Recorded
-from bayesfric.rollouts.rollout import _over, _rolled, moving_share, rollout
+from bayesfric.rollouts.rollout import Recorded, _over, _rolled, moving_share, rollout
 from tests.commands.bench import Bench, without_figures
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

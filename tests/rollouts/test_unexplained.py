@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.results.roll_out import LEVEL
-from bayesfric.rollouts.rollout import moving_share
-from bayesfric.rollouts.unexplained import Series, memory, played
+from bayesfric.rollouts.rollout import Series, memory, moving_share, played
 
 
 def remembering(n=20_000, a=0.8, seed=0):

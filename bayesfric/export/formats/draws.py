@@ -1,9 +1,8 @@
-"""Draws of the joint's numbers, a row each: CSV, Parquet and NPZ, to randomise simulations by."""
+"""Draws of the joint's numbers, a row each: CSV and NPZ, to randomise simulations by."""
 
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Callable
 
 import numpy as np
@@ -36,18 +35,6 @@ def _csv(content: Content) -> bytes:
     return pd.DataFrame(named).to_csv(index=False).encode()
 
 
-def _parquet(content: Content) -> bytes:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    columns, units = _table(content)
-    fields = [pa.field(name, pa.float64(), metadata={"unit": units[name]}) for name in columns]
-    told = {"remarks": json.dumps(list(content.remarks), ensure_ascii=False)}
-    sink = io.BytesIO()
-    pq.write_table(pa.table(list(columns.values()), schema=pa.schema(fields, told)), sink)
-    return sink.getvalue()
-
-
 def _npz(content: Content) -> bytes:
     columns, units = _table(content)
     sink = io.BytesIO()
@@ -68,6 +55,5 @@ def _format(suffix: str, meaning: str, write: Callable[[Content], bytes]) -> For
 
 FORMATS = (
     _format("csv", "a CSV table", _csv),
-    _format("parquet", "a Parquet table", _parquet),
     _format("npz", "an NPZ archive", _npz),
 )

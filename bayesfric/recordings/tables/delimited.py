@@ -105,13 +105,13 @@ def _delimiter(path: Path, lines: Sequence[str], options: TableOptions) -> str:
         width = _width(flags)
         return sum(sum(f) for f in flags if len(f) == width) if width > 1 else 0
 
-    best = max((c for c in _CANDIDATES if c != options.decimal), key=lambda c: numbers(c, "."))
-    if options.decimal == ",":
-        best = max(_CANDIDATES[1:], key=lambda c: numbers(c, ","))
-    elif max(numbers(c, ",") for c in _CANDIDATES[1:]) > numbers(best, "."):
-        what = "its numbers have a decimal comma"
-        raise BadInput(f"{path}, line {len(lines)}", what, 'set decimal = ","')
-    return best
+    def best(decimal: str) -> str:
+        return max((c for c in _CANDIDATES if c != decimal), key=lambda c: numbers(c, decimal))
+
+    found = best(options.decimal)
+    if options.decimal == "." and numbers(best(","), ",") > numbers(found, "."):
+        raise BadInput(str(path), "its numbers have a decimal comma", 'set decimal = ","')
+    return found
 
 
 def _find_header(path: Path, rows: Sequence[_Row], width: int) -> tuple[int | None, int]:
@@ -194,4 +194,4 @@ def _refuse_ragged(
             )
 
 
-READER = Reader("csv", (".csv", ".tsv", ".txt", ".dat"), read_delimited)
+READERS = (Reader("csv", (".csv", ".tsv", ".txt", ".dat"), read_delimited),)

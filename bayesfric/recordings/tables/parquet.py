@@ -1,7 +1,8 @@
-"""Reading Parquet files."""
+"""Reading Parquet files and NumPy archives."""
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -57,4 +58,16 @@ def _matrix(column: Any) -> NDArray[Any]:
     return np.asarray(flat.to_numpy()).reshape(-1, lengths[0])
 
 
-READER = Reader("parquet", (".parquet",), read_parquet)
+def read_npz(path: Path, _: TableOptions) -> Table:
+    """Read an archive, one column an array, each when asked for; no pickle is opened."""
+    with zipfile.ZipFile(path) as archive:
+        names = [name.removesuffix(".npy") for name in archive.namelist()]
+
+    def load(index: int) -> np.ndarray[Any, Any]:
+        with np.load(path, allow_pickle=False) as arrays:
+            return np.squeeze(np.asarray(arrays[names[index]]))
+
+    return Table(str(path), names, load, names_at="archive")
+
+
+READERS = (Reader("parquet", (".parquet",), read_parquet), Reader("npz", (".npz",), read_npz))

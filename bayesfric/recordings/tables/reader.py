@@ -15,17 +15,12 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from bayesfric.errors import BadInput, Unfit
+from bayesfric.options import Options
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import in_unit
-
-
-class Options(BaseModel):
-    """Options that refuse keys they do not know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 def _name_formats(schema: dict[str, Any]) -> None:
@@ -92,11 +87,11 @@ class Reader:
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Find the readers: what every module of this folder calls ``READER``, by name."""
+    """Find the readers: what every module of this folder calls ``READERS``, by name."""
     package = import_module("bayesfric.recordings.tables")
     names = (f"{package.__name__}.{m.name}" for m in pkgutil.iter_modules(package.__path__))
-    found = (getattr(import_module(name), "READER", None) for name in names)
-    return {reader.name: reader for reader in found if isinstance(reader, Reader)}
+    found = (one for name in names for one in getattr(import_module(name), "READERS", ()))
+    return {reader.name: reader for reader in found}
 
 
 def read_table(path: Path, options: TableOptions) -> Table:

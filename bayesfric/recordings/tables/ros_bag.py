@@ -184,4 +184,4 @@ def _since_first(stamps: list[int]) -> NDArray[np.float64]:
     return np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])
 
 
-READER = Reader("ros", (".bag", ".mcap", ".db3"), read_bag, mark="metadata.yaml")
+READERS = (Reader("ros", (".bag", ".mcap", ".db3"), read_bag, mark="metadata.yaml"),)

@@ -1,4 +1,4 @@
-"""Reading JSON: rows of objects, or an object of lists."""
+"""Reading JSON: rows of objects, or an object of lists; and JSON lines, an object a line."""
 
 from __future__ import annotations
 
@@ -98,4 +98,19 @@ def from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -
     return Table(str(path), names, load, lines=lines, by_rows=True)
 
 
-READER = Reader("json", (".json",), read_json)
+def read_json_lines(path: Path, options: TableOptions) -> Table:
+    """Read an object a line, one column a key; blank lines are left out.
+
+    ``options.table`` is the path of keys to the object with the columns, the same in each line.
+    """
+    text = enumerate(read_text(path).split("\n"), start=1)
+    lines = {number: line for number, line in text if line.strip()}
+    places = {number: f"{path}, line {number}" for number in lines}
+    rows = [inside(places[n], parse(places[n], line), options.table) for n, line in lines.items()]
+    return from_rows(path, rows, list(lines))
+
+
+READERS = (
+    Reader("json", (".json",), read_json),
+    Reader("jsonl", (".jsonl", ".ndjson"), read_json_lines),
+)
