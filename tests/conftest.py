@@ -43,7 +43,7 @@ LONG = {
         face own_term""",
     "commands": """
         advise again alerts bad_input bad_output compare complete delay doubts estimate
-        estimate_odd explain fit found_files identify init_from little_explained own_offsets
+        estimate_odd explain fit identify init_from little_explained own_offsets
         pool report resume simulate_check_init validation voltage""",
     "diagnostics": """
         explanation self_check""",
@@ -54,7 +54,7 @@ LONG = {
     "fleet": """
         population""",
     "hostile": """
-        findings random special_files""",
+        findings random runs special_files""",
     "identifiability": """
         advise""",
     "inference": """

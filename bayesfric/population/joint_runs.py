@@ -117,6 +117,14 @@ class JointTarget(LogPosterior):
             out[:, k] = np.hypot(apart, least) * np.sqrt(count / rng.chisquare(count, _DRAWS))
         return out
 
+    def straighten(self, u: Array) -> tuple[Array, Array]:
+        """See :meth:`bayesfric.inference.target.Target.straighten`."""
+        return self.coordinates.straighten(u)
+
+    def bend(self, v: Array) -> Array:
+        """See :meth:`bayesfric.inference.target.Target.bend`."""
+        return self.coordinates.bend(v)
+
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
         return self.coordinates.to_parameters(u)

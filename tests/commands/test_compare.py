@@ -145,13 +145,13 @@ def test_a_place_that_cannot_be_written(runs):
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("", ["is no JSON"]),
-        ("{", ["is no JSON"]),
-        ("[" * 100_000, ["is no JSON"]),
+        ("", ["is not valid JSON"]),
+        ("{", ["is not valid JSON"]),
+        ("[" * 100_000, ["is not valid JSON"]),
         ("[1, 2]", ["holds no table"]),
         ("null", ["holds no table"]),
         ("{}", ["parameters", "is missing"]),
-        ('{"parameters": {"a": {"mean": NaN}}}', ["is no JSON", "NaN"]),
+        ('{"parameters": {"a": {"mean": NaN}}}', ["is not valid JSON", "NaN"]),
         ('{"parameters": {"a": 3}}', ["parameters.a"]),
         ('{"parameters": {}}', ["holds no result"]),
     ],
@@ -165,8 +165,8 @@ def test_files_that_hold_something_else(runs, text, parts):
     ("make", "said"),
     [
         (lambda path: path.write_bytes(b'{"parameters": "\xff"}'), "is not UTF-8"),
-        (os.mkfifo, "is a named pipe"),
-        (Path.mkdir, "cannot be read"),
+        (os.mkfifo, "is no ordinary file"),
+        (Path.mkdir, "is a folder"),
     ],
 )
 def test_a_summary_that_is_no_text(runs, make, said):

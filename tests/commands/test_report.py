@@ -67,7 +67,7 @@ def test_places_without_a_run(runs, place, said):
     ("text", "said"),
     [
         *(
-            (json.dumps(knee())[:cut], "knee/summary.json: is no JSON")
+            (json.dumps(knee())[:cut], "knee/summary.json: is not valid JSON")
             for cut in (0, 1, 40, 900, -3)
         ),
         ("[]", "holds no table"),

@@ -485,11 +485,14 @@ def read_summary_file(run: Path) -> dict[str, Any]:
     """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
     file, again = run / "summary.json", "fit this run again"
     mend = "name a run directory, as 'bayesfric fit' makes it"
-    if not run.is_dir():
-        what = "is a file" if run.exists() else "there is no such folder"
-        raise BadInput(str(run), what, mend)
-    if not file.exists():
-        raise BadInput(str(run), "holds no summary.json", mend)
+    try:
+        if not run.is_dir():
+            what = "is a file" if run.exists() else "there is no such folder"
+            raise BadInput(str(run), what, mend)
+        if not file.exists():
+            raise BadInput(str(run), "holds no summary.json", mend)
+    except OSError as error:  # of its name
+        raise BadInput(str(run), f"cannot be read ({error.strerror})", mend) from None
     found = read_json(file, again, largest=_LARGEST)
     if not isinstance(found, dict):
         raise BadInput(str(file), "holds no table of results", again)
