@@ -93,7 +93,9 @@ def test_many_vectors_are_each_by_itself(make_observation):
     values = chain.vector(KNEE.values) * rng.uniform(0.5, 1.5, (6, len(chain.names)))
     together = plain.at(values)
     for i in range(6):
-        np.testing.assert_array_equal(plain.at(values[i : i + 1]).lagged[0], together.lagged[i])
+        # sums of other shapes round differently
+        alone = plain.at(values[i : i + 1]).lagged[0]
+        np.testing.assert_allclose(alone, together.lagged[i], rtol=1e-12)
     lagged, *_ = by_definition(chain, [o], values[:1], 2)
     np.testing.assert_allclose(together.lagged[:1], lagged, rtol=1e-10)
 

@@ -161,11 +161,11 @@ class PlainMoments:
 def _products(residual: Array, runs: Runs, order: int) -> Array:
     """Sum the products of residuals ``(n, M)`` with those before them, ``(n, n_entries)``."""
     whole = np.flatnonzero(runs.age == order)
-    lagged = [residual[:, whole - j] if order else residual for j in range(order + 1)]
+    lagged = [residual.take(whole - j, axis=1) if order else residual for j in range(order + 1)]
     pairs = [(lagged[j], lagged[k]) for j in range(order + 1) for k in range(j, order + 1)]
     for length in range(1, order + 1):
         at = [np.flatnonzero((runs.head == length) & (runs.age == k)) for k in range(length)]
-        rows = [residual[:, one] for one in at]
+        rows = [residual.take(one, axis=1) for one in at]
         pairs += [(rows[j], rows[k]) for j in range(length) for k in range(j, length)]
     return np.stack([np.einsum("vm,vm->v", one, other) for one, other in pairs], axis=1)
 
