@@ -134,11 +134,11 @@ def test_no_validation_no_entry(three):
     [
         ('recordings = ["twoo"]', ["validation.recordings", "'twoo'", "did you mean 'two'"]),
         ('recordings = ["one", "two", "three"]', ["validation.recordings", "every recording"]),
-        ("hold_out = 0", ["validation.hold_out", "got 0", "more than 0"]),
+        ("hold_out = 0", ["validation.hold_out", "got 0", "greater than 0"]),
         ("hold_out = 1.0", ["validation.hold_out", "got 1", "less than 1"]),
         ("hold_out = 0.001", ["validation.hold_out", "last 0.1 %"]),
         ("hold_out = 0.999", ["validation.hold_out", "leaves nothing", "hold out less"]),
-        ('hold_out = "0.2"', ["validation.hold_out", "a number, without quotes"]),
+        ('hold_out = "0.2"', ["validation.hold_out", "a valid number"]),
         ("holdout = 0.2", ["validation.holdout", "unknown key", "did you mean 'hold_out'"]),
         (
             'hold_out = 0.2\n[likelihood]\nmethod = "output-error"',
