@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -88,6 +87,8 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     told, rows = summary.sampler, summary.parameters
     chains = np.stack([groups["posterior"][name] for name in rows], axis=-1).astype(np.float64)
     ensembles = told.ensembles or 1
+    if len(chains) % ensembles:  # a light run's draws are one chain
+        ensembles = 1
     draws = chains.reshape(ensembles, -1, *chains.shape[1:])
     middle = np.median(chains.reshape(-1, chains.shape[-1]), axis=0)
     fixed = {n: p.value for n, p in model.priors.items() if p.fixed}
@@ -144,7 +145,7 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
                 groups["sample_stats"] = {"lp": array_of(file["sample_stats"]["lp"])}
     except BadInput:
         groups = {}
-    if not _whole(groups, summary.sampler.ensembles or 1):
+    if not _whole(groups):
         raise BadInput(str(path), "holds no draws of the run's parameters", "fit the run again")
     free = [name for name in model.chain.names if not model.priors[name].fixed]
     if missing := [name for name in free if name not in summary.parameters]:
@@ -154,15 +155,15 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
     return summary, model, groups
 
 
-def _whole(groups: dict[str, dict[str, Array]], ensembles: int) -> bool:
-    """Whether there are draws, numbers of one shape ``(chains, draws)`` that ensembles share."""
-    shape = next((x.shape for x in groups.get("posterior", {}).values()), ())
-    if len(shape) != 2 or not math.prod(shape) or shape[0] % ensembles:
-        return False
-    every = [x for group in groups.values() for x in group.values()]
-    return all(
-        x.dtype.kind == "f" and x.shape == shape and (np.abs(x) < LARGEST_NUMBER).all()
-        for x in every
+def _whole(groups: dict[str, dict[str, Array]]) -> bool:
+    """Whether there are draws, numbers of one shape a group, ``(chains, draws)``."""
+    return len(next((x.shape for x in groups.get("posterior", {}).values()), ())) == 2 and all(
+        len({x.shape for x in group.values()}) == 1
+        and all(
+            x.size and x.dtype.kind == "f" and (np.abs(x) < LARGEST_NUMBER).all()
+            for x in group.values()
+        )
+        for group in groups.values()
     )
 
 

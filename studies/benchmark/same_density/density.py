@@ -37,6 +37,9 @@ FRONT = ("motor.viscous", "motor.coulomb_positive", "motor.coulomb_negative", "m
 LEG = ("joint.viscous", "joint.coulomb_positive", "joint.coulomb_negative", "load.inertia")
 
 
+_HALF = 0.6931471805599453  # log 2
+
+
 @dataclass(frozen=True, eq=False)
 class Reduced:
     """The knee's posterior as plain arrays; ``(12,)`` coordinates are laid out as in ``split``."""
@@ -94,7 +97,7 @@ class Reduced:
             ),
             moment=(first, float(u[0, 8] / (a * draws[0, first]))),
             losses=(at["gearbox.load_drive"], at["gearbox.load_back"]),
-            noise_width=float(draws[0, 11] / np.logaddexp(0.0, u[0, 11])),
+            noise_width=float(draws[0, 11] / _half_normal(u[0, 11])),
             prior=np.stack([np.log(medians), np.full(medians.size, prior_sd)], axis=1),
             front=-units.all[:, 1 : 1 + size] - units.leg,
             behind=units.leg,
@@ -128,7 +131,17 @@ class Reduced:
     def in_jax(self) -> Callable[[Any], Any]:
         """Log density of one vector ``(12,)`` up to a constant, for JAX to transform."""
         import jax.numpy as jnp
+        from jax.lax import stop_gradient
+        from jax.scipy.special import log_ndtr
         from jax.scipy.stats import norm
+
+        def half_normal(u: Any) -> Any:
+            aim, h = log_ndtr(-u) - _HALF, jnp.maximum(u, 0.1) + _HALF / jnp.maximum(u, 1.0)
+            for _ in range(12):  # Newton's steps; the last one has the gradient
+                h = stop_gradient(h)
+                tail = log_ndtr(-h)
+                h = jnp.maximum(h + (tail - aim) * jnp.exp(tail - norm.logpdf(h)), 1e-300)
+            return h
 
         def log_density(u: Any) -> Any:
             felt, places, alone, lost, v, noise = u[:4], u[4:8], u[8], u[9], u[10], u[11]
@@ -142,13 +155,14 @@ class Reduced:
             x = x.at[self.moment[0]].set(alone / (a * self.moment[1]))
             x = x.at[self.losses[0]].set(jnp.expm1(log_a))
             x = x.at[self.losses[1]].set(-jnp.expm1(log_a + log_t))
-            sigma = self.noise_width * jnp.logaddexp(0.0, noise)
+            soft = half_normal(noise)
+            sigma = self.noise_width * soft
             # outside the support the logarithms would be no numbers, and so would gradients
             possible = jnp.all(x > 0.0) & jnp.all(felt > 0.0)
             x = jnp.where(x > 0.0, x, 1.0)
             out = jnp.log(jnp.where(felt > 0.0, felt, 1.0)).sum() - 3.0 * log_a
             out += jnp.log(-log_t) - 0.5 * (places @ places + lost**2 + v**2)
-            out += -jnp.logaddexp(0.0, -noise)
+            out += 0.5 * (soft**2 - noise**2)
             logs = jnp.log(jnp.append(x, sigma))
             out -= logs.sum() + 0.5 * (((logs - self.prior[:, 0]) / self.prior[:, 1]) ** 2).sum()
             leg = x @ self.behind
@@ -199,6 +213,32 @@ def _ndtr(x: float) -> float:
 
 
 @njit(cache=True)
+def _log_tail(x: float) -> float:
+    """Log of the chance that a standard normal is above ``x``."""
+    if x < 25.0:
+        return log(0.5 * erfc(x * 0.7071067811865476))
+    y = 1.0 / (x * x)
+    left = log1p(-y * (1.0 - 3.0 * y * (1.0 - 5.0 * y * (1.0 - 7.0 * y))))
+    return left - 0.5 * x * x - log(x * 2.5066282746310002)
+
+
+@njit(cache=True)
+def _half_normal(u: float) -> float:
+    """See :func:`bayesfric.inference.coordinates.half_normal`; by Newton's steps."""
+    if u < -4.0:
+        below = _ndtr(u)
+        return 1.2533141373155001 * (below + 0.2617993877991494 * below**3)
+    aim, h = _log_tail(u) - _HALF, max(u, 0.1) + _HALF / max(u, 1.0)
+    for _ in range(50):
+        tail = _log_tail(h)
+        step = (tail - aim) * exp(tail + 0.5 * h * h) * 2.5066282746310002
+        h = max(h + step, 1e-300)
+        if abs(step) <= 1e-15 * h:
+            break
+    return h
+
+
+@njit(cache=True)
 def _one(
     u: Array,
     gradient: Array,
@@ -243,9 +283,10 @@ def _one(
         out += log(felt) - 0.5 * place * place
     x[first] = u[8] / (a * first_worth)
     x[drive], x[back] = expm1(log_a), -expm1(log_a + log_t)
-    soft = max(noise, 0.0) + log1p(exp(-abs(noise)))
+    soft = _half_normal(noise)
     sigma = noise_width * soft
-    out -= soft - noise  # log of the logistic function
+    by_noise = 0.5 * (soft * soft - noise * noise)  # twice the slope of that, its logarithm
+    out += by_noise
     for j in range(12):
         value = x[j] if j < 11 else sigma
         if not value > 0.0:
@@ -338,6 +379,6 @@ def _one(
     gt -= ga * a * share / t
     gradient[9] = -lost - gt * _phi(lost)
     gradient[10] = -v - ga * a * log_t * _phi(v)
-    logistic = exp(noise - soft)
-    gradient[11] = gx[11] * noise_width * logistic + 1.0 - logistic
+    slope = 0.5 * exp(by_noise)
+    gradient[11] = gx[11] * noise_width * slope + soft * slope - noise
     return out
