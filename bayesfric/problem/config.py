@@ -39,6 +39,8 @@ from bayesfric.recordings.units import in_unit
 RUN_CONFIG = "config.toml"
 # A configuration is a page of text; anything larger is some other file.
 _LARGEST = 1_000_000
+# tomllib takes time with the square of a dotted key's length
+_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
 _NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
 
 Checked = TypeVar("Checked", bound=BaseModel)
@@ -289,6 +291,9 @@ def chain_of(config: str) -> Joint | None:
 
 def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
     """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise BadInput(f"{path}, line {line}", "a key has more than 50 parts", "correct the file")
     try:
         document = tomllib.loads(text)
         # Checked as JSON, because pydantic then takes lists for tuples and still does not

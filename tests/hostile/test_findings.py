@@ -197,6 +197,31 @@ def mat(*matrices):
     return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"".join(matrices)
 
 
+BIG, NUMBERS = 2**31 - 1, np.arange(250.0).tobytes()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    cases(
+        # more of everything than there are bytes
+        ("text", (4, (BIG, 1), element(16, b""))),
+        ("text-short", (4, (BIG, 2), element(16, b"x"))),
+        ("text-wide", (4, (1, BIG), element(17, b"xx"))),
+        ("struct", (2, (BIG, 1), integers(32), element(1, b""))),
+        ("struct-0", (2, (BIG, BIG, 0), integers(8), element(1, b"a".ljust(8, b"\0")))),
+        ("cell", (1, (BIG, 1))),
+        ("cell-0", (1, (BIG, 0))),
+        ("object", (3, (BIG, 1), element(1, b"c"), integers(32), element(1, b""))),
+        ("numbers-0", (6, (BIG, BIG, 0), element(9, b""))),
+        ("sparse", (5, (BIG, BIG), integers(), integers(0), element(9, b""))),
+        ("sparse-wide", (5, (1, BIG), integers(9), integers(0, 99), element(9, bytes(8)))),
+    ),
+)
+def test_mat_that_claims_much(tmp_path, odd):
+    others = (matrix(name, 6, (250, 1), element(9, NUMBERS)) for name in (b"t", b"tau"))
+    refused(tmp_path, mat(matrix(b"q", *odd), *others), "mat", parts=["run.mat"])
+
+
 def test_mat_of_many_empty_cells(tmp_path):
     """Each takes eight bytes in the file, and hundreds in memory."""
     body = matrix(b"q", 1, (3_000_000, 1), element(14, b"") * 3_000_000)
@@ -314,6 +339,9 @@ def test_numbers_in_units_are_still_read(text, value):
     ("edit", "parts"),
     cases(
         # tomllib would take hours
+        ("long-key", f"[processing]\n{'a.' * 300_000}b = 1", ["line 11", "more than 50 parts"]),
+        ("long-key-spaced", "[processing]\n" + "a . " * 30_000 + "b = 1", ["more than 50 parts"]),
+        ("long-table", "[" + "a." * 300_000 + "b]", ["more than 50 parts"]),
         ("long-word", f"[processing]\n{'a' * 400_000} = 1", ["c.toml", "unknown key"]),
         ("decimate", "[processing]\ndecimate = 1000000000", ["'run', decimate"]),
         ("decimate-400", f"[processing]\ndecimate = 1{'0' * 400}", ["'run', decimate"]),

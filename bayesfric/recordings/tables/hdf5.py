@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.recordings.tables.matlab_elements import check_elements
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
@@ -120,6 +121,7 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
+    check_elements(path.read_bytes())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
