@@ -255,7 +255,7 @@ def test_objects_show_themselves():
     [
         ({"sampling": {"min_es": 3}}, "sampling.min_es: unknown key; did you mean 'min_ess'"),
         ({"samplin": {}}, "samplin: unknown key; did you mean 'sampling'"),
-        ({"sampling": 3}, "sampling: got 3; it should be a table"),
+        ({"sampling": 3}, "sampling: got 3; give a table"),
         ({"noise": "blue"}, "noise.model: got 'blue'"),
         ({"likelihood": {"method": object()}}, "likelihood.method: got object"),
         ({"priors": {"motor.inertai": 1}}, "priors.motor.inertai: .* mean 'motor.inertia'"),
