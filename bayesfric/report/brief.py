@@ -16,6 +16,7 @@ from bayesfric.report.summary.record import Readable, Summary, of_noise, quantit
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import ORDER, Reported
 from bayesfric.results.verdict import Outcome
+from bayesfric.templates import percent
 
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
@@ -67,7 +68,7 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
     rows = {
         row.name: row.row.reported
         for row in table.rows
-        if row.row is not None and row.row.reported is not None and not _beside(row.name)
+        if row.row is not None and row.row.reported is not None and not _in_tables(row.name)
     }
     shown = [name for name, one in rows.items() if one.status != "unidentified"]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
@@ -94,7 +95,7 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
     )
 
 
-def _beside(name: str) -> bool:
+def _in_tables(name: str) -> bool:
     """Whether the tables have it alone: the noise's, and efficiencies, which alphas are already."""
     return of_noise(name) or quantity_of(name).startswith("efficiency")
 
@@ -122,8 +123,8 @@ def _verdict(summary: Summary) -> str:
         return f"Not converged: {'no number is a posterior' if lost else 'numbers may still move'}."
     text = _SIGNS[found.outcome]
     if found.explained is not None:
-        left = 100.0 * math.sqrt(1.0 - found.explained)
-        text += f": it leaves {left:.2g} % of the {summary.fit.quantity}"
+        left = percent(math.sqrt(1.0 - found.explained))
+        text += f": it leaves {left} % of the {summary.fit.quantity}"
         if summary.fit.residual_rms is not None:
             text += f" ({summary.fit.residual_rms:.3g} {summary.fit.unit} rms)"
     if found.outcome == "good" and found.asked:

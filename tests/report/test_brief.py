@@ -34,6 +34,15 @@ def test_the_terminal_has_thirty_lines_of_a_hundred_columns_and_250_words(made):
     assert len(" ".join(lines).split()) <= 250
 
 
+@pytest.mark.parametrize(
+    ("explained", "left"), [(1.0, "0 %"), (0.99, "10 %"), (0.0, "100 %"), (-3.0, "200 %")]
+)
+def test_what_the_model_leaves_is_of_the_torque(explained, left):
+    told = knee()
+    told["fit"]["explained"] = explained
+    assert f"leaves {left}" in brief(told).verdict
+
+
 def test_numbers_come_by_status_and_what_is_too_much_is_counted():
     told = brief(crowded())
     assert (len(told.lines), len(told.findings)) == (ROWS, FINDINGS)

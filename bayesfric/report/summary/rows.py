@@ -227,7 +227,7 @@ class Residual(Part):
     """What the posterior leaves unexplained, recording by recording."""
 
     residual_rms: NotNegative | None = None
-    explained: FiniteFloat | None = None
+    explained: Annotated[FiniteFloat, Field(le=1.0)] | None = None
     unit: str = ""
     quantity: str = "output"
     # N m/A or N/A, where all that is explained was measured as a current
