@@ -49,12 +49,17 @@ def check_ordinary(path: Path, mend: str = "check the name") -> int:
     except FileNotFoundError:
         raise BadInput(str(path), "there is no such file", mend) from None
     except (OSError, ValueError) as error:
-        raise _unreadable(path, error) from None
+        raise unreadable(path, error) from None
     if stat.S_ISDIR(found.st_mode):
         raise BadInput(str(path), "is a folder", mend)
-    if not stat.S_ISREG(found.st_mode):  # opening a pipe waits for ever, a device never ends
-        raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
+    refuse_special(path, found.st_mode)
     return found.st_size
+
+
+def refuse_special(path: Path, mode: int) -> None:
+    """Refuse what is no ordinary file: opening a pipe waits for ever, a device never ends."""
+    if not stat.S_ISREG(mode):
+        raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
 
 
 def read_bytes(path: Path, mend: str = "check the name", *, largest: int = LARGEST_TEXT) -> bytes:
@@ -64,7 +69,7 @@ def read_bytes(path: Path, mend: str = "check the name", *, largest: int = LARGE
         with path.open("rb") as file:
             raw = file.read(largest + 1)
     except OSError as error:
-        raise _unreadable(path, error) from None
+        raise unreadable(path, error) from None
     if len(raw) > largest:
         raise BadInput(str(path), f"is larger than {largest / 2**20:.0f} MiB", mend)
     return raw
@@ -151,15 +156,15 @@ def _texts(found: Any) -> Iterator[str]:
     """Give every text in what JSON held, keys too."""
     if isinstance(found, str):
         yield found
-    elif isinstance(found, dict):
-        yield from found
-    for one in (
-        found.values() if isinstance(found, dict) else found if isinstance(found, list) else ()
-    ):
-        yield from _texts(one)
+    elif isinstance(found, dict | list):
+        for one in found:
+            yield from _texts(one)
+        if isinstance(found, dict):
+            yield from _texts([*found.values()])
 
 
-def _unreadable(path: Path, error: Exception) -> BadInput:
+def unreadable(path: Path, error: Exception) -> BadInput:
+    """Say why the system does not give a file that is there."""
     if isinstance(error, PermissionError):
         return BadInput(str(path), "no permission to read it", "change the file's permissions")
     why = getattr(error, "strerror", None) or str(error)

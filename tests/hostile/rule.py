@@ -69,13 +69,18 @@ def held(folder):
 
 
 def check(config, *, seconds=SECONDS):
-    """Run ``bayesfric check CONFIG --json`` here; libraries' warnings count as errors."""
+    """Run ``bayesfric check CONFIG --json`` here."""
+    return run("check", str(config), "--json", seconds=seconds)
+
+
+def run(*words, seconds=SECONDS):
+    """Run a command here; libraries' warnings count as errors."""
     out, err = io.StringIO(), io.StringIO()
     begin = time.perf_counter()
     with (
         redirect_stdout(out),
         redirect_stderr(err),
-        mock.patch.object(sys, "argv", ["bayesfric", "check", str(config), "--json"]),
+        mock.patch.object(sys, "argv", ["bayesfric", *words]),
         mock.patch.object(sys, "warnoptions", ["error"]),
         warnings.catch_warnings(),
         at_most(seconds),

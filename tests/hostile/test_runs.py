@@ -1,25 +1,19 @@
 """A run directory from somewhere else is input like any other, and so is what is opened by name."""
 
 import ast
-import io
 import os
 import re
 import shutil
-import sys
-import warnings
-from contextlib import redirect_stderr, redirect_stdout
-from unittest import mock
 
 import h5py
 import numpy as np
 import pytest
 
-from bayesfric import cli
 from bayesfric.errors import BadInput
 from bayesfric.opened import array_of, opened_hdf5, parse_json, read_bytes, read_json, read_text
 from tests.commands.bench import SAMPLED, simulated
 from tests.conftest import REPOSITORY
-from tests.hostile.rule import at_most
+from tests.hostile.rule import run
 
 COMMANDS = (
     ("export", "bad", "--to", "urdf"),
@@ -30,24 +24,10 @@ COMMANDS = (
 
 
 def ran(folder, *words):
-    """Run a command in a folder; give its exit code and what stood on stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        redirect_stdout(out),
-        redirect_stderr(err),
-        mock.patch.object(sys, "argv", ["bayesfric", *words]),
-        warnings.catch_warnings(),
-        at_most(30),
-    ):
+    """Run a command in a folder."""
+    with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        warnings.simplefilter("error")
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-    return code, out.getvalue(), err.getvalue()
+        return run(*words, seconds=30)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +36,8 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bayesfric.diagnostics.explanation.LONGEST", 0)
         simulated(folder / "small.toml", SAMPLED)
-        code, _, err = ran(folder, "fit", "small.toml", "-o", "good")
-    assert code in (0, 3), err
+        outcome = ran(folder, "fit", "small.toml", "-o", "good")
+    assert outcome.code in (0, 3), outcome
     return folder
 
 
@@ -162,6 +142,7 @@ DAMAGED = {
     "a terminal's command": renamed("motor.\\u001b[31m"),
     "the least number": valued("sd", "5e-324"),
     "the largest number": valued("median", "1e308"),
+    "more than all of the torque": valued("explained", "2.0"),
     "an infinite number": valued("sd", "1e400"),
 }
 for _name in ("posterior.nc", "summary.json", "config.toml", "page.json", "text/captions.md",
@@ -175,7 +156,8 @@ for _name in ("posterior.nc", "summary.json", "config.toml", "page.json", "text/
 def test_a_damaged_run_is_refused_in_one_line_or_does_without(bad, damaged):
     damaged(bad)
     for words in COMMANDS:
-        code, out, err = ran(bad.parent, *words)
+        outcome = ran(bad.parent, *words)
+        code, out, err = outcome.code, outcome.out, outcome.err
         assert code in (0, 2, 3), (words, err)
         assert "\x1b" not in out.replace("\x1b[0m", "")
         if code == 2:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from bayesfric.errors import BadInput, Unfit
+from bayesfric.opened import refuse_special, unreadable
 from bayesfric.options import Options
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import in_unit
@@ -176,7 +177,7 @@ def _is_folder_of(reader: Reader, path: Path) -> bool:
 
 
 def _check_file(path: Path) -> None:
-    """Refuse what is no ordinary file: opening a pipe waits for ever, a device never ends."""
+    """Refuse what is no file, or an empty one."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
         marks = ", ".join(one.mark for one in readers().values() if one.mark)
@@ -185,8 +186,7 @@ def _check_file(path: Path) -> None:
             f"is a directory without {marks}",
             "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag",
         )
-    if not stat.S_ISREG(mode):
-        raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
+    refuse_special(path, mode)
     with path.open("rb") as file:
         if not file.read(1):
             raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
@@ -195,6 +195,4 @@ def _check_file(path: Path) -> None:
 def _unreadable(path: Path, error: OSError) -> BadInput:
     if isinstance(error, FileNotFoundError):
         return BadInput(str(path), "does not exist", "check the file's name and folder")
-    if isinstance(error, PermissionError):
-        return BadInput(str(path), "no permission to read it", "change the file's permissions")
-    return BadInput(str(path), f"cannot be read ({error.strerror or error})", "check the disk")
+    return unreadable(path, error)
