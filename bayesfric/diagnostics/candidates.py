@@ -68,7 +68,12 @@ class Scales:
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
     """Take them from recordings and an estimate ``(n_parameters,)``."""
     speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
-    carried = np.concatenate([_carried(chain, values, o) for o in observations])
+    each = [_carried(chain, values, o) for o in observations]
+    lost = [
+        (_torque(chain, values, o) - own)[o.filter.centres]
+        for o, own in zip(observations, each, strict=True)
+    ]
+    carried = np.concatenate(each)
     still_torque = [_carried(chain, values, o, still=True) for o in observations]
     moving = carried - np.concatenate(still_torque)
     qdd = np.concatenate([o.qdd for o in observations])
@@ -89,7 +94,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         reach=2.0 * float(np.median(np.concatenate(reach))),
         carried=_rms(carried),
         torque=_rms(np.concatenate([o.measured for o in observations])),
-        lost=_rms(np.concatenate([_lost(chain, values, o) for o in observations])),
+        lost=_rms(np.concatenate(lost)),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles=cycles,
         push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
@@ -114,10 +119,9 @@ def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False
     return inverse_torque(chain, own, o.q, o.qd, qdd, inputs=o.inputs, time=o.stamps)
 
 
-def _lost(chain: Joint, values: Array, o: Observation) -> Array:
-    """Motor torque of everything else, at the outputs."""
-    whole = inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
-    return np.asarray((whole - _carried(chain, values, o))[o.filter.centres])
+def _torque(chain: Joint, values: Array, o: Observation) -> Array:
+    """Motor torque ``(N,)`` of everything that the model has."""
+    return inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +137,7 @@ class Along:
     @cached_property
     def torque(self) -> Array:
         """The model's."""
-        o = self.o
-        return inverse_torque(
-            self.chain, self.values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps
-        )
+        return _torque(self.chain, self.values, self.o)
 
     @cached_property
     def torque_rate(self) -> Array:
@@ -358,12 +359,7 @@ def _another_signal(a: Along) -> Sets:
 
 
 KINDS: tuple[Kind, ...] = (
-    Kind(
-        "delay",
-        _late,
-        lambda a: [a.rate(a.torque_rate)],
-        option="delay",
-    ),
+    Kind("delay", _late, lambda a: [a.rate(a.torque_rate)], option="delay"),
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(
@@ -372,19 +368,8 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.torque**3, a.torque**5],
     ),
     Kind("offset", _one(lambda a: np.ones_like(a.o.q)), option="offset"),
-    Kind(
-        "coulomb",
-        _one(lambda a: a.direction),
-        option="coulomb",
-        choice="symmetric",
-        loss=True,
-    ),
-    Kind(
-        "viscous",
-        _one(lambda a: a.o.qd),
-        option="viscous",
-        loss=True,
-    ),
+    Kind("coulomb", _one(lambda a: a.direction), option="coulomb", choice="symmetric", loss=True),
+    Kind("viscous", _one(lambda a: a.o.qd), option="viscous", loss=True),
     Kind(
         "viscous_by_direction",
         _one(lambda a: np.abs(a.o.qd)),
@@ -400,22 +385,8 @@ KINDS: tuple[Kind, ...] = (
         positive=True,
         loss=True,
     ),
-    Kind(
-        "power",
-        _term("power"),
-        _concave,
-        option="power",
-        positive=True,
-        loss=True,
-    ),
-    Kind(
-        "stribeck",
-        _stribeck,
-        option="stribeck",
-        positive=True,
-        other="either",
-        loss=True,
-    ),
+    Kind("power", _term("power"), _concave, option="power", positive=True, loss=True),
+    Kind("stribeck", _stribeck, option="stribeck", positive=True, other="either", loss=True),
     Kind(
         "stribeck_by_direction",
         _one(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
@@ -460,12 +431,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("inertia", _one(lambda a: a.o.qdd), option="inertia"),
     Kind("gravity", _gravity, option="gravity_angle"),
     Kind("spring", _term("spring"), option="spring"),
-    Kind(
-        "friction_by_angle",
-        _friction_by_angle,
-        option="periodic_friction",
-        loss=True,
-    ),
+    Kind("friction_by_angle", _friction_by_angle, option="periodic_friction", loss=True),
     Kind("inertia_by_angle", _inertia_by_angle),
     Kind("repeating", _repeating, option="cogging"),
     Kind(
@@ -474,11 +440,7 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.rate(column) for sets in a.elastic.values() for column in sets],
     ),
     Kind("backlash", _gap),
-    Kind(
-        "presliding",
-        _bristles,
-        loss=True,
-    ),
+    Kind("presliding", _bristles, loss=True),
     Kind("drift", _one(lambda a: a.clock), lambda a: [a.clock**2, a.clock**3]),
     Kind(
         "coulomb_warming",
@@ -496,13 +458,7 @@ KINDS: tuple[Kind, ...] = (
         choice="viscous",
         loss=True,
     ),
-    Kind(
-        "temperature",
-        _temperature,
-        option="temperature",
-        choice="both",
-        loss=True,
-    ),
+    Kind("temperature", _temperature, option="temperature", choice="both", loss=True),
     Kind("load_torque", _load_torque),
     Kind("another_signal", _another_signal),
 )

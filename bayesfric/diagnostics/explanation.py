@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from bayesfric.diagnostics.candidates import BY_NAME, TURNS, Kind
@@ -56,12 +56,12 @@ class Explanation:
     findings: tuple[Finding, ...] = ()
     kinds: tuple[str, ...] = ()
     untold: tuple[str, ...] = ()
-    twins: tuple[Twin, ...] = ()
+    twins: tuple[Twin, ...] = field(default=(), repr=False)
     largest: float = 0.0
     limit: float = 0.0
     cpu_seconds: float = 0.0
     reason: Reason | None = None
-    missing: Missing | None = None
+    missing: Missing | None = field(default=None, repr=False)
 
     @property
     def asked(self) -> bool:

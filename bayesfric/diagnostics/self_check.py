@@ -97,9 +97,10 @@ def self_check(
     # a prior that is cut takes a quadrature
     sds = np.array([prior.sd() for prior in target.priors[: len(target.free)]])
     sds = np.where(np.isfinite(sds), sds, np.inf)
-    truth = np.tile(posterior.median, (len(twins), 1))
     columns = [target.likelihood.chain.names.index(name) for name in target.free]
-    truth[:, : len(columns)] = [one.values[columns] for one in twins] or truth[:, : len(columns)]
+    truth = np.tile(posterior.median, (len(twins), 1))
+    for row, twin in zip(truth, twins, strict=True):  # the noise stays the posterior's
+        row[: len(columns)] = twin.values[columns]
     return Checked(
         truth,
         tuple(_fit(target, *pair, sds, columns) for pair in zip(truth, twins, strict=True)),

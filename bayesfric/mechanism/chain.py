@@ -201,10 +201,6 @@ class Chain:
         kept = tuple(one for one in self.terms if one.name != term.name)
         return replace(self, terms=(*kept, term))
 
-    def terms_of(self, bearer: Element | Load) -> list[str]:
-        """List what an element, or the load, has, each as it stands in a sentence."""
-        return bearer.phrases + [term.meaning for term in self.terms if term.owner == bearer.name]
-
     def vector(self, values: Mapping[str, ArrayLike]) -> Array:
         """Put named values in the order of :attr:`names`, one each or ``(n,)``, a row each.
 

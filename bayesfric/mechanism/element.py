@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 from bayesfric.errors import nearest
 from bayesfric.mechanism.quantities import (
     CHOICES,
-    CYCLE_PHRASES,
     CYCLES,
     LOAD_CHOICES,
     QUANTITIES,
@@ -34,17 +33,6 @@ class _Bearer:
         given["quantities"] = _chosen(self._options, choices, quantities)
         for key, value in given.items():
             object.__setattr__(self, key, value)
-
-    @property
-    def phrases(self) -> list[str]:
-        """What it has, each as it stands in a sentence."""
-        named = [
-            f"{CYCLE_PHRASES[option]} {', '.join(map(str, choice))} times a turn"
-            if option in CYCLES
-            else self._options[option][choice]
-            for option, choice in self.choices.items()
-        ]
-        return named + [q.meaning for q in self.quantities if not q.option]
 
     @property
     def choices(self) -> dict[str, Any]:

@@ -174,51 +174,46 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
     n = elements.shape[0]
     out = np.empty((n, samples.speed.shape[0]))
     for i in prange(n):
-        inverse_one(elements[i], load[i], carried[i], samples, 0, out[i])
+        inverse_one(elements[i], load[i], carried[i], samples, out[i])
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def inverse_one(
-    elements: Array, load: Array, carried: Array, samples: Samples, begin: int, out: Array
-) -> None:
-    """Write the measured motor torque of one parameter vector into ``out`` ``(n,)``.
-
-    It is that of the samples from ``begin`` on.
-    """
+def inverse_one(elements: Array, load: Array, carried: Array, samples: Samples, out: Array) -> None:
+    """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``."""
     n = out.shape[0]
-    sin_q, cos_q = samples.sin_q[begin : begin + n], samples.cos_q[begin : begin + n]
-    speed, acceleration = samples.speed[begin : begin + n], samples.acceleration[begin : begin + n]
+    sin_q, cos_q = samples.sin_q, samples.cos_q
+    speed, acceleration = samples.speed, samples.acceleration
     inertia = load[LOAD_INERTIA] + samples.added_inertia
     moment = samples.added_moment
     for j in range(n):
         out[j] = inertia * acceleration[j] + gravity_torque(load, moment, sin_q[j], cos_q[j])
-    _carry(carried, samples, elements.shape[0], begin, out)
+    _carry(carried, samples, elements.shape[0], out)
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]
         _through_element(elements[k], to_input, speed, acceleration, out)
-        _carry(carried, samples, k, begin, out)
+        _carry(carried, samples, k, out)
     for j in range(n):
         out[j] = (out[j] + load[OFFSET]) / load[GAIN]
-    _carry(carried, samples, elements.shape[0] + 1, begin, out)
+    _carry(carried, samples, elements.shape[0] + 1, out)
 
 
 @njit(cache=True)
-def _carry(carried: Array, samples: Samples, place: int, begin: int, out: Array) -> None:
+def _carry(carried: Array, samples: Samples, place: int, out: Array) -> None:
     """Add the terms of one element, or the load, that have no slot."""
     for t in range(carried.shape[0]):
         if samples.places[t] != place:
             continue
         value, address, reach = carried[t, 0], samples.addresses[t], samples.reaches[t]
         if address == 0:
-            column = samples.columns[t, begin : begin + out.shape[0]]
+            column = samples.columns[t]
             for j in range(out.shape[0]):
                 out[j] += value * column[j]
         else:
             for j in range(out.shape[0]):
-                position, speed = samples.position[begin + j], samples.speed[begin + j]
-                sign, stamp = float(np.sign(speed)), samples.time[begin + j]
+                position, speed = samples.position[j], samples.speed[j]
+                sign, stamp = float(np.sign(speed)), samples.time[j]
                 q, qd = reach * position, reach * speed
                 out[j] += value * call(address, q, qd, sign, stamp, carried[t, 1])
 

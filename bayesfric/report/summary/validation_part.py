@@ -98,28 +98,24 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     residuals = [p.measured - p.mean for p in predictions]
     residual = np.concatenate(residuals)
     variance = np.concatenate([p.variance for p in predictions])
-    # a Student-t may have no variance
-    finite = bool(np.isfinite(variance).all())
-    standard = residual / np.sqrt(variance) if finite else residual / rms_of(residual)
+    standard = residual / np.sqrt(variance)
     centred = standard - standard.mean()
     shares = {level: share_of(covered(pit, level), at, centred) for level in LEVELS}
     numbers: dict[str, Any] = {
         "outputs": residual.size,
         "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
         "residual_rms": rms_of(residual),
-        "predictive_sd": math.sqrt(float(variance.mean())) if finite else None,
-        "mean_standardised": float(standard.mean()) if finite else None,
-        "mean_standardised_error": (
-            math.sqrt(long_run_variance(centred, at)) / residual.size if finite else None
-        ),
+        "predictive_sd": math.sqrt(float(variance.mean())),
+        "mean_standardised": float(standard.mean()),
+        "mean_standardised_error": math.sqrt(long_run_variance(centred, at)) / residual.size,
         "residual_lag1": mean_lag(residuals, [follows(o) for o in observations]),
         "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
-        "discrepancy": _discrepancy(residual**2 - variance, at) if finite else None,
+        "discrepancy": _discrepancy(residual**2 - variance, at),
     }
     verdict = _verdict(shares[_JUDGED], shares[_HALF], numbers["discrepancy"])
     share, off = shares[_JUDGED], numbers["discrepancy"]
     told = {"covers": share.text, "effective": share.effective_outputs}
-    if off and off["interval"][0] > 0.0:
+    if off["interval"][0] > 0.0:
         told["beyond"] = f"{off['value']:.3g} {outputs.unit}"
     says = line_of(verdict, told | {"quantity": outputs.quantity})
     return numbers | {"verdict": verdict, "says": says}
@@ -134,12 +130,12 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     return {"value": value, "interval": [low, high], "level": _LEVEL}
 
 
-def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any] | None) -> str:
+def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any]) -> str:
     low, high = _PASSES
     if low <= share.share <= high:
         return "covered"
     # too few are inside, and what is outside is too far out: then both say the same
-    beyond = share.share < low and discrepancy is not None and discrepancy["interval"][0] > 0.0
+    beyond = share.share < low and discrepancy["interval"][0] > 0.0
     if not beyond and abs(share.share - _JUDGED) <= _SURE * share.standard_error:
         return "undecided"
     # off by nearly the same everywhere leaves few in the middle, and few far out
