@@ -55,8 +55,9 @@ _TYPICAL = 0.003
 # Chance that something is missing, before the recording is asked; where it is less afterwards, the
 # recording speaks against it, and intervals stay the posterior's own.
 _CHANCE = 0.1
-# Sweeps of the Gibbs sampler, and those left out; candidates that are taken in before.
-_SWEEPS, _BURN, _FIRST = 300, 100, 4
+# Sweeps of the Gibbs sampler, and those left out; sizes drawn in each of the others; candidates
+# that are taken in before.
+_SWEEPS, _BURN, _EACH, _FIRST = 300, 100, 20, 4
 # Share of a candidate's shift that is taken; the rest is spread.
 _TAKEN = 0.5
 # Share of the residual's power that is noise, at least.
@@ -214,116 +215,111 @@ def chance_missing(missing: Missing) -> float:
     return float(expit(odds))
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """The shapes that one candidate may have; a column of zeros ends those of fewer columns."""
+
+    shapes: Index  # (shapes, width), numbers of columns
+    columns: Index  # of all shapes
+    places: Index  # (shapes, width), where those stand among these
+
+    @classmethod
+    def of(cls, shapes: tuple[tuple[int, ...], ...], width: int, zero: int) -> _Kind:
+        padded = np.array([own + (zero,) * (width - len(own)) for own in shapes])
+        widest = padded[:, : max(map(len, shapes))]
+        columns, places = np.unique(widest, return_inverse=True)
+        return cls(padded, columns, places.reshape(widest.shape))
+
+    def evidence(self, precision: Array, pull: Array) -> Array:
+        """Give the log evidence ``(shapes, scales)`` of each shape at each scale."""
+        own, size = self.places, _GRID[:, None] ** 2
+        power, vectors = np.linalg.eigh(precision[own[:, :, None], own[:, None]])
+        turned = (vectors * pull[own][:, :, None]).sum(axis=1)[:, None]
+        total = 1.0 + size * np.maximum(power, 0.0)[:, None]
+        return np.asarray(0.5 * (size * turned**2 / total - np.log(total)).sum(axis=2))
+
+
 class Sizes:
     """Gibbs sampler of candidates' shapes and scales; sizes are integrated out."""
 
-    missing: Missing
+    def __init__(self, missing: Missing) -> None:
+        zero, shapes = missing.scores.size, missing.kinds.values()
+        width = max(len(own) for each in shapes for own in each)
+        self.gram, self.scores = np.pad(missing.gram, (0, 1)), np.pad(missing.scores, (0, 1))
+        self.diagonal = np.diagonal(self.gram)
+        self.power, self.free = missing.power, missing.free
+        self.kinds = [_Kind.of(each, width, zero) for each in shapes]
+        self.taken = np.array([kind.shapes[0] for kind in self.kinds])
+        self.scale = np.zeros(len(self.kinds), dtype=np.intp)
+        self.variance = missing.power / missing.free
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Draw sizes ``(n, m)``, shares of the torque; zero of shapes that are not taken."""
-        one = self.missing
-        kinds = [
-            (np.array(list(dict.fromkeys(i for own in shapes for i in own))), shapes)
-            for shapes in one.kinds.values()
-        ]
         ratio = _GRID[:, None] / _GRID
         around = np.log(ratio) - np.log1p(ratio**2)  # half Cauchy, a logarithm's
         around -= logsumexp(around, axis=0)  # (scale, typical scale)
         x = _GRID / _TYPICAL
-        prior = np.log(x / (1.0 + x * x))
-        scale, taken = np.zeros(len(kinds), dtype=int), [shapes[0] for _, shapes in kinds]
-        typical, variance = 0, one.power / one.free
-        sizes = np.zeros((_SWEEPS, one.scores.size))
-
-        def asked(g: int) -> Array:
-            columns, shapes = kinds[g]
-            others = self._active(taken, scale, variance, without=g)
-            precision, pull = self._left(columns, others, variance)
-            return np.asarray(self._evidence(columns, shapes, precision, pull) + around[:, typical])
-
-        def take(g: int, place: int) -> None:
-            taken[g], scale[g] = kinds[g][1][place // _GRID.size], place % _GRID.size
-
+        prior, typical = np.log(x / (1.0 + x * x)), 0
         # several kinds together may look like one, and no step leads back: the best goes first
         for _ in range(_FIRST):
-            told = [asked(g) for g in range(len(kinds))]
-            best = int(np.argmax([one.max() - one[:, 0].max() for one in told]))
-            take(best, int(np.argmax(told[best])))
-            variance = self._variance(taken, scale, variance)
-        for sweep in range(_SWEEPS):
-            for g in range(len(kinds)):
-                take(g, _drawn(asked(g).ravel(), rng))
-            typical = _drawn(prior + around[scale].sum(axis=0), rng)
-            active, sd = self._active(taken, scale, variance)
-            size = self._sizes(active, sd, variance, rng)
-            variance = self._rest(active, size) / float(rng.chisquare(one.free))
-            sizes[sweep, active] = size
-        return sizes[_BURN:]
+            asked = [self._asked(g) + around[:, typical] for g in range(len(self.kinds))]
+            best = int(np.argmax([one.max() - one[:, 0].max() for one in asked]))
+            self._take(best, int(np.argmax(asked[best])))
+            mean, _, active = self._given()
+            self.variance = self._rest(active, mean) / self.free
+        sizes = np.zeros((_SWEEPS, _EACH, self.scores.size))
+        for sweep in sizes:
+            for g in range(len(self.kinds)):
+                self._take(g, _drawn((self._asked(g) + around[:, typical]).ravel(), rng))
+            typical = _drawn(prior + around[self.scale].sum(axis=0), rng)
+            mean, root, active = self._given()
+            drawn = mean[:, None] + root @ rng.standard_normal((active.size, _EACH))
+            self.variance = self._rest(active, drawn[:, 0]) / float(rng.chisquare(self.free))
+            sweep[:, active] = drawn.T
+        return sizes[_BURN:, :, :-1].reshape(-1, self.scores.size - 1)
 
-    def _active(
-        self, taken: list[tuple[int, ...]], scale: Array, variance: float, without: int = -1
-    ) -> tuple[Index, Array]:
-        """Give the numbers of columns that matter to others, and their sds."""
-        diagonal = np.diagonal(self.missing.gram)
-        pairs = [(i, _GRID[s]) for g, (own, s) in enumerate(zip(taken, scale, strict=True))
-                 if g != without for i in own
-                 if without < 0 or _GRID[s] ** 2 * diagonal[i] > _IDLE * variance]  # fmt: skip
-        return np.array([i for i, _ in pairs], dtype=np.intp), np.array([s for _, s in pairs])
+    def _take(self, g: int, place: int) -> None:
+        shape, self.scale[g] = divmod(place, _GRID.size)
+        self.taken[g] = self.kinds[g].shapes[shape]
 
-    def _inner(self, active: Index, sd: Array, variance: float) -> Array:
-        """Give the precision of sizes over their sds, ``(m, m)``."""
-        inner = sd[:, None] * self.missing.gram[np.ix_(active, active)] * sd / variance
+    def _asked(self, g: int) -> Array:
+        """Give the log evidence of a kind's shapes at each scale, beside all the others."""
+        gram, scores, own = self.gram, self.scores, self.kinds[g].columns
+        active, sd = self._active(without=g)
+        precision, pull = gram[own[:, None], own], scores[own]
+        if active.size:
+            cross = sd[:, None] * np.column_stack([gram[active[:, None], own], scores[active]])
+            known = cross.T @ np.linalg.solve(self._inner(active, sd), cross) / self.variance
+            precision, pull = precision - known[:-1, :-1], pull - known[:-1, -1]
+        return self.kinds[g].evidence(precision / self.variance, pull / self.variance)
+
+    def _active(self, without: int | None = None) -> tuple[Index, Array]:
+        """Give the numbers of columns that are taken, and their sds; those that matter to one."""
+        sd = np.repeat(_GRID[self.scale], self.taken.shape[1]).reshape(self.taken.shape)
+        power = sd**2 * self.diagonal[self.taken]
+        if without is None:
+            return self.taken[power > 0.0], sd[power > 0.0]
+        power[without] = 0.0
+        matter = power > _IDLE * self.variance
+        return self.taken[matter], sd[matter]
+
+    def _inner(self, active: Index, sd: Array) -> Array:
+        """Give the precision of sizes over their sds, ``(active, active)``."""
+        inner = sd[:, None] * self.gram[active[:, None], active] * (sd / self.variance)
         inner[np.diag_indices(active.size)] += 1.0
         return np.asarray(inner)
 
+    def _given(self) -> tuple[Array, Array, Index]:
+        """Give mean ``(active,)`` and root ``(active, active)`` of sizes given their scales."""
+        active, sd = self._active()
+        root = sd[:, None] * np.linalg.inv(np.linalg.cholesky(self._inner(active, sd))).T
+        return root @ (root.T @ self.scores[active]) / self.variance, root, active
+
     def _rest(self, active: Index, size: Array) -> float:
         """Give the power that sizes leave of the residual."""
-        one = self.missing
-        left = one.power - 2.0 * size @ one.scores[active]
-        left += size @ one.gram[np.ix_(active, active)] @ size
-        return max(float(left), _LEAST * one.power)
-
-    def _variance(self, taken: list[tuple[int, ...]], scale: Array, variance: float) -> float:
-        """Give the noise's variance beside the sizes' mean."""
-        active, sd = self._active(taken, scale, variance)
-        pull = sd * self.missing.scores[active]
-        size = sd * np.linalg.solve(self._inner(active, sd, variance), pull) / variance
-        return self._rest(active, size) / self.missing.free
-
-    def _left(
-        self, columns: Index, others: tuple[Index, Array], variance: float
-    ) -> tuple[Array, Array]:
-        """Give precision ``(m, m)`` and pull ``(m,)`` of columns, the others integrated out."""
-        gram, scores, (active, sd) = self.missing.gram, self.missing.scores, others
-        own, pull = gram[np.ix_(columns, columns)], scores[columns]
-        if active.size:
-            cross = sd[:, None] * np.column_stack([gram[np.ix_(active, columns)], scores[active]])
-            solved = np.linalg.solve(self._inner(active, sd, variance), cross)
-            own = own - cross[:, :-1].T @ solved[:, :-1] / variance
-            pull = pull - cross[:, :-1].T @ solved[:, -1] / variance
-        return own / variance, pull / variance
-
-    def _evidence(
-        self, columns: Array, shapes: tuple[tuple[int, ...], ...], precision: Array, pull: Array
-    ) -> Array:
-        """Give the log evidence ``(shapes, scales)`` of each shape at each scale."""
-        place = {int(i): k for k, i in enumerate(columns)}
-        found = np.empty((len(shapes), _GRID.size))
-        for row, own in zip(found, shapes, strict=True):
-            at = [place[i] for i in own]
-            power, vectors = np.linalg.eigh(precision[np.ix_(at, at)])
-            turned, power = vectors.T @ pull[at], np.clip(power, 0.0, None)
-            size = _GRID[:, None] ** 2
-            gain = size * turned**2 / (1.0 + size * power) - np.log1p(size * power)
-            row[:] = 0.5 * gain.sum(axis=1)
-        return found
-
-    def _sizes(self, active: Index, sd: Array, variance: float, rng: np.random.Generator) -> Array:
-        root = np.linalg.cholesky(self._inner(active, sd, variance))
-        pull = sd * self.missing.scores[active] / variance
-        mean = np.linalg.solve(root @ root.T, pull)
-        return np.asarray(sd * (mean + np.linalg.solve(root.T, rng.standard_normal(active.size))))
+        left = self.power - 2.0 * size @ self.scores[active]
+        left += size @ self.gram[active[:, None], active] @ size
+        return max(float(left), _LEAST * self.power)
 
 
 def _drawn(log_weights: Array, rng: np.random.Generator) -> int:
