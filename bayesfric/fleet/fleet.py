@@ -46,7 +46,7 @@ class FleetRun:
     again: int  # were finished before
     failed: Mapping[str, str]  # units by the line that says why
     left: Mapping[str, str]  # those that the machine failed; --resume tries them again
-    status: Mapping[str, int]  # number of units by the status of their sampling
+    outcomes: Mapping[str, int]  # number of units by the outcome of their fits
     seconds: float  # by the clock
     cpu_seconds: float  # of this process, and of all workers on units
     population: FleetPopulation
@@ -64,7 +64,7 @@ class FleetRun:
             "folder": str(self.folder),
             "units": self.units,
             "again": self.again,
-            "status": dict(self.status),
+            "outcomes": dict(self.outcomes),
             "failed": dict(self.failed),
             "left": dict(self.left),
             "seconds": self.seconds,
@@ -260,7 +260,7 @@ class _Course:
 
     def _words(self) -> str:
         records = self.results.records
-        done, failed = len(records), sum(r["status"] == FAILED for r in records.values())
+        done, failed = len(records), sum(r["outcome"] == FAILED for r in records.values())
         return f"{done} of {len(self.plan.units)} units, {failed} failed"
 
     def end(self, folder: Path, began: float) -> FleetRun:
@@ -275,14 +275,14 @@ class _Course:
         texts = found.texts() | {"fleet.html": page}
         write_beside({folder / name: text for name, text in texts.items()}, replace=True)
         ordered = [(unit.name, records[unit.name]) for unit in plan.units]
-        failed = {name: r["error"] for name, r in ordered if r["status"] == FAILED}
+        failed = {name: r["error"] for name, r in ordered if r["outcome"] == FAILED}
         return FleetRun(
             folder=folder,
             units=len(ordered),
             again=self.again,
             failed={name: why for name, why in failed.items() if name not in self.left},
             left=self.left,
-            status=dict(Counter(record["status"] for _, record in ordered)),
+            outcomes=dict(Counter(record["outcome"] for _, record in ordered)),
             seconds=time.monotonic() - began,
             cpu_seconds=self._cpu_seconds + time.process_time(),
             population=found,

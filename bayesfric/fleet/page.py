@@ -69,7 +69,7 @@ def fleet_page(
         "columns": columns,
         "rows": rows,
         "quantities": shown(found),
-        "failed": [one for one in lines if one.record["status"] == FAILED],
+        "failed": [one for one in lines if one.record["outcome"] == FAILED],
         "outliers": [one for one in lines if (one.probability or 0.0) >= OUTLIER],
         "figures": figures,
         "sure": sure,

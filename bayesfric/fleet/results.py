@@ -19,18 +19,16 @@ if TYPE_CHECKING:
 # Columns before those of the units; the kinds are Arrow's names.
 COLUMNS = {
     "unit": "string",  # of the fleet
-    "status": "string",  # of the sampling, or "failed"
+    "outcome": "string",  # of its fit, as its verdict has it, or "failed"
     "quantity": "string",
-    "value": "double",  # posterior median
-    "low": "double",
-    "high": "double",  # interval to be told first
+    "value": "double",
     "sd": "double",
+    "low": "double",
+    "high": "double",
     "level": "double",
     "measure": "string",  # unit of the numbers
-    "verdict": "string",
-    "doubted": "string",
-    "gauge_free": "bool",
-    "warnings": "string",  # of the unit, a line each
+    "status": "string",  # identified, doubtful, limit, prior or unidentified
+    "findings": "string",  # that move it by more than its interval
     "error": "string",  # the line of a unit that failed
 }
 FAILED = "failed"
@@ -44,32 +42,29 @@ def record_of(summary: Summary) -> dict[str, Any]:
     """Give what a fleet keeps of a finished run: strings, numbers, lists and dicts."""
     rows = []
     for name, row in summary.rows.items():
-        low, high = row.told_interval
+        if (told := row.reported) is None:
+            continue
+        low, high = told.interval
         rows.append(
             {
                 "quantity": name,
-                "value": row.value,
+                "value": told.value,
+                "sd": told.sd,
                 "low": low,
                 "high": high,
-                "sd": row.told_sd,
                 "level": row.level,
                 "measure": row.unit,
-                "verdict": row.verdict,
-                "doubted": ", ".join(row.doubted),
-                "gauge_free": row.gauge_free,
+                "status": told.status,
+                "findings": ", ".join(told.how.findings),
             }
         )
-    return {
-        "status": summary.sampler.status,
-        "warnings": list(summary.warnings),
-        "error": None,
-        "rows": rows,
-    }
+    found = [finding.kind for finding in summary.findings]
+    return {"outcome": summary.verdict.outcome, "findings": found, "error": None, "rows": rows}
 
 
 def failure(error: str) -> dict[str, Any]:
     """Give what a fleet keeps of a unit that failed: its one line."""
-    return {"status": FAILED, "warnings": [], "error": error, "rows": []}
+    return {"outcome": FAILED, "findings": [], "error": error, "rows": []}
 
 
 class Results:
@@ -131,11 +126,7 @@ class Results:
         for unit in self._units:
             if (record := self.records.get(unit.name)) is None:
                 continue
-            told = unit.values | {
-                "unit": unit.name,
-                "status": record["status"],
-                "warnings": "\n".join(record["warnings"]) or None,
-                "error": record["error"],
-            }
+            told = {"unit": unit.name, "outcome": record["outcome"], "error": record["error"]}
+            told = unit.values | told
             for row in record["rows"] or [{}]:
                 yield told | row

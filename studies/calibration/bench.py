@@ -280,8 +280,6 @@ _knee = Bench(
     side="motor",
 )
 _late = replace(_plain, joint=replace(_plain.joint, delay=True))
-# What a configuration of 0.1.0 left out meant.
-_OLD = {"processing": {"lowpass": "50 Hz", "decimate": 10, "differentiation": "central"}}
 CASES: dict[str, Bench] = {
     "plain": _plain,
     "slow": _slow,
@@ -304,12 +302,7 @@ CASES: dict[str, Bench] = {
     "late by 2 samples": replace(_late, late=2.0),
     "ripple, 100 a turn": replace(_plain, ripple=(0.02, 100)),
     "ripple, once a turn": replace(_plain, ripple=(0.02, 1)),
-    "plain, as 0.1.0": replace(_plain, tables=_OLD),
-    "geared, as 0.1.0": replace(_geared, tables=_OLD),
     "geared, central differences": replace(
         _geared, noise=0.002, tables={"processing": {"differentiation": "central"}}
-    ),
-    "sticking, as 0.1.0": replace(
-        _plain, values={**PLAIN, "motor.coulomb": 1.0}, drives=(Drive(1.25),), tables=_OLD
     ),
 }

@@ -27,6 +27,7 @@ from bench import CASES, recorded
 from bayesfric import Model
 from bayesfric.errors import BadInput
 from bayesfric.mechanism.derived import derive
+from bayesfric.results.reported import ORDER
 
 HERE = Path(__file__).resolve().parent
 SEED = 2026
@@ -40,7 +41,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     with TemporaryDirectory() as folder:
         truth, recordings, stuck = recorded(bench, rng, Path(folder))
-        begun = time.perf_counter()
+        begun = time.process_time()
         try:
             model = Model(bench.joint, recordings, **bench.tables)
             summary = model.fit(seed=1).summary
@@ -48,135 +49,118 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
             return {"case": name, "number": number, "refused": str(error)}
     values = np.array([[truth[n] for n in bench.joint.names]])
     true = {**truth, **{q.name: float(q.values[0]) for q in derive(bench.joint, values, 1.0)}}
-    rows = {}
     checked = summary.self_check.rows if summary.self_check else {}
+    rows = {}
     for key, row in summary.rows.items():
-        if key in true and "efficiency" not in key:
-            low, high = row.interval
-            rows[key] = {
-                "truth": true[key],
-                "mean": row.mean,
-                "sd": row.sd,
-                "interval": [low, high],
-                # with room for the model's error, where a fit sees any: these models are right
-                "shown": row.told_interval,
-                "wider": row.told_sd / row.sd,
-                "verdict": row.verdict,
-                "gauge_free": row.gauge_free,
-                "self_check": checked[key].as_dict() if key in checked else None,
-            }
+        told = row.reported
+        if told is None or key not in true or "efficiency" in key:
+            continue
+        rows[key] = {
+            "truth": true[key],
+            "status": told.status,
+            "value": told.value,
+            "sd": told.sd,
+            "interval": told.interval,
+            # what sampling alone gave, and what the self-check foretold of that
+            "posterior": told.how.posterior,
+            "bias": checked[key].bias if key in checked else None,
+        }
     return {
         "case": name,
         "number": number,
         "stuck": stuck,
-        "seconds": round(time.perf_counter() - begun, 2),
+        "seconds": round(time.process_time() - begun, 2),
         "status": summary.sampler.status,
-        "noise": summary.noise.order,
-        "self_check_seconds": summary.self_check.seconds if summary.self_check else None,
-        "warnings": list(summary.warnings),
-        "doubts": [d.kind for d in summary.doubts],
+        "findings": [finding.kind for finding in summary.findings],
+        "outcome": summary.verdict.outcome,
         "rows": rows,
     }
 
 
 def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum one case up: how often intervals hold the truth, by verdict and quantity."""
+    """Sum one case up: how often printed intervals hold the truth, by status and quantity."""
     kept = [one for one in found if "rows" in one]
-    verdicts: dict[str, dict[str, Any]] = {}
-    for verdict in ("data", "weak"):
-        names = dict.fromkeys(
-            key for one in kept for key, row in one["rows"].items() if row["verdict"] == verdict
-        )
-        rows = {
-            name: [
-                row for one in kept if (row := one["rows"].get(name)) and row["verdict"] == verdict
-            ]
+    statuses: dict[str, dict[str, Any]] = {}
+    for status in ORDER:
+        # quantities of one recording err together: the error is that of recordings
+        own = [[r for r in one["rows"].values() if r["status"] == status] for one in kept]
+        shares = [np.mean([_held(row) for row in rows]) for rows in own if rows]
+        if not shares:
+            continue
+        names = dict.fromkeys(key for one in kept for key in one["rows"])
+        by_name = {
+            name: [one["rows"][name] for one in kept if _status(one, name) == status]
             for name in names
         }
-        verdicts[verdict] = {name: _quantity(some) for name, some in rows.items()}
-        # quantities of one recording err together: the error is that of recordings
-        shares = [
-            np.mean([_holds(r) for r in one["rows"].values() if r["verdict"] == verdict])
-            for one in kept
-            if any(r["verdict"] == verdict for r in one["rows"].values())
-        ]
-        if shares:
-            verdicts[verdict]["all"] = {
-                "intervals": sum(len(some) for some in rows.values()),
-                "coverage": float(np.mean([_holds(r) for some in rows.values() for r in some])),
-                "error": float(np.std(shares) / np.sqrt(len(shares))),
-            }
+        statuses[status] = {name: _quantity(rows) for name, rows in by_name.items() if rows}
+        statuses[status]["all"] = {
+            **_quantity([row for rows in own for row in rows]),
+            "error": float(np.std(shares) / np.sqrt(len(shares))),
+        }
+    seconds = [one["seconds"] for one in kept]
     return {
         "recordings": len(found),
         "refused": [one["refused"] for one in found if "refused" in one],
         "reliable": sum(one["status"] == "reliable" for one in kept),
-        "doubted": sum(bool(one["doubts"]) for one in kept),
+        "findings": sum(bool(one["findings"]) for one in kept),
+        "doubtful": sum(one["outcome"] == "doubtful" for one in kept),
         "stuck": float(np.mean([one["stuck"] for one in kept])),
-        "seconds": [float(np.median(x)) for x in ([one["seconds"] for one in kept],)]
-        + [max(one["seconds"] for one in kept)],
-        "verdicts": verdicts,
+        "cpu_seconds": [float(np.median(seconds)), max(seconds)],
+        "statuses": statuses,
     }
 
 
-def _holds(row: dict[str, Any]) -> bool:
+def _status(one: dict[str, Any], name: str) -> str | None:
+    return one["rows"][name]["status"] if name in one["rows"] else None
+
+
+def _held(row: dict[str, Any]) -> bool:
     return bool(row["interval"][0] <= row["truth"] <= row["interval"][1])
 
 
 def _quantity(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    z = np.array([(row["mean"] - row["truth"]) / row["sd"] for row in rows])
-    out = {
+    z = np.array([(row["value"] - row["truth"]) / row["sd"] for row in rows])
+    plain = np.array([row["posterior"] for row in rows])  # value, low, high, sd
+    truth, ends = (np.array([row[key] for row in rows]) for key in ("truth", "interval"))
+    wider = (ends[:, 1] - ends[:, 0]) / (plain[:, 2] - plain[:, 1])
+    found = {
         "intervals": len(rows),
-        "coverage": float(np.mean([_holds(row) for row in rows])),
+        "coverage": float(np.mean([_held(row) for row in rows])),
         "z": float(z.mean()),
         "z_sd": float(z.std()),
         "z_largest": float(np.abs(z).max()),
+        "wider": [float(np.median(wider)), float(np.quantile(wider, 0.9))],
+        "posterior_z": float(((plain[:, 0] - truth) / plain[:, 3]).mean()),
+        "posterior_coverage": float(np.mean((plain[:, 1] <= truth) & (truth <= plain[:, 2]))),
     }
-    out["shown"] = {
-        "coverage": float(np.mean([_holds({**row, "interval": row["shown"]}) for row in rows])),
-        "wider": float(np.mean([row["wider"] for row in rows])),
-    }
-    if checked := [row for row in rows if row["self_check"]]:
-        told = [row["self_check"] for row in checked]
-        # what is not corrected stays as it is
-        after = [
-            {**row, "interval": row["self_check"].get("corrected_interval") or row["interval"]}
-            for row in checked
-        ]
-        out["foretold"] = {
-            "z": float(np.mean([one["bias"] for one in told])),
-            "coverage": float(np.mean([one["coverage"] for one in told])),
-            "corrected_coverage": float(np.mean([_holds(row) for row in after])),
-        }
-    return out
+    if told := [row["bias"] for row in rows if row["bias"] is not None]:
+        found["foretold"] = float(np.mean(told))
+    return found
 
 
 def table(case: str, result: dict[str, Any]) -> list[str]:
     """Say how a case did, a line for each quantity."""
-    median, longest = result["seconds"]
+    median, longest = result["cpu_seconds"]
     lines = [
         f"== {case}: {result['recordings']} recordings, {len(result['refused'])} refused, "
-        f"{result['reliable']} reliable; sticks {result['stuck']:.0%}; "
-        f"median {median:.1f} s, longest {longest:.0f} s"
+        f"{result['reliable']} reliable, {result['findings']} with findings; "
+        f"sticks {result['stuck']:.0%}; median {median:.1f} CPU s, longest {longest:.0f}"
     ]
-    for verdict, rows in result["verdicts"].items():
+    for status, rows in result["statuses"].items():
         for name, row in rows.items():
-            line = f"   {verdict:5} {name:32} {row['coverage']:6.1%} of {row['intervals']:4}"
-            if "z" in row:
-                line += f"  z {row['z']:+.2f} +- {row['z_sd']:.2f}, largest {row['z_largest']:.1f}"
-            else:
-                line += f"  +- {row['error']:.1%}"
-            if shown := row.get("shown"):
-                line += f" | shown {shown['coverage']:.0%}, {shown['wider']:.2f} times as wide"
-            if told := row.get("foretold"):
-                line += f" | foretold z {told['z']:+.2f}, {told['coverage']:.0%}"
-                line += f" | corrected {told['corrected_coverage']:.0%}"
-            lines.append(line)
+            lines.append(
+                f"   {status:12} {name:32} {row['coverage']:6.1%} of {row['intervals']:4}  "
+                f"z {row['z']:+.2f} sd {row['z_sd']:.2f}, largest {row['z_largest']:.1f}; "
+                f"wider {row['wider'][0]:.2f}, {row['wider'][1]:.2f}; "
+                f"posterior {row['posterior_coverage']:.0%}, z {row['posterior_z']:+.2f}, "
+                f"foretold {row.get('foretold', 0.0):+.2f}"
+            )
     return lines
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--recordings", type=int, default=200)
+    parser.add_argument("--recordings", type=int, default=40)
     parser.add_argument("--cases", nargs="*", default=list(CASES))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--to", type=Path, default=HERE / "whole_path.json")

@@ -218,7 +218,7 @@ def main() -> None:
     told |= {
         "seconds": done["seconds"],
         "cpu_seconds": done["cpu_seconds"],
-        "status": found["status"],
+        "outcomes": found["outcomes"],
         "failed": found["failed"],
         "outliers": found["outliers"],
         "worn": truth["worn"],
