@@ -18,7 +18,7 @@ from compliant import Compliant
 
 from bayesfric import Element, Joint, Load, Term
 
-__all__ = ["BENCHES", "LACKING", "RIGHT", "recorded"]
+__all__ = ["BENCHES", "LACKING", "RIGHT", "UNLISTED", "USUAL", "recorded"]
 
 
 def recorded(bench: Bench | Compliant, rng: np.random.Generator, folder: Path) -> tuple[Any, ...]:
@@ -144,6 +144,16 @@ COMPLIANT: dict[str, tuple[tuple[str, ...], Compliant]] = {
         for x in (0.003, 0.01, 0.03)
     },
 }
+# What no candidate is like: the list decides what intervals have room for.
+UNLISTED: dict[str, tuple[tuple[str, ...], Bench]] = {
+    name: ((), _lacking(_arm(terms=(_term("extra", column),)), **{"motor.extra": x}))
+    for name, x, column in (
+        ("a spring that stiffens", 0.05, lambda m: m.position**3),
+        ("viscous by angle", 0.03, lambda m: m.speed * np.cos(3.0 * m.position)),
+        ("a wandering offset", 0.1, lambda m: np.sin(2.0 * np.pi * m.time / 6.0 + 1.0)),
+        ("damping that saturates", 0.2, lambda m: np.tanh(m.speed / 2.0)),
+    )
+}
 LACKING: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
     **{f"{name} {x:g}": (kinds, made(x)) for name, (x, kinds, made) in EFFECTS.items()},
     **{
@@ -181,4 +191,5 @@ BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
         for name, (kinds, bench) in USUAL.items()
         if isinstance(bench, Bench)
     },
+    **UNLISTED,
 }

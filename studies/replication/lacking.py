@@ -27,12 +27,12 @@ HERE = Path(__file__).resolve().parent
 for folder in ("calibration", "diagnostics"):
     sys.path.insert(0, str(HERE.parent / folder))
 
-from joints import BENCHES, RIGHT, USUAL, recorded
+from joints import BENCHES, RIGHT, UNLISTED, USUAL, recorded
 
 from bayesfric import Model
 
 SEED = 41
-CASES = (*RIGHT[:6], "arm", *USUAL)
+CASES = (*RIGHT[:6], "arm", *USUAL, *UNLISTED)
 
 
 def true_values(truth: dict[str, float], names: list[str]) -> dict[str, float]:
@@ -50,7 +50,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     """Fit one recording as its model is written."""
     name, number = task
     _, bench = BENCHES[name]
-    rng = np.random.default_rng([SEED, list(BENCHES).index(name), number])
+    rng = np.random.default_rng([SEED, *name.encode(), number])
     with TemporaryDirectory() as folder:
         truth, recordings, _ = recorded(bench, rng, Path(folder))
         summary = Model(bench.joint, recordings, **bench.tables).fit(seed=number).summary
