@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bayesfric.check_report import check
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.finding import Finding
 from bayesfric.errors import BadInput, nearest
+from bayesfric.inference.discrepancy import pull
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Status
 from bayesfric.inference.sampling.sampling import sample
@@ -15,6 +18,7 @@ from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point
 from bayesfric.progress import Progress, Shown, Spent
+from bayesfric.results.verdict import Outcome, verdict
 
 LEVEL = 0.9
 # Runs that a joint posterior has room for.
@@ -28,6 +32,7 @@ class PooledParameter:
     name: str
     unit: str
     jointly: Varying
+    findings: tuple[str, ...]  # kinds that move it in a recording by more than its interval
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class SharedParameter:
     name: str
     unit: str
     value: Interval
+    findings: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,10 @@ class Pooled:
     shared: tuple[SharedParameter, ...]
     level: float
     status: Status
+    outcome: Outcome
+    findings: tuple[Finding, ...]  # what else explains each recording's torque
     problems: tuple[str, ...]
-    warnings: tuple[str, ...]  # of :func:`bayesfric.check`; intervals take the model for right
+    warnings: tuple[str, ...]  # of :func:`bayesfric.check`
     seconds: float  # of all that was sampled, by the clock
     cpu_seconds: float
 
@@ -74,7 +82,8 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     _check(problem, vary)
     choice = starting_point(problem, progress=progress).choice
     noise, priors = problem.remembering(choice)
-    targets, alone = [], []
+    targets, alone, pulls = [], [], []
+    explained: list[Explanation] = []
     for k, observation in enumerate(problem.observations):
         progress(Progress(f"recording {observation.name}"))
         target = make_target(problem.chain, [observation], priors, "shared", noise)
@@ -88,23 +97,46 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
             )
         targets.append(found.target)
         alone.append(found.posterior)
+        explained.append(problem.alone(k).explain(progress=progress))
+        pulls.append(pull(found.target, found.posterior, explained[-1].missing))
     names = [o.name for o in problem.observations]
     progress(Progress("all recordings together"))
     together = JointTarget(targets, names, vary, alone, settings.seed)
     posterior = sample(together, together.start, settings)  # type: ignore[arg-type]
     units = {p.name: p.unit for p in problem.chain.parameters}
-    jointly = varying_parts(posterior, names, vary, LEVEL)
-    flat = posterior.flat()
+    flat = together.widened(posterior, pulls)
+    jointly = varying_parts(posterior, flat, names, vary, LEVEL)
+    findings = tuple(
+        replace(one, recording=name)
+        for name, asked in zip(names, explained, strict=True)
+        for one in asked.findings
+    )
+    moved = {
+        name: tuple(dict.fromkeys(one.kind for one in findings if name in one.moves))
+        for name in units
+    }
+    status = posterior.diagnostics.status
     return Pooled(
         recordings=tuple(names),
-        varying=tuple(PooledParameter(name, units[name], jointly[name]) for name in vary),
+        varying=tuple(
+            PooledParameter(name, units[name], jointly[name], moved[name]) for name in vary
+        ),
         shared=tuple(
-            SharedParameter(name, units[name], interval(flat[:, j], LEVEL))
+            SharedParameter(name, units[name], interval(flat[:, j], LEVEL), moved[name])
             for j, name in enumerate(posterior.names)
             if name in units
         ),
         level=LEVEL,
-        status=posterior.diagnostics.status,
+        status=status,
+        outcome=verdict(
+            converged=status == "reliable",
+            doubts=sum(one.severity == "doubt" for one in findings),
+            doubtful=sum(map(bool, moved.values())),
+            asked=None if any(one.reason for one in explained) else len(explained[0].kinds),
+            explained=None,
+            lacking=bool(findings) and any(one is not None for one in pulls),
+        ).outcome,
+        findings=findings,
         problems=posterior.diagnostics.problems,
         warnings=check(problem).warnings,
         seconds=spent.seconds,

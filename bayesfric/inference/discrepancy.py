@@ -169,24 +169,50 @@ def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.
     return np.asarray(possible)
 
 
-def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
-    """Marginalise what may be missing; nothing is where nobody could ask."""
-    k = len(target.free)
-    none = Discrepancy(0.0, np.zeros((1, k)), np.zeros(k), np.eye(k))
+@dataclass(frozen=True, eq=False)
+class Pull:
+    """What may be missing pulls a recording's estimate by, in its target's coordinates."""
+
+    chance: float  # that something is missing
+    drawn: Array  # (n, k) scores
+    around: _Around
+
+    def scores(self, rows: Index, sides: Array) -> Array:
+        """Give scores of these rows of the drawn, by sides ``(rows, 1)``, standard normals.
+
+        Their mean is taken in part, and for the rest may be there or not, to either side.
+        """
+        mean = self.drawn.mean(axis=0)
+        return np.asarray(self.drawn[rows] - mean + (_TAKEN + (1.0 - _TAKEN) * sides) * mean)
+
+
+def pull(target: Target, posterior: Posterior, missing: Missing | None) -> Pull | None:
+    """Marginalise what may be missing; nothing is where nobody could ask, or it hardly may."""
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":
-        return none
+        return None
     chance = chance_missing(missing)
     if chance < _CHANCE:
-        return none
+        return None
     around = _Around.of(target, posterior)
-    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13,)))
-    off = -Sizes(missing).drawn(rng) @ around.follows(missing.columns).T
-    mean = off.mean(axis=0)
-    # the mean is taken in part, and for the rest may be there or not, to either side
-    spread = (1.0 - _TAKEN) * rng.standard_normal((len(off), 1)) * mean
-    moves = off - (1.0 - _TAKEN) * mean + spread
-    return Discrepancy(chance, moves, around.shift, around.covariance)
+    drawn = -Sizes(missing).drawn(_stream(posterior)) @ around.scores(missing.columns).T
+    return Pull(chance, drawn, around)
+
+
+def _stream(posterior: Posterior, *more: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13, *more)))
+
+
+def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
+    """Say how far what may be missing moves the numbers."""
+    k = len(target.free)
+    one = pull(target, posterior, missing)
+    if one is None:
+        return Discrepancy(0.0, np.zeros((1, k)), np.zeros(k), np.eye(k))
+    around, count = one.around, len(one.drawn)
+    sides = _stream(posterior, 1).standard_normal((count, 1))
+    moves = one.scores(np.arange(count), sides) @ around.covariance
+    return Discrepancy(one.chance, moves, around.shift, around.covariance)
 
 
 def chance_missing(missing: Missing) -> float:
@@ -369,12 +395,12 @@ class _Around:
         pull, known = _held(target, v)
         return cls(likelihood, scales, rows, *_without_bounds(covariance, rows, white, pull, known))
 
-    def follows(self, columns: Array) -> Array:
-        """Give what the estimate moves by for columns ``(n, m)`` of outputs: ``(k, m)``."""
+    def scores(self, columns: Array) -> Array:
+        """Give what columns ``(n, m)`` of outputs pull the estimate by: ``(k, m)``."""
         ends = np.cumsum([o.measured.size for o in self.likelihood.outputs])[:-1]
         parts = [part.T for part in np.split(columns, ends)]
         white = np.concatenate(self.likelihood.innovations(parts, self.scales), axis=1).T
-        return np.asarray(self.covariance @ (self.rows.T @ white))
+        return np.asarray(self.rows.T @ white)
 
 
 def _held(target: Target, v: Array) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates
+from bayesfric.inference.discrepancy import Pull
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.start import Start
@@ -161,12 +162,33 @@ class JointTarget(LogPosterior):
             found += target.log_likelihood(parameters[:, places])
         return found
 
+    def widened(self, posterior: Posterior, pulls: Sequence[Pull | None]) -> Array:
+        """Move draws of the posterior ``(n, d)`` by as much as the recordings' models may be off.
+
+        What one lacks all may lack: the part of it that may be there or not is so in all of them,
+        and what does not average out over recordings is not counted as if it did.
+        """
+        flat = posterior.flat()
+        u, rng = self.coordinates.from_parameters(flat), np.random.default_rng([posterior.seed, 17])
+        chance, sides = rng.uniform(size=(len(u), 1)), rng.standard_normal((len(u), 1))
+        moved = u.copy()
+        for target, places, pull in zip(self.targets, self._places, pulls, strict=True):
+            if pull is not None:
+                own = target.unbounded(flat[:, places])[:, : pull.drawn.shape[1]]
+                cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
+                scores = pull.scores(rng.integers(len(pull.drawn), size=len(u)), sides)
+                moved += np.where(chance < pull.chance, scores @ cross, 0.0)
+        return self.to_parameters(moved)[0]
+
 
 def varying_parts(
-    posterior: Posterior, recordings: Sequence[str], varying: Sequence[str], level: float
+    posterior: Posterior,
+    flat: Array,
+    recordings: Sequence[str],
+    varying: Sequence[str],
+    level: float,
 ) -> dict[str, Varying]:
-    """Sum up what varies: population, each run, and the next one."""
-    flat = posterior.flat()
+    """Sum up what varies, of draws ``(n, d)``: population, each run, and the next one."""
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(13,)))
     found = {}
     for name in varying:

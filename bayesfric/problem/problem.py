@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -86,6 +87,13 @@ class Problem:
         self.recordings, self.observations = found.recordings, found.observations
         self.encoder = found.encoder
         self.references()  # refuses what they cannot be of
+
+    def alone(self, k: int) -> Self:
+        """Give the same with its recording ``k`` alone."""
+        one = copy(self)
+        one.recordings, one.observations = [self.recordings[k]], [self.observations[k]]
+        one._estimates = {}
+        return one
 
     def references(self) -> dict[str, dict[str, Any]]:
         """Values to compare with, by name of what they are of.

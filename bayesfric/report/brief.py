@@ -20,11 +20,13 @@ from bayesfric.templates import percent
 
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
-_SIGNS = {
+# How each outcome is told.
+SIGNS = {
     "good": "Fit good",
     "usable": "Model incomplete",
     "unchecked": "Model not checked",
     "doubtful": "Doubtful",
+    "not converged": "Not converged",
 }
 # What stands beside a number that is not simply identified.
 _BESIDE = {"identified": "", "limit": "", "prior": "needs the prior", "doubtful": "doubtful"}
@@ -120,8 +122,8 @@ def _verdict(summary: Summary) -> str:
     found = summary.verdict
     if found.outcome == "not converged":
         lost = summary.sampler.status == "unusable"
-        return f"Not converged: {'no number is a posterior' if lost else 'numbers may still move'}."
-    text = _SIGNS[found.outcome]
+        return f"{SIGNS[found.outcome]}: {'no number is a posterior' if lost else 'numbers may still move'}."
+    text = SIGNS[found.outcome]
     if found.explained is not None:
         left = percent(math.sqrt(1.0 - found.explained))
         text += f": it leaves {left} % of the {summary.fit.quantity}"

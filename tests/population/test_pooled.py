@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
+from bayesfric.inference.discrepancy import Pull
 from bayesfric.population.joint_runs import JointTarget
 from tests.axis import AXIS, VALUES, swing
 
@@ -50,6 +51,26 @@ def test_each_recordings_own_value_is_found_and_the_rest_is_shared(found):
     assert set(shared) == set(AXIS.names) - {"motor.viscous"}
     for name, one in shared.items():
         assert abs(one.median - VALUES[name]) < one.high - one.low
+
+
+def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
+    """A pull of one size in each: half of it is taken, half may be there or not, in all at once."""
+    scores = {"offset": 800.0}
+
+    def pulled(target, posterior, missing):
+        drawn = np.tile([scores.get(name, 0.0) for name in target.free], (10, 1))
+        return Pull(1.0, drawn, None)
+
+    monkeypatch.setattr("bayesfric.pooled_fit.pull", pulled)
+    before, after = (
+        {one.name: one.value for one in pool.shared}["offset"]
+        for pool in (found, model().pool(seed=1))
+    )
+    shift = after.median - before.median
+    # of two normals 90 % intervals are 3.29 sds wide
+    sds = [(one.high - one.low) / 3.29 for one in (before, after)]
+    assert shift > 2.0 * sds[0]
+    assert sds[1] == pytest.approx(np.hypot(sds[0], shift), rel=0.15)
 
 
 def test_the_population_mean_is_integrated_exactly():
