@@ -18,19 +18,29 @@ from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
+from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import load_reach
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.law import (
+    Formula,
+    Statements,
+    Traced,
+    Unwritten,
+    Varying,
+    formula_of,
+    names_in,
+    of_time,
+    torque_of,
+)
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import (
     CHOICES,
     CYCLE_PHRASES,
     CYCLES,
     LOAD_CHOICES,
-    SHAPES,
 )
 from bayesfric.opened import read_json
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.answers.formula import Formula, Unwritten, formula_of, mentions
 from bayesfric.report.summary.derived_quantities import LEVEL
 
 FILE = "page.json"
@@ -40,20 +50,9 @@ _LARGEST = 2_000_000
 _DRAWS = 300
 # Of a draw; far finer than draws differ, and a third of the bytes.
 _DIGITS = 7
-# Slots of the kernels that the page's script knows by name, of an element and of the whole.
-ELEMENT_FORMS = frozenset(
-    (
-        "stribeck_ratio", "stribeck_load_ratio", "stribeck_velocity", "stribeck_exponent",
-        "load_drive", "load_back", "load_drive_difference", "load_back_difference", "load_speed",
-        "load_square",
-    )
-)  # fmt: skip
-LOAD_FORMS = frozenset(("gravity_angle", "gain"))
-# What may be chosen besides speed and load, where a term depends on one of these.
-_INPUTS: Mapping[str, tuple[str, ...]] = {
-    "position": ("position", "gravity"),
-    "acceleration": ("acceleration",),
-}
+_INPUTS = {"position": "q", "acceleration": "a"}
+# What the page's script tells, beside the terms by number: see `_law`.
+_TOLD = ("torque", "recorded", "friction", "load-loss", "outside", "weight")
 Calculator = dict[str, Any]  # what the page's script works with, see `written`
 # What the load itself needs, as :func:`bayesfric.mechanism.inverse.load_torque` has it.
 _WEIGHT = ("inertia", "first_moment")
@@ -79,32 +78,32 @@ def written(
 ) -> Calculator:
     """Write a joint down with vectors ``(n, n_parameters)`` of its parameters.
 
-    ``values`` has a column of draws for each of ``names``, or a number where it does not vary;
-    ``elements`` have their ratio, their input's speed over the joint's (``reach``) and parameters
-    by slot; ``terms`` are told in ``groups``. ``open_scale`` is whether the scale between load and
-    load losses is open; ``begins`` whether there are terms of temperature or time, which are those
-    of 20 degC and of a beginning; ``scaled`` whether ``drive.gain`` is the torque's factor. Where
-    the law has a term that cannot be written down, ``missing`` names it, and nothing else is there.
+    ``values`` has a column of draws for each of ``names``, or a number where it does not vary.
+    ``law`` are names and formulas, one after the other, of ``q``, ``v``, ``a``, ``s`` (see
+    :class:`bayesfric.mechanism.law.Statements`), of the torque ``load`` from outside and of the
+    parameters ``p0``, ``p1``, ...; ``groups`` tell what its terms by number are. ``open_scale``
+    is whether the scale between load and load losses is open; ``begins`` whether there are terms of
+    temperature or time, which are those of 20 degC and of a beginning; ``scaled`` whether
+    ``drive.gain`` is the torque's factor. Where the law has a term that cannot be written down,
+    ``missing`` names it, and nothing else is there.
     """
     try:
-        law = _Law(chain)
+        law, groups = _law(chain, open_scale=open_scale)
     except Unwritten as error:
         return {"missing": str(error)}
+    named = set().union(*(names_in(formula) for _, formula in law))
     return {
         "missing": "",
         "level": LEVEL,
         "names": list(chain.names),
         "values": [float(x[0]) if np.ptp(x) == 0.0 else x.tolist() for x in values.T],
-        "elements": law.elements,
-        "gravity": chain.load.gravity,
-        "load_forms": law.load_forms,
-        "terms": law.terms,
-        "groups": law.groups,
-        "inputs": [name for name, fields in _INPUTS.items() if law.mentions(fields)],
+        "law": law,
+        "groups": groups,
+        "inputs": [name for name, known in _INPUTS.items() if known in named],
         "lossy": any(element.load_loss != "none" for element in chain.elements),
         "open_scale": open_scale,
         "own_offsets": bool(chain.own_offsets),
-        "begins": law.begins,
+        "begins": any(of_time(p.row) for p in chain.parameters),
         "scaled": chain.gain,
         "motion": chain.load.motion,
         "motor_motion": chain.motor_motion,
@@ -121,81 +120,76 @@ def read_calculator(run: Path) -> Calculator | None:
     """Read what a run directory holds for its page; nothing where it holds none that is whole."""
     try:
         found = read_json(run / FILE, largest=_LARGEST)["calculator"]
-        return found if found["missing"] or found["seen"] else None
+        return found if found["missing"] or (found["seen"] and found["law"]) else None
     except (BadInput, ValueError, KeyError, TypeError):
         return None
 
 
-class _Law:
-    """Elements, terms and groups of a joint."""
+def _law(
+    chain: Joint, *, open_scale: bool
+) -> tuple[list[tuple[str, Formula]], list[dict[str, Any]]]:
+    """Statements of what the page tells, all as the motor feels it, and the groups of terms."""
+    vector = np.array([Varying(f"p{k}") for k in range(len(chain.names))], dtype=object)
+    _, (load,), _ = chain.tables(vector[None])
+    made, push = Statements("push", *_TOLD), Traced("push")
+    torque = made.put("whole", made.torque(chain, vector, push) + load[kernels.OFFSET])
+    felt = _felt(chain, vector, open_scale=open_scale)
+    groups: dict[str, dict[str, Any]] = {}
+    parts: dict[str, Any] = {}
+    weight = -push
+    for p, value in zip(chain.parameters, vector, strict=True):
+        if p.row.role != "own" or p.row.signal or (p.row.name == "offset" and chain.own_offsets):
+            continue  # a shape; none at 20 degC and at rest; whose it is, only the recording says
+        part = value * _column(made, chain, vector, p)
+        key = p.row.option or p.name
+        loss = bool({"speed", "direction"} & names_in(formula_of(p.row)))
+        groups.setdefault(key, {"words": _words(p), "loss": loss})
+        parts[key] = parts.get(key, 0.0) + part * felt[p.owner]
+        if p.owner == "load" and p.quantity in _WEIGHT:
+            weight = weight + part
+    parts = {key: made.put("part", part) for key, part in parts.items()}
+    outside = made.put("away", -push * felt["load"])
+    passed = made.put("rest", torque - outside - sum(parts.values()))
+    lost = [parts[key] for key, group in groups.items() if group["loss"]]
+    answers = (torque, torque / load[kernels.GAIN], passed + sum(lost), passed, outside)
+    told = dict(zip(_TOLD, (*answers, weight * felt["load"]), strict=True))
+    told |= {str(k): part for k, part in enumerate(parts.values())}
+    for name, value in told.items():
+        made.tell(name, value)
+    return [one for one in made.used(*told) if one[0]], list(groups.values())
 
-    def __init__(self, chain: Joint) -> None:
-        self.chain = chain
-        self.elements: list[dict[str, Any]] = [
-            {"ratio": e.ratio, "reach": chain.reaches[e.name], "forms": {}} for e in chain.elements
-        ]
-        self.load_forms: dict[str, int] = {}
-        self.terms: list[dict[str, Any]] = []
-        self.groups: list[dict[str, Any]] = []
-        self.begins = False
-        self._keys: list[str] = []
-        places = {e.name: k for k, e in enumerate(chain.elements)}
-        places |= {"load": len(places), "": len(places) + 1, "drive": len(places) + 1}
-        for index, p in enumerate(chain.parameters):
-            self._put(index, p, places[p.owner])
 
-    def mentions(self, fields: tuple[str, ...]) -> bool:
-        """Tell whether a term depends on one of some fields of a state."""
-        return any(mentions(term["formula"], fields) for term in self.terms)
+def _felt(chain: Joint, vector: Array, *, open_scale: bool) -> dict[str, Any]:
+    """Torque at the motor for one at each element's input, or of the load, without load losses.
 
-    def _put(self, index: int, p: Parameter, place: int) -> None:
-        row = p.row
-        if row.signal:  # at 20 degC, and at rest as far as torque changes, there is none of it
-            self.begins = self.begins or row.signal == "temperature"
-            return
-        if p.quantity == "offset" and self.chain.own_offsets:
-            return  # whose it is, only the recording says
-        if p.quantity in SHAPES:
-            return
-        if row.role != "own":
-            at_element = place < len(self.elements)
-            forms = self.elements[place]["forms"] if at_element else self.load_forms
-            for slot in (p.quantity,) if row.slots is None else row.slots:
-                if slot not in (ELEMENT_FORMS if at_element else LOAD_FORMS):
-                    raise Unwritten(p.name)
-                forms[slot] = index
-            return
-        formula: Formula = 1.0
-        if p.quantity != "offset":
-            assert row.column is not None
-            try:
-                formula = formula_of(row.column, shaped=bool(row.shape))
-            except Unwritten:
-                raise Unwritten(p.name) from None
-        self.begins = self.begins or mentions(formula, ("time",))
-        shape = self.chain.names.index(f"{p.owner}.{row.shape}") if row.shape else -1
-        self.terms.append(
-            {
-                # of its element; the load is the number of elements, and one more what is on top
-                "place": place,
-                "parameter": index,
-                "shape": shape,  # index of the parameter that shapes it, or -1
-                "rises": row.rises,  # whether the rise at low speed multiplies it
-                "group": self._group(p, loss=mentions(formula, ("speed", "direction"))),
-                "formula": formula,
-                # whether it is of the load torque that `seen` tells the range of
-                "weight": p.owner == "load" and p.quantity in _WEIGHT,
-            }
-        )
+    Where their scale is open, the mean of driving and back-driving, which no scaling changes.
+    """
+    found: dict[str, Any] = {"": 1.0}
+    drive, back, ratio = 1.0, 1.0, 1.0
+    behind = [*(e.name for e in chain.elements[1:]), "load"]
+    found[chain.elements[0].name] = 1.0
+    for name, element in zip(behind, chain.tables(vector[None]).elements[0], strict=True):
+        ratio = ratio * element[kernels.RATIO]
+        drive = drive * (1.0 + element[kernels.LOAD_DRIVE])
+        back = back * (1.0 - element[kernels.LOAD_BACK])
+        found[name] = (0.5 * (drive + back) if open_scale else 1.0) / ratio
+    return found
 
-    def _group(self, p: Parameter, *, loss: bool) -> int:
-        """Find the group of a term, all elements together, or begin it."""
-        option = p.row.option
-        key = option or p.name
-        if key not in self._keys:
-            self._keys.append(key)
-            self.groups.append({"words": _words(p), "loss": loss})
-        return self._keys.index(key)
+
+def _column(made: Statements, chain: Joint, vector: Array, p: Parameter) -> Any:
+    """Torque of a term for a coefficient of one, with its rise at low speed."""
+    (elements,), (load,), _ = chain.tables(vector[None])
+    gravity = load[kernels.GRAVITY] * np.sin(Traced("q") + load[kernels.GRAVITY_ANGLE])
+    at = made.at(chain.reaches[p.owner])._replace(gravity=gravity)
+    shape = [vector[chain.names.index(f"{p.owner}.{p.row.shape}")]] if p.row.shape else []
+    try:
+        column = torque_of(p.row, at, *shape)
+    except Unwritten:
+        raise Unwritten(p.name) from None
+    if not p.row.rises:
+        return column
+    k = [e.name for e in chain.elements].index(p.owner)
+    return column * made.kernels["rises"](elements[k], at.speed)[0]
 
 
 def _words(p: Parameter) -> str:
