@@ -177,10 +177,7 @@ class Statements:
         """
         (elements,), (load,), _ = chain.tables(vector[None])
         self.remark("load")
-        at = self.at(1.0)
-        torque = load[kernels.LOAD_INERTIA] * at.acceleration - outside
-        sines = np.sin(at.position), np.cos(at.position)
-        torque = torque + self.kernels["gravity_torque"](load, 0.0, *sines)
+        at, torque = self.at(1.0), self.weight(load, outside)
         torque = self.put("torque", torque + self._carried(chain, vector, len(chain.elements), at))
         for k in range(len(chain.elements) - 1, -1, -1):
             element, name = elements[k], chain.elements[k].name
@@ -191,6 +188,12 @@ class Statements:
             torque = self.kernels["through"](element, torque, *moving)
             torque = self.put("torque", torque + self._carried(chain, vector, k, at))
         return torque
+
+    def weight(self, load: Array, outside: Any) -> Any:
+        """Torque that moves the load itself, eq. (3), less what pushes it; a row of tables."""
+        q, _, a, _ = map(Traced, MOTION)
+        weight = self.kernels["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
+        return load[kernels.LOAD_INERTIA] * a + weight - outside
 
     def at(self, reach: float) -> State:
         """State, of nothing carried, where the speed is so many times the joint's."""

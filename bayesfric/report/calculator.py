@@ -1,7 +1,6 @@
 """The law of a fitted joint, with a few hundred draws, for a page that works out torques.
 
-Elements pass torque on as :mod:`bayesfric.mechanism.kernels` says; what each term adds is written
-down from its row in the table of quantities.
+All of it is data, see :mod:`bayesfric.mechanism.law`: nothing of a run directory is run.
 """
 
 from __future__ import annotations
@@ -54,8 +53,6 @@ _INPUTS = {"position": "q", "acceleration": "a"}
 # What the page's script tells, beside the terms by number: see `_law`.
 _TOLD = ("torque", "recorded", "friction", "load-loss", "outside", "weight")
 Calculator = dict[str, Any]  # what the page's script works with, see `written`
-# What the load itself needs, as :func:`bayesfric.mechanism.inverse.load_torque` has it.
-_WEIGHT = ("inertia", "first_moment")
 
 
 def calculator(fit: Fit) -> Calculator:
@@ -128,68 +125,48 @@ def read_calculator(run: Path) -> Calculator | None:
 def _law(
     chain: Joint, *, open_scale: bool
 ) -> tuple[list[tuple[str, Formula]], list[dict[str, Any]]]:
-    """Statements of what the page tells, all as the motor feels it, and the groups of terms."""
+    """Write statements of all that the page tells, as the motor feels it, and groups of terms."""
     vector = np.array([Varying(f"p{k}") for k in range(len(chain.names))], dtype=object)
-    _, (load,), _ = chain.tables(vector[None])
+    load = chain.tables(vector[None]).load[0]
     made, push = Statements("push", *_TOLD), Traced("push")
     torque = made.put("whole", made.torque(chain, vector, push) + load[kernels.OFFSET])
-    felt = _felt(chain, vector, open_scale=open_scale)
+    felt = {
+        name: load_reach(chain, vector[None], open_scale=open_scale, passed=k)[0]
+        for k, name in enumerate((*(e.name for e in chain.elements), "load"))
+    }
     groups: dict[str, dict[str, Any]] = {}
     parts: dict[str, Any] = {}
-    weight = -push
     for p, value in zip(chain.parameters, vector, strict=True):
         if p.row.role != "own" or p.row.signal or (p.row.name == "offset" and chain.own_offsets):
             continue  # a shape; none at 20 degC and at rest; whose it is, only the recording says
-        part = value * _column(made, chain, vector, p)
         key = p.row.option or p.name
         loss = bool({"speed", "direction"} & names_in(formula_of(p.row)))
         groups.setdefault(key, {"words": _words(p), "loss": loss})
-        parts[key] = parts.get(key, 0.0) + part * felt[p.owner]
-        if p.owner == "load" and p.quantity in _WEIGHT:
-            weight = weight + part
+        part = value * _column(made, chain, vector, p) * felt.get(p.owner, 1.0)
+        parts[key] = parts.get(key, 0.0) + part
     parts = {key: made.put("part", part) for key, part in parts.items()}
     outside = made.put("away", -push * felt["load"])
     passed = made.put("rest", torque - outside - sum(parts.values()))
-    lost = [parts[key] for key, group in groups.items() if group["loss"]]
-    answers = (torque, torque / load[kernels.GAIN], passed + sum(lost), passed, outside)
-    told = dict(zip(_TOLD, (*answers, weight * felt["load"]), strict=True))
-    told |= {str(k): part for k, part in enumerate(parts.values())}
-    for name, value in told.items():
-        made.tell(name, value)
-    return [one for one in made.used(*told) if one[0]], list(groups.values())
-
-
-def _felt(chain: Joint, vector: Array, *, open_scale: bool) -> dict[str, Any]:
-    """Torque at the motor for one at each element's input, or of the load, without load losses.
-
-    Where their scale is open, the mean of driving and back-driving, which no scaling changes.
-    """
-    found: dict[str, Any] = {"": 1.0}
-    drive, back, ratio = 1.0, 1.0, 1.0
-    behind = [*(e.name for e in chain.elements[1:]), "load"]
-    found[chain.elements[0].name] = 1.0
-    for name, element in zip(behind, chain.tables(vector[None]).elements[0], strict=True):
-        ratio = ratio * element[kernels.RATIO]
-        drive = drive * (1.0 + element[kernels.LOAD_DRIVE])
-        back = back * (1.0 - element[kernels.LOAD_BACK])
-        found[name] = (0.5 * (drive + back) if open_scale else 1.0) / ratio
-    return found
+    lost = sum(parts[key] for key, group in groups.items() if group["loss"])
+    weight = made.weight(load, push) * felt["load"]
+    answers = (torque, torque / load[kernels.GAIN], passed + lost, passed, outside, weight)
+    for name, answer in (*zip(_TOLD, answers, strict=True), *enumerate(parts.values())):
+        made.tell(str(name), answer)
+    told = made.used(*_TOLD, *map(str, range(len(parts))))
+    return [(name, formula) for name, formula in told if name], list(groups.values())
 
 
 def _column(made: Statements, chain: Joint, vector: Array, p: Parameter) -> Any:
     """Torque of a term for a coefficient of one, with its rise at low speed."""
-    (elements,), (load,), _ = chain.tables(vector[None])
+    elements, (load,), _ = chain.tables(vector[None])
     gravity = load[kernels.GRAVITY] * np.sin(Traced("q") + load[kernels.GRAVITY_ANGLE])
     at = made.at(chain.reaches[p.owner])._replace(gravity=gravity)
     shape = [vector[chain.names.index(f"{p.owner}.{p.row.shape}")]] if p.row.shape else []
-    try:
-        column = torque_of(p.row, at, *shape)
-    except Unwritten:
-        raise Unwritten(p.name) from None
+    column = torque_of(p.row, at, *shape)
     if not p.row.rises:
         return column
     k = [e.name for e in chain.elements].index(p.owner)
-    return column * made.kernels["rises"](elements[k], at.speed)[0]
+    return column * made.kernels["rises"](elements[0, k], at.speed)[0]
 
 
 def _words(p: Parameter) -> str:
