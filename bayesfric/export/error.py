@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,25 +24,6 @@ from bayesfric.report.summary.derived_quantities import rms_of
 SPAN = 2.0
 
 
-@dataclass(frozen=True, eq=False)
-class Wrong:
-    """What a format's joint does to torque and motion."""
-
-    difference: Array  # (M,) along the recorded motion, measured motor torque, N m or N
-    whole: Array  # (M,) torque of the fitted joint, as above
-    motion_rms: float | None  # rad or m, SPAN s from the same state; None where none could be run
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give the numbers as JSON holds them."""
-        size = {"rms": rms_of(self.difference), "largest": float(np.abs(self.difference).max())}
-        return {
-            "motor": size,
-            "motion_rms": self.motion_rms,
-            "motion_span": SPAN,
-            "torque_rms": rms_of(self.whole),
-        }
-
-
 def wrong(
     chain: Joint,
     vector: Array,
@@ -50,7 +31,7 @@ def wrong(
     motions: Sequence[Moved],
     trajectories: Sequence[Trajectory],
     torque: Array | None = None,
-) -> Wrong:
+) -> dict[str, Any]:
     """Replay recorded motion through the fitted joint and through a format's, and let both run.
 
     Parameters
@@ -75,8 +56,13 @@ def wrong(
         there = simulator_vectors(plain, numbers)
         torque = np.asarray(torque_along(plain, there, motions)[0])
         motion = _motion(chain, here, plain, there, trajectories)
-    rms = rms_of(np.concatenate(motion)) if motion else None
-    return Wrong(torque - whole, whole, rms)
+    apart = torque - whole
+    return {
+        "motor": {"rms": rms_of(apart), "largest": float(np.abs(apart).max())},
+        "motion_rms": rms_of(np.concatenate(motion)) if motion else None,
+        "motion_span": SPAN,
+        "torque_rms": rms_of(whole),
+    }
 
 
 def _motion(

@@ -59,21 +59,12 @@ class Exported:
         """
         folder = Path(folder)
         check_free(folder, force=force, marked="export.json")
-        with made_beside(folder) as beside:
-            self._fill(beside)
-        return [str(folder / name) for name in self.names]
-
-    @property
-    def names(self) -> list[str]:
-        """Files that are written."""
-        return [*self.files, "export.json"]
-
-    def _fill(self, folder: Path) -> None:
-        for name, content in self.files.items():
-            data = content if isinstance(content, bytes) else content.encode()
-            (folder / name).write_bytes(data)
         text = json.dumps(self.record, indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "export.json").write_text(text + "\n", encoding="utf-8")
+        with made_beside(folder) as beside:
+            for name, content in {**self.files, "export.json": text + "\n"}.items():
+                data = content if isinstance(content, bytes) else content.encode()
+                (beside / name).write_bytes(data)
+        return [str(folder / name) for name in (*self.files, "export.json")]
 
 
 def export(
@@ -159,17 +150,16 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     # a link and a drive that a model has already are its own
     names = {k: n for k, n in form.names.items() if options.into is None or n not in AROUND}
     carries = names.values()
-    kept = carried(middle, carries, motions, chain)
-    spread = carried(each, carries, motions, chain).values
+    kept, folded = carried(middle, carries, motions, chain)
+    spread, _ = carried(each, carries, motions, chain)
     # both joints under one torque: that a delay moves a back-EMF makes no difference there
     pairs = zip(found.model.recordings, found.model.observations, strict=True)
     trajectories = [trajectory(replace(r, back_emf=None), o, SPAN) for r, o in pairs]
     own = form.torque and form.torque(chain, told.middle, motions)
-    error = wrong(chain, told.middle, kept.values, motions, trajectories, own)
-    lost = (*lost_terms(chain, middle, told.middle, carries, form.keeps), *kept.lost)
+    lost = lost_terms(chain, middle, told.middle, carries, form.keeps) + folded
     if form.whole:
         lost = law_lost(chain, told.middle)
-    numbers = {name: float(x[0]) for name, x in kept.values.items()}
+    numbers = {name: float(x[0]) for name, x in kept.items()}
     rotary = chain.load.motion == "rotary"
     record: dict[str, Any] = {
         "bayesfric": __version__,
@@ -180,12 +170,9 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         "numbers": _rows(found, names, numbers, spread, middle, told),
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in middle.reference.items()},
-        "lost": [
-            {**x.as_dict(), "says": filled("lost.txt.j2", **vars(x), **x.numbers).strip()}
-            for x in lost
-        ],
+        "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
         "notes": _notes(found, form, options, numbers, middle, told),
-        "error": error.as_dict(),
+        "error": wrong(chain, told.middle, kept, motions, trajectories, own),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
         "joint_unit": "N m" if rotary else "N",
         "position_unit": "rad" if rotary else "m",
