@@ -22,10 +22,10 @@ from bayesfric.mechanism.kernels import (
     LOAD_SQUARE,
     RATIO,
     element_input,
+    element_torque,
     gravity_torque,
     load_losses,
     rises,
-    through,
 )
 from bayesfric.mechanism.own_term import call
 from bayesfric.recordings.arrays import Array
@@ -176,7 +176,7 @@ def _element_line(
     if square != 0.0:
         torque = slope * about + intercept
         factor, shift = factor + 2.0 * square * torque, -square * torque * torque
-    losses = through(elements[k], 0.0, sign, speed, 0.0)
+    losses = element_torque(elements[k], 0.0, sign, speed, 0.0)
     return slope * factor + inertia * to_input, intercept * factor + losses + shift
 
 

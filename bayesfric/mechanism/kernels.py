@@ -101,7 +101,9 @@ def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[f
 
 
 @njit(cache=True, inline="always")
-def through(element: Row, torque: float, sign: float, speed: float, acceleration: float) -> float:
+def element_torque(
+    element: Row, torque: float, sign: float, speed: float, acceleration: float
+) -> float:
     """Section 2.2 with eq. (2); ``torque`` is the output's, brought to the input side."""
     rise, load_rise = rises(element, speed)
     drive, back = load_losses(element, sign, speed, load_rise)
@@ -126,7 +128,7 @@ def element_input(
     ``sign`` is the direction of motion, handed in apart from ``speed`` because at
     rest it is the direction in which the joint is about to break away.
     """
-    return through(element, torque_out / element[RATIO], sign, speed, acceleration)
+    return element_torque(element, torque_out / element[RATIO], sign, speed, acceleration)
 
 
 @njit(cache=True, inline="always")
@@ -208,4 +210,4 @@ def _through_element(
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        out[j] = through(own, out[j] * to_torque, sign, v, acceleration[j])
+        out[j] = element_torque(own, out[j] * to_torque, sign, v, acceleration[j])

@@ -185,7 +185,7 @@ class Statements:
             at = self.at(chain.reaches[name])
             torque = self.put("torque", torque / element[kernels.RATIO])
             moving = at.direction, at.speed, at.acceleration
-            torque = self.kernels["through"](element, torque, *moving)
+            torque = self.kernels["element_torque"](element, torque, *moving)
             torque = self.put("torque", torque + self._carried(chain, vector, k, at))
         return torque
 
