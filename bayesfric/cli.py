@@ -335,7 +335,7 @@ def export(
     place = output or Path(f"{run.resolve().name}-{to}")
     options: dict[str, Any] = {"joint": joint, "at_load": at_load, "into": into, "draws": draws}
     found = run_to(run, to, output=place, force=force, **options)
-    written = [str(place / name) for name in found.names]
+    written = [str(place / name) for name in (*found.files, "export.json")]
     lines = [*found.text().splitlines(), "", f"Written: {', '.join(written)}"]
     _print(found.as_json(), as_json, lines)
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -83,6 +84,7 @@ _LOAD_PLACES: Mapping[str, str] = {
 }
 # Rows that say how the drive's torque is measured, and rows that shape others.
 _DRIVE = ("gain", "offset", "delay")
+_LOSSES = ("load", "load_drive", "load_back")
 _RISES = ("stribeck_ratio", "stribeck_change", "stribeck_constant")
 _LOAD_RISES = ("stribeck_ratio", "stribeck_change", "stribeck_load")
 
@@ -155,31 +157,26 @@ def at_joint(
         element = chain.elements[k]
         reach = chain.reaches[element.name]
         own = {p.quantity: p for p in chain.parameters if p.owner == element.name}
-
-        def first(*quantities: str, own: Mapping[str, Parameter] = own) -> tuple[Array, list[str]]:
-            names = [own[q].name for q in quantities if q in own]
-            return (column[names[0]], names) if names else (np.zeros(len(values)), [])
-
-        drive, driving = first("load_drive", "load")
-        back, backing = first("load_back", "load")
+        slots = chain.tables(values).elements[:, k].T
+        at = dict(zip(kernels.ELEMENT_SLOTS, slots, strict=True))
+        losses, rising, load_rising, squares, speeds = (
+            [own[q].name for q in quantities if q in own]
+            for quantities in (_LOSSES, _RISES, _LOAD_RISES, ("load_square",), ("load_speed",))
+        )
         load: Array = np.zeros(len(values))
-        if driving or backing:
+        if losses:
             if at_load is None:
                 through = _transmitted(chain, values, k, motions)
                 load = np.abs(through).mean(axis=1)
             else:
                 load = passed * at_load
             reference[element.name] = load
-        passed = passed * (1.0 + 0.5 * (drive - back))
-        rise, rising = first(*_RISES)
-        load_rise, load_rising = first(*_LOAD_RISES)
-        square, squares = first("load_square")
-        constant = 0.5 * (drive + back) * load / passed
-        grown = square * load**2 / reach / passed
-        add("friction", constant + grown, *driving, *backing, *squares)
-        add("static_friction", constant * load_rise, *load_rising)
-        speed, speeds = first("load_speed")
-        add("damping", speed * reach * load / passed, *speeds)
+        passed = passed * (1.0 + 0.5 * (at["load_drive"] - at["load_back"]))
+        constant = 0.5 * (at["load_drive"] + at["load_back"]) * load / passed
+        grown = at["load_square"] * load**2 / reach / passed
+        add("friction", constant + grown, *losses, *squares)
+        add("static_friction", constant * at["stribeck_load_ratio"], *load_rising)
+        add("damping", at["load_speed"] * reach * load / passed, *speeds)
         for quantity, p in own.items():
             if quantity in _PLACES:
                 number, share = _PLACES[quantity]
@@ -187,7 +184,7 @@ def at_joint(
                 amount = share * column[p.name] * reach ** (p.row.power + 1) / passed
                 add(number, amount, p.name)
                 if number == "friction":
-                    add("static_friction", amount * rise, *rising)
+                    add("static_friction", amount * at["stribeck_ratio"], *rising)
     for p in chain.parameters:
         if p.owner == "load" and p.quantity in _LOAD_PLACES:
             add(_LOAD_PLACES[p.quantity], column[p.name], p.name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,35 +17,10 @@ from bayesfric.recordings.arrays import Array
 AROUND = ("link_inertia", "link_moment", "link_gravity_angle", "gain", "torque_offset")
 
 
-@dataclass(frozen=True)
-class Lost:
-    """One thing that a format cannot carry.
+# One thing that a format cannot carry: its `kind`, by which ``templates/lost.txt.j2`` says what was
+# put in its place, its `parameters`, and the numbers that are said of it, in the units named.
+Lost = dict[str, Any]
 
-    ``templates/lost.txt.j2`` says by its ``kind`` what was put in its place; ``numbers`` are what
-    it says, in the unit it names.
-    """
-
-    kind: str
-    parameters: tuple[str, ...]
-    numbers: dict[str, Any]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Give it as JSON holds it."""
-        return {"kind": self.kind, "parameters": list(self.parameters), **self.numbers}
-
-
-# Rows of the table of quantities that no simulator's joint has a number for, by the kind of loss.
-_KINDS: dict[str, str] = {
-    **dict.fromkeys(("coulomb_positive", "viscous_positive"), "direction"),
-    **dict.fromkeys(("load", "load_drive", "load_speed", "load_square"), "load"),
-    **dict.fromkeys(
-        (
-            "load_difference", "load_drive_difference", "load_back_difference", "stribeck_ratio",
-            "stribeck_change", "stribeck_constant", "stribeck_load", "delay",
-        ),
-        "left out",
-    ),
-}  # fmt: skip
 # Told with the row before them, and what both are.
 _PARTNERS = {
     "coulomb_positive": ("coulomb_negative", "constant loss by direction"),
@@ -57,7 +31,7 @@ _PARTNERS = {
 
 def lost_terms(
     chain: Joint, at: AtJoint, vector: Array, carries: Collection[str], keeps: Collection[str] = ()
-) -> tuple[Lost, ...]:
+) -> list[Lost]:
     """List what simulators' joints do not have, at one parameter vector ``(d,)``.
 
     ``carries`` are the numbers that a format has, ``keeps`` the quantities.
@@ -65,18 +39,17 @@ def lost_terms(
     value = dict(zip(chain.names, vector.tolist(), strict=True))
     found = []
     for p in chain.parameters:
-        kind = "left out" if _of_recording(p) else _KINDS.get(p.quantity, "")
-        said: dict[str, Any] = {"value": value[p.name], "unit": p.unit, "meaning": p.meaning}
-        names: tuple[str, ...] = (p.name,)
-        if not places(p) and not _of_recording(p):
-            kind = "fitted"
-            for number, x in zip(("friction", "damping"), at.fitted[p.name], strict=True):
-                said |= {number: float(x[0]), f"{number}_unit": NUMBERS[number].unit(chain)}
+        kind = _kind(p, carries)
         if not kind or p.quantity in keeps:
             continue
+        said: Lost = {"value": value[p.name], "unit": p.unit, "meaning": p.meaning}
+        names = [p.name]
+        if kind == "fitted":
+            for number, x in zip(("friction", "damping"), at.fitted[p.name], strict=True):
+                said |= {number: float(x[0]), f"{number}_unit": NUMBERS[number].unit(chain)}
         partner, both = _PARTNERS.get(p.quantity, ("", ""))
         if f"{p.owner}.{partner}" in value:
-            names = (p.name, f"{p.owner}.{partner}")
+            names.append(f"{p.owner}.{partner}")
             said["meaning"] = both
         if kind == "direction":
             said["half_difference"] = 0.5 * (value[names[0]] - value[names[-1]])
@@ -84,19 +57,38 @@ def lost_terms(
             said["into"] = "damping" if p.quantity == "load_speed" else "a constant loss"
             said["reference"] = float(at.reference[p.owner][0])
             said["reference_unit"] = NUMBERS["friction"].unit(chain)
-        if p.quantity.startswith("stribeck") and "static_friction" in carries:
-            kind = "static"
-        found.append(Lost(kind, names, said))
-    return tuple(found)
+        found.append({"kind": kind, "parameters": names, **said})
+    return found
 
 
-def law_lost(chain: Joint, vector: Array) -> tuple[Lost, ...]:
+def _kind(p: Parameter, carries: Collection[str]) -> str:
+    """Give the kind of loss of a term that no simulator's joint has a number for, or none."""
+    if _of_recording(p) or p.quantity == "delay":
+        return "left out"
+    if not places(p):
+        return "fitted"
+    if p.quantity in ("coulomb_positive", "viscous_positive"):
+        return "direction"
+    if p.quantity in ("load", "load_drive", "load_speed", "load_square"):
+        return "load"
+    if p.row.option == "stribeck" and p.quantity != "stribeck_velocity":
+        return "static" if "static_friction" in carries else "left out"
+    return "left out" if p.row.role == "form" and p.row.option.startswith("load_") else ""
+
+
+def law_lost(chain: Joint, vector: Array) -> list[Lost]:
     """List what a law that is written out leaves out: what hangs on the recording."""
-    return tuple(
-        Lost("left out", (p.name,), {"value": value, "unit": p.unit, "meaning": p.meaning})
-        for p, value in zip(chain.parameters, vector.tolist(), strict=True)
+    return [
+        {
+            "kind": "left out",
+            "parameters": [p.name],
+            "value": x,
+            "unit": p.unit,
+            "meaning": p.meaning,
+        }
+        for p, x in zip(chain.parameters, vector.tolist(), strict=True)
         if left_out(p.row) or _of_recording(p)
-    )
+    ]
 
 
 def left_out(row: Quantity) -> bool:
@@ -109,18 +101,10 @@ def _of_recording(p: Parameter) -> bool:
     return p.owner == "" and p.name != "offset"
 
 
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """The numbers ``(n,)`` of a format, with what it has no number for folded into others."""
-
-    values: dict[str, Array]
-    lost: tuple[Lost, ...]
-
-
 def carried(
     at: AtJoint, carries: Collection[str], motions: Sequence[Moved], chain: Joint
-) -> Carried:
-    """Fold what a format has no number for into numbers that it has, or leave it out.
+) -> tuple[dict[str, Array], list[Lost]]:
+    """Fold what a format has no number for into numbers that it has ``(n,)``, or leave it out.
 
     Parameters
     ----------
@@ -151,7 +135,7 @@ def carried(
             values[name] = values["friction"]
             continue
         values[name] = np.zeros_like(here)
-        said: dict[str, Any] = {"number": name, "value": float(here[0]), "meaning": number.meaning}
+        said: Lost = {"number": name, "value": float(here[0]), "meaning": number.meaning}
         said |= {"unit": number.unit(chain), "into": ""}
         into, share = folds.get(name, ("", lambda: 0.0))
         if into in carries:
@@ -159,8 +143,8 @@ def carried(
             values[into] = values[into] + amount
             into_unit = NUMBERS[into].unit(chain)
             said |= {"into": into, "amount": float(amount[0]), "into_unit": into_unit}
-        lost.append(Lost("number", at.made_from[name], said))
-    return Carried(values, tuple(lost))
+        lost.append({"kind": "number", "parameters": list(at.made_from[name]), **said})
+    return values, lost
 
 
 def _slope(x: Array, y: Array) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,23 +11,35 @@ from typing import Any
 import numpy as np
 
 from bayesfric.errors import BadInput
-from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, at_joint, without_load_losses
+from bayesfric.export.at_joint import (
+    NUMBERS,
+    AtJoint,
+    Moved,
+    at_joint,
+    simulator_joint,
+    simulator_vectors,
+    torque_along,
+    without_load_losses,
+)
 from bayesfric.export.carried import AROUND, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
-from bayesfric.export.error import SPAN, wrong
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
 from bayesfric.finished_run import Finished, finished
+from bayesfric.mechanism.forward import simulate_segments
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.files import check_free, made_beside
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.derived_quantities import LEVEL
+from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 from bayesfric.version import __version__
 
 # Draws that intervals are told from.
 _DRAWS = 400
+# Seconds of free motion over which two joints are compared, each time from the same state.
+_SPAN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +71,12 @@ class Exported:
         """
         folder = Path(folder)
         check_free(folder, force=force, marked="export.json")
-        with made_beside(folder) as beside:
-            self._fill(beside)
-        return [str(folder / name) for name in self.names]
-
-    @property
-    def names(self) -> list[str]:
-        """Files that are written."""
-        return [*self.files, "export.json"]
-
-    def _fill(self, folder: Path) -> None:
-        for name, content in self.files.items():
-            data = content if isinstance(content, bytes) else content.encode()
-            (folder / name).write_bytes(data)
         text = json.dumps(self.record, indent=1, ensure_ascii=False, allow_nan=False)
-        (folder / "export.json").write_text(text + "\n", encoding="utf-8")
+        with made_beside(folder) as beside:
+            for name, content in {**self.files, "export.json": text + "\n"}.items():
+                data = content if isinstance(content, bytes) else content.encode()
+                (beside / name).write_bytes(data)
+        return [str(folder / name) for name in (*self.files, "export.json")]
 
 
 def export(
@@ -159,17 +162,13 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     # a link and a drive that a model has already are its own
     names = {k: n for k, n in form.names.items() if options.into is None or n not in AROUND}
     carries = names.values()
-    kept = carried(middle, carries, motions, chain)
-    spread = carried(each, carries, motions, chain).values
-    # both joints under one torque: that a delay moves a back-EMF makes no difference there
-    pairs = zip(found.model.recordings, found.model.observations, strict=True)
-    trajectories = [trajectory(replace(r, back_emf=None), o, SPAN) for r, o in pairs]
+    kept, folded = carried(middle, carries, motions, chain)
+    spread, _ = carried(each, carries, motions, chain)
     own = form.torque and form.torque(chain, told.middle, motions)
-    error = wrong(chain, told.middle, kept.values, motions, trajectories, own)
-    lost = (*lost_terms(chain, middle, told.middle, carries, form.keeps), *kept.lost)
+    lost = lost_terms(chain, middle, told.middle, carries, form.keeps) + folded
     if form.whole:
         lost = law_lost(chain, told.middle)
-    numbers = {name: float(x[0]) for name, x in kept.values.items()}
+    numbers = {name: float(x[0]) for name, x in kept.items()}
     rotary = chain.load.motion == "rotary"
     record: dict[str, Any] = {
         "bayesfric": __version__,
@@ -180,12 +179,9 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         "numbers": _rows(found, names, numbers, spread, middle, told),
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in middle.reference.items()},
-        "lost": [
-            {**x.as_dict(), "says": filled("lost.txt.j2", **vars(x), **x.numbers).strip()}
-            for x in lost
-        ],
+        "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
         "notes": _notes(found, form, options, numbers, middle, told),
-        "error": error.as_dict(),
+        "error": _wrong(found, told.middle, kept, motions, own),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
         "joint_unit": "N m" if rotary else "N",
         "position_unit": "rad" if rotary else "m",
@@ -286,3 +282,49 @@ def _not_identified(found: Finished, names: tuple[str, ...], told: Vectors) -> d
         if status != "identified":
             found_statuses[name] = status
     return found_statuses
+
+
+def _wrong(
+    found: Finished,
+    vector: Array,
+    numbers: dict[str, Array],
+    motions: Sequence[Moved],
+    torque: Array | None,
+) -> dict[str, Any]:
+    """Replay recorded motion through the fitted joint and through a format's, and let both run.
+
+    ``numbers`` are of the format, ``(1,)`` each; ``torque`` is the motor's ``(M,)`` by a law of the
+    format's own, which is not let run. A delay is left out: it is of the recording.
+    """
+    chain, here = found.joint, vector[None].copy()
+    if chain.delay_name:
+        here[0, chain.names.index(chain.delay_name)] = 0.0
+    whole = torque_along(chain, here, motions)[0]
+    apart: list[Array] = []
+    if torque is None:
+        plain = simulator_joint(chain.load.motion, chain.load.gravity)
+        there = simulator_vectors(plain, numbers)
+        torque = np.asarray(torque_along(plain, there, motions)[0])
+        apart = _motion(found, (chain, here), (plain, there))
+    return {
+        "motor": {"rms": rms_of(torque - whole), "largest": float(np.abs(torque - whole).max())},
+        "motion_rms": rms_of(np.concatenate(apart)) if apart else None,
+        "motion_span": _SPAN,
+        "torque_rms": rms_of(whole),
+    }
+
+
+def _motion(found: Finished, *joints: tuple[Joint, Array]) -> list[Array]:
+    """Simulate both joints; give how far apart they are, of each stretch that both get through."""
+    apart = []
+    for recording, o in zip(found.model.recordings, found.model.observations, strict=True):
+        # both under one torque: that a delay moves a back-EMF makes no difference there
+        t = trajectory(replace(recording, back_emf=None), o, _SPAN)
+        given = (t.torque, t.period, t.segments, t.q0, t.qd0)
+        options: dict[str, Any] = {"begin": float(t.time[0]), "hold": t.hold}
+        options["inputs"] = replace(t.inputs, recording="")
+        (mine, _), (other, _) = (
+            simulate_segments(chain, values, *given, **options) for chain, values in joints
+        )
+        apart += [(mine - other)[0, a:b] for a, b in t.segments]
+    return [one for one in apart if np.isfinite(one).all()]

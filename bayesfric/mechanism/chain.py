@@ -229,7 +229,7 @@ class Chain:
             Of a recording, whose own offset is meant; without them there is none.
         """
         defaults, sources, targets = self._layout
-        flat = np.tile(defaults, (values.shape[0], 1))
+        flat = np.tile(defaults.astype(values.dtype), (values.shape[0], 1))
         flat[:, targets] = values[:, sources]
         if inputs is not None and inputs.recording in self.own_offsets:
             own = self.names.index(f"offset.{inputs.recording}")
@@ -237,7 +237,7 @@ class Chain:
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
         loaded = inputs is not None and inputs.load_torque is not None
-        carried = np.zeros((len(values), len(self.carried) + loaded, 2))
+        carried = np.zeros((len(values), len(self.carried) + loaded, 2), values.dtype)
         carried[:, len(self.carried) :, 0] = 1.0
         for k, term in enumerate(self.carried):
             carried[:, k, 0] = values[:, term.index]

@@ -24,6 +24,8 @@ from bayesfric.recordings.arrays import Array
 _UNITS = TOTALS["gravity"].units
 _WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
 _WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
+# Options of load losses whose mean over directions is the same at every speed and load.
+_STEADY = ("load_loss", "load_direction")
 # Constant losses that an efficiency counts, and the share of each in the mean of both directions.
 _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
@@ -90,7 +92,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
 def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
-    if any(element.has("load_speed", "load_square") for element in lossy):
+    if any(o.startswith("load_") and o not in _STEADY for e in lossy for o in e.choices):
         return  # what the motor feels of a term then depends on all the others
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:

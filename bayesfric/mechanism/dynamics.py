@@ -16,15 +16,11 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.kernels import (
-    COULOMB_NEGATIVE,
-    COULOMB_POSITIVE,
     INERTIA,
     LOAD_DRIVE,
     LOAD_INERTIA,
     LOAD_SQUARE,
-    QUADRATIC,
     RATIO,
-    VISCOUS,
     element_input,
     element_torque,
     gravity_torque,
@@ -171,8 +167,8 @@ def _element_line(
     speed over the joint's. A loss with the square of the load is taken by its tangent at the
     acceleration ``about``.
     """
-    rise, load_rise = rises(elements[k], speed)
     inertia = elements[k, INERTIA]
+    _, load_rise = rises(elements[k], speed)
     drive, back = load_losses(elements[k], sign, speed, load_rise)
     # sign |T| is T while the motor side drives and -T while the load does
     factor, shift = 1.0 + drive if drives else 1.0 - back, 0.0
@@ -180,21 +176,7 @@ def _element_line(
     if square != 0.0:
         torque = slope * about + intercept
         factor, shift = factor + 2.0 * square * torque, -square * torque * torque
-    losses = element_torque(
-        0.0,
-        sign,
-        speed,
-        0.0,
-        inertia,
-        elements[k, COULOMB_POSITIVE],
-        elements[k, COULOMB_NEGATIVE],
-        elements[k, VISCOUS],
-        elements[k, QUADRATIC],
-        rise,
-        drive,
-        back,
-        0.0,
-    )
+    losses = element_torque(elements[k], 0.0, sign, speed, 0.0)
     return slope * factor + inertia * to_input, intercept * factor + losses + shift
 
 

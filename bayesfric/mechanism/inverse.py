@@ -75,16 +75,20 @@ def load_torque(
     return torque
 
 
-def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
+def load_reach(
+    chain: Chain, values: Array, *, open_scale: bool, passed: int | None = None
+) -> Array:
     """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
 
     ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open: the mean of what the
     motor feels of the load while it drives and while it is driven, which no scaling changes. Of the
-    true torque: ``drive.gain`` has no part in it. ``values`` are ``(n, n_parameters)``.
+    true torque: ``drive.gain`` has no part in it. ``values`` are ``(n, n_parameters)``; ``passed``
+    is how many elements the torque passes, all if left out.
     """
-    elements, _, _ = chain.tables(values)
+    elements = chain.tables(values).elements[:, :passed]
+    ratio = np.prod(elements[:, :, kernels.RATIO], axis=1)
     if not open_scale:
-        return np.full(len(values), 1.0 / chain.ratio)
+        return np.asarray(1.0 / ratio)
     drive = np.prod(1.0 + elements[:, :, kernels.LOAD_DRIVE], axis=1)
     back = np.prod(1.0 - elements[:, :, kernels.LOAD_BACK], axis=1)
-    return np.asarray(0.5 * (drive + back) / chain.ratio)
+    return np.asarray(0.5 * (drive + back) / ratio)

@@ -7,10 +7,11 @@ Inverse and forward model share them, so they cannot disagree. Rows of
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
+from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.own_term import call
@@ -42,6 +43,9 @@ STRIBECK_RATIO, STRIBECK_LOAD_RATIO, STRIBECK_VELOCITY, STRIBECK_EXPONENT = 6, 7
 LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12, 13
 LOAD_SPEED, LOAD_SQUARE = 14, 15
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
+Row = Array | tuple[float, ...]  # of one element
+_SLOTS = len(ELEMENT_SLOTS)
+_as_tuple: Any = to_fixed_tuple
 
 
 class Samples(NamedTuple):
@@ -78,7 +82,7 @@ def low_speed(speed: float, width: float, exponent: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def rises(element: Array, speed: float) -> tuple[float, float]:
+def rises(element: Row, speed: float) -> tuple[float, float]:
     """Factors ``1 + c exp(-|v/v0|^a)`` of the constant and of the load loss, at the input speed."""
     constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
     if constant == 0.0 and load == 0.0:
@@ -88,7 +92,7 @@ def rises(element: Array, speed: float) -> tuple[float, float]:
 
 
 @njit(cache=True, inline="always")
-def load_losses(element: Array, sign: float, speed: float, rise: float) -> tuple[float, float]:
+def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[float, float]:
     """Loss per transmitted torque while the motor side drives, and while the load does (eq. 6)."""
     grown = element[LOAD_SPEED] * abs(speed)
     drive = element[LOAD_DRIVE] + sign * element[LOAD_DRIVE_DIFFERENCE]
@@ -98,63 +102,33 @@ def load_losses(element: Array, sign: float, speed: float, rise: float) -> tuple
 
 @njit(cache=True, inline="always")
 def element_torque(
-    torque: float,
-    sign: float,
-    speed: float,
-    acceleration: float,
-    inertia: float,
-    coulomb_positive: float,
-    coulomb_negative: float,
-    viscous: float,
-    quadratic: float,
-    rise: float,
-    load_drive: float,
-    load_back: float,
-    load_square: float,
+    element: Row, torque: float, sign: float, speed: float, acceleration: float
 ) -> float:
-    """Section 2.2 with eq. (2), all in scalars so that a loop around it vectorises.
-
-    ``torque`` is the output's, brought to the input side; ``rise`` the Stribeck
-    factor of the constant loss at this speed, and load losses are those of :func:`load_losses`.
-    """
+    """Section 2.2 with eq. (2); ``torque`` is the output's, brought to the input side."""
+    rise, load_rise = rises(element, speed)
+    drive, back = load_losses(element, sign, speed, load_rise)
     power = torque * sign
+    constant = element[COULOMB_POSITIVE] if sign > 0.0 else element[COULOMB_NEGATIVE]
     # mu_1 while the motor side drives, mu_2 while the load does (eq. 6)
-    load = load_drive * power if power > 0.0 else -load_back * power
-    constant = coulomb_positive if sign > 0.0 else coulomb_negative
+    load = drive * power if power > 0.0 else -back * power
     return (
         torque
-        + inertia * acceleration
-        + (constant * rise + load + load_square * torque * torque) * sign
-        + speed * (viscous + quadratic * abs(speed))
+        + element[INERTIA] * acceleration
+        + (constant * rise + load + element[LOAD_SQUARE] * torque * torque) * sign
+        + speed * (element[VISCOUS] + element[QUADRATIC] * abs(speed))
     )
 
 
 @njit(cache=True, inline="always")
 def element_input(
-    element: Array, torque_out: float, sign: float, speed: float, acceleration: float
+    element: Row, torque_out: float, sign: float, speed: float, acceleration: float
 ) -> float:
     """Torque at an element's input for one sample.
 
     ``sign`` is the direction of motion, handed in apart from ``speed`` because at
     rest it is the direction in which the joint is about to break away.
     """
-    rise, load_rise = rises(element, speed)
-    drive, back = load_losses(element, sign, speed, load_rise)
-    return element_torque(
-        torque_out / element[RATIO],
-        sign,
-        speed,
-        acceleration,
-        element[INERTIA],
-        element[COULOMB_POSITIVE],
-        element[COULOMB_NEGATIVE],
-        element[VISCOUS],
-        element[QUADRATIC],
-        rise,
-        drive,
-        back,
-        element[LOAD_SQUARE],
-    )
+    return element_torque(element, torque_out / element[RATIO], sign, speed, acceleration)
 
 
 @njit(cache=True, inline="always")
@@ -223,39 +197,17 @@ def _through_element(
     element: Array, to_input: float, speed: Array, acceleration: Array, out: Array
 ) -> None:
     """Carry all samples through one element: ``out`` goes from its output to its input."""
-    # in locals, or the compiler must assume that writing `out` changes them
     to_torque = 1.0 / element[RATIO]
-    inertia = element[INERTIA] * to_input
-    positive, negative = element[COULOMB_POSITIVE], element[COULOMB_NEGATIVE]
-    viscous, quadratic = element[VISCOUS] * to_input, element[QUADRATIC] * to_input**2
-    drive, back = element[LOAD_DRIVE], element[LOAD_BACK]
-    drive_difference, back_difference = (
-        element[LOAD_DRIVE_DIFFERENCE],
-        element[LOAD_BACK_DIFFERENCE],
-    )
-    grows, square = element[LOAD_SPEED] * to_input, element[LOAD_SQUARE]
-    ratio, load_ratio = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
-    width, exponent = element[STRIBECK_VELOCITY] / to_input, element[STRIBECK_EXPONENT]
+    # of the joint's speed instead of the input's
+    scaled = element.copy()
+    scaled[INERTIA] *= to_input
+    scaled[VISCOUS] *= to_input
+    scaled[QUADRATIC] *= to_input**2
+    scaled[LOAD_SPEED] *= to_input
+    scaled[STRIBECK_VELOCITY] /= to_input
+    # a tuple, or the compiler must assume that writing `out` changes it
+    own = _as_tuple(scaled, _SLOTS)
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        rise, load_rise = 1.0, 1.0
-        if ratio != 0.0 or load_ratio != 0.0:
-            share = low_speed(v, width, exponent)
-            rise, load_rise = 1.0 + ratio * share, 1.0 + load_ratio * share
-        grown = grows * abs(v)
-        out[j] = element_torque(
-            out[j] * to_torque,
-            sign,
-            v,
-            acceleration[j],
-            inertia,
-            positive,
-            negative,
-            viscous,
-            quadratic,
-            rise,
-            (drive + sign * drive_difference) * load_rise + grown,
-            (back + sign * back_difference) * load_rise + grown,
-            square,
-        )
+        out[j] = element_torque(own, out[j] * to_torque, sign, v, acceleration[j])

@@ -18,7 +18,7 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.answers.calculator import FILE, calculator, calculator_json
+from bayesfric.report.calculator import FILE, calculator, calculator_json
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.files import made_beside

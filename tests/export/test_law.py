@@ -273,8 +273,29 @@ def test_smoothing_makes_losses_grow_from_rest(compiler, tmp_path):
     assert smooth(0.3, 0.6, 0.0)[0] == sharp(0.3, 0.6, 0.0)[0]
 
 
-def test_a_term_of_ones_own_is_refused_by_name():
-    joint = Joint(elements=(Element("motor", inertia=True),), load=Load())
-    joint = joint.with_term(Term("motor.wobble", lambda m: np.sin(3 * m.position)))
-    with pytest.raises(BadInput, match=r"motor\.wobble: is a term of one's own"):
+def with_own(column):
+    joint = Joint(elements=(Element("motor", ratio=3.0, inertia=True),), load=Load(inertia=True))
+    return joint.with_term(Term("motor.own", column))
+
+
+def test_a_term_of_ones_own_is_written_out(compiler, tmp_path):
+    joint = with_own(
+        lambda m: (
+            m.direction * np.square(np.arctan(m.speed)) - (-m.position - 1.0) / (2.0 - m.speed)
+        )
+    )
+    vector = np.array([0.1, 0.7, 0.2])
+    q, qd, qdd = motion(50)
+    wanted = inverse_torque(joint, vector, q, qd, qdd, time=np.zeros(q.size))
+    call = compiled(compiler, c_files(joint, vector), tmp_path)
+    double = along(call("j_torque", ctypes.c_double), q, qd, qdd)
+    np.testing.assert_allclose(double, wanted, rtol=1e-12)
+    again = along(python_of(joint, vector)["both"], q, qd, qdd)
+    np.testing.assert_allclose(again, wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize("column", [lambda m: math.sin(m.position), lambda m: np.sin(m.time)])
+def test_one_without_a_formula_is_refused_by_name(column):
+    joint = with_own(column)
+    with pytest.raises(BadInput, match=r"motor\.own: is a term of one's own"):
         law(joint, np.ones(len(joint.names)), "double")

@@ -1,6 +1,7 @@
 """The exported model in real MuJoCo, against our forward model, on SIMULATED recordings."""
 
 import io
+import math
 from xml.etree import ElementTree
 
 import mujoco
@@ -250,12 +251,13 @@ def test_a_sliding_joint_behind_a_spindle_moves_as_the_fitted_one():
     assert rows["joint armature"]["value"] == pytest.approx(armature)
 
 
-def test_a_term_of_ones_own_is_fitted_and_said_and_no_controller_is_written():
+@pytest.mark.parametrize("size", [abs, math.fabs])
+def test_a_term_of_ones_own_is_fitted_and_said_and_no_controller_is_written_without_a_formula(size):
     joint = Joint(elements=(Element("motor", inertia=True, viscous=True),), load=Load())
-    joint = joint.with_term(Term("motor.square", lambda m: m.speed * abs(m.speed)))
+    joint = joint.with_term(Term("motor.square", lambda m: m.speed * size(m.speed)))
     values = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.square": 0.01}
     exported = bf.export(made(joint, values, 0.6), "mujoco")
-    assert list(exported.files) == ["joint.xml"]
+    assert list(exported.files) == ["joint.xml", *(["joint_friction.py"] if size is abs else [])]
     (lost,) = exported.record["lost"]
     assert lost["parameters"] == ["motor.square"]
     # constant and viscous loss are nearer to it than nothing

@@ -15,8 +15,8 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
-from bayesfric.report.answers import calculator
-from bayesfric.report.answers.calculator import FILE, calculator_json, read_calculator, written
+from bayesfric.report import calculator
+from bayesfric.report.calculator import FILE, calculator_json, read_calculator, written
 from bayesfric.report.figures.friction_curves import friction_torque
 from bayesfric.report.page.run_page import run_page
 

@@ -12,8 +12,8 @@ from bayesfric.errors import BadInput
 from bayesfric.opened import read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts
-from bayesfric.report.answers.calculator import Calculator, read_calculator
 from bayesfric.report.brief import brief
+from bayesfric.report.calculator import Calculator, read_calculator
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.layout import explained
 from bayesfric.report.figures.registry import read_captions, run_figures

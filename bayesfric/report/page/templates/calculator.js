@@ -4,15 +4,14 @@
   if (!place) return;
   const model = JSON.parse(place.dataset.model);
   const draws = Math.max(1, ...model.values.map((one) => (Array.isArray(one) ? one.length : 1)));
-  const motor = 0, load = model.elements.length;
 
-  // terms come as formulas in NumPy's functions, written down from the table of quantities
+  // the law comes as statements in NumPy's functions, made of the model's own
   const operations = {
     add: (a, b) => a + b, subtract: (a, b) => a - b, multiply: (a, b) => a * b, divide: (a, b) => a / b,
     negative: (a) => -a, positive: (a) => a, absolute: Math.abs, sign: Math.sign, maximum: Math.max,
     minimum: Math.min, power: Math.pow, square: (a) => a * a, sqrt: Math.sqrt, exp: Math.exp,
     expm1: Math.expm1, log: Math.log, log1p: Math.log1p, sin: Math.sin, cos: Math.cos, tan: Math.tan,
-    arctan: Math.atan, tanh: Math.tanh,
+    arctan: Math.atan, tanh: Math.tanh, greater: (a, b) => a > b, where: (test, yes, no) => (test ? yes : no),
   };
   const valueOf = (formula, state) => {
     if (typeof formula === "number") return formula;
@@ -21,72 +20,11 @@
   };
 
   // one draw: torque at the motor, and what each group of terms makes of it
-  const inverse = (asked, draw) => {
-    const parameter = (index) => {
-      const told = model.values[index];
-      return typeof told === "number" ? told : told[draw];
-    };
-    const form = (forms, name, otherwise) => (name in forms ? parameter(forms[name]) : otherwise);
-    const direction = Math.sign(asked.speed);
-    const losses = model.elements.map(({ forms }) => ({
-      drive: form(forms, "load_drive", 0), back: form(forms, "load_back", 0),
-    }));
-    const gain = form(model.load_forms, "gain", 1);
-    // from torque at an element's input, or of the load, to torque at the motor, without load losses;
-    // where their scale is open, the mean of driving and back-driving, which no scaling changes
-    const reaches = [1];
-    let ratio = 1, drive = 1, back = 1;
-    model.elements.forEach((element, k) => {
-      ratio *= element.ratio;
-      drive *= 1 + losses[k].drive;
-      back *= 1 - losses[k].back;
-      reaches.push((model.open_scale ? (drive + back) / 2 : 1) / ratio);
-    });
-    reaches.push(1);
-    const parts = model.groups.map(() => 0);
-    let weight = -asked.load;
-    const own = (at, state, rise) => {
-      let sum = 0;
-      for (const term of model.terms) {
-        if (term.place !== at) continue;
-        if (term.shape >= 0) state.shape = parameter(term.shape);
-        const torque = parameter(term.parameter) * valueOf(term.formula, state) * (term.rises ? rise : 1);
-        sum += torque;
-        parts[term.group] += torque * reaches[at];
-        if (term.weight) weight += torque;
-      }
-      return sum;
-    };
-    const moving = (reach, transmitted) => ({
-      position: reach * asked.position, speed: reach * asked.speed, acceleration: reach * asked.acceleration,
-      direction, time: 0, transmitted,
-      gravity: model.gravity * Math.sin(asked.position + form(model.load_forms, "gravity_angle", 0)),
-    });
-
-    let torque = own(load, moving(1, 0), 1) - asked.load;
-    for (let k = load - 1; k >= motor; k -= 1) {
-      const { ratio: own_ratio, reach, forms } = model.elements[k];
-      torque /= own_ratio;
-      const state = moving(reach, torque);
-      const constant = form(forms, "stribeck_ratio", 0), loaded = form(forms, "stribeck_load_ratio", 0);
-      let share = 0;
-      if (constant || loaded) {
-        const width = form(forms, "stribeck_velocity", 1);
-        if (width > 0) share = Math.exp(-((Math.abs(state.speed) / width) ** form(forms, "stribeck_exponent", 2)));
-      }
-      const grown = form(forms, "load_speed", 0) * Math.abs(state.speed);
-      const loss = (name) =>
-        (losses[k][name] + direction * form(forms, `load_${name}_difference`, 0)) * (1 + loaded * share) + grown;
-      const power = torque * direction;
-      const lost = (power > 0 ? loss("drive") * power : -loss("back") * power) +
-        form(forms, "load_square", 0) * torque * torque;
-      torque += direction * lost + own(k, state, 1 + constant * share);
-    }
-    torque += own(load + 1, moving(1, 0), 1);
-    const outside = -asked.load * reaches[load];
-    const passed = torque - outside - parts.reduce((a, b) => a + b, 0);
-    const friction = passed + parts.reduce((sum, part, k) => sum + (model.groups[k].loss ? part : 0), 0);
-    return { torque, recorded: torque / gain, friction, passed, outside, parts, weight: weight * reaches[load] };
+  const inverse = ({ position: q, speed: v, acceleration: a, load: push }, draw) => {
+    const state = { q, v, a, s: Math.sign(v), push };
+    model.values.forEach((told, k) => { state[`p${k}`] = typeof told === "number" ? told : told[draw]; });
+    for (const [name, formula] of model.law) state[name] = valueOf(formula, state);
+    return state;
   };
 
   const quantile = (sorted, share) => {
@@ -173,11 +111,7 @@
       const { middle, band } = shown(all);
       node.replaceChildren(Object.assign(document.createElement("b"), { textContent: middle }), ` ${band}`.replaceAll(", ", ",\u00a0"));
     }
-    const of = (name) => {
-      if (name === "outside") return found.map((one) => one.outside);
-      return name === "load-loss" ? found.map((one) => one.passed) : found.map((one) => one.parts[Number(name)]);
-    };
-    const all = new Map([...rows.keys()].map((name) => [name, spread(of(name))]));
+    const all = new Map([...rows.keys()].map((name) => [name, spread(found.map((one) => one[name]))]));
     const size = [...all.values()].reduce((sum, [middle]) => sum + Math.abs(middle), 0);
     for (const [name, row] of rows) {
       const one = all.get(name), { middle, band } = shown(one);

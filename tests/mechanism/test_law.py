@@ -1,19 +1,33 @@
-"""Formulas that columns write down of themselves are what the columns give."""
+"""Formulas that columns and kernels write down of themselves are what these give."""
 
 import math
 import re
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import pytest
 
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.law import (
+    OPERATIONS,
+    Statements,
+    Unwritten,
+    Varying,
+    formula_of,
+    names_in,
+)
 from bayesfric.mechanism.quantities import CYCLES, QUANTITIES, State
-from bayesfric.report.answers.formula import OPERATIONS, Unwritten, formula_of, mentions
+from bayesfric.recordings.inputs import AT_ROOM
+
+from ..report.conftest import EVERYTHING
+from .joints import everything
 
 COLUMNS = {
     row.name: row
     for row in (*QUANTITIES.values(), *(q for wave in CYCLES.values() for q in wave(7)))
-    if row.column is not None and row.role == "own" and row.name != "offset"
+    if row.column is not None and row.role == "own"
 }
 
 
@@ -29,7 +43,7 @@ def value(formula, at):
 @pytest.mark.parametrize("name", COLUMNS)
 def test_a_formula_is_the_column(name):
     row, rng = COLUMNS[name], np.random.default_rng(3)
-    formula = formula_of(row.column, shaped=bool(row.shape))
+    formula = formula_of(row)
     state = State(**{field: rng.normal(size=50) for field in State._fields})
     state = state._replace(direction=np.sign(state.speed), time=np.abs(state.time))
     shape = (0.7,) if row.shape else ()
@@ -45,9 +59,7 @@ def test_the_page_knows_every_operation_by_its_name():
 
 
 def test_losses_depend_on_speed_or_direction():
-    losing = {
-        n for n, row in COLUMNS.items() if mentions(formula_of_row(row), ("speed", "direction"))
-    }
+    losing = {n for n, row in COLUMNS.items() if {"speed", "direction"} & names_in(formula_of(row))}
     keeping = {
         "inertia",
         "first_moment",
@@ -55,12 +67,9 @@ def test_losses_depend_on_speed_or_direction():
         "spring_cubic",
         "cogging_sin_7",
         "cogging_cos_7",
+        "offset",
     }
     assert set(COLUMNS) - losing == keeping
-
-
-def formula_of_row(row):
-    return formula_of(row.column, shaped=bool(row.shape))
 
 
 @pytest.mark.parametrize(
@@ -76,4 +85,25 @@ def formula_of_row(row):
 )
 def test_what_cannot_be_written_is_refused(column):
     with pytest.raises(Unwritten):
-        formula_of(column)
+        formula_of(replace(QUANTITIES["viscous"], column=column))
+
+
+@pytest.mark.parametrize("chain", [everything(), EVERYTHING], ids=["slots", "terms"])
+def test_statements_are_the_model(chain):
+    """With a name for every parameter, as a page works them out."""
+    rng = np.random.default_rng(2)
+    vectors = rng.uniform(0.1, 0.6, (20, len(chain.names)))
+    q, qd, qdd = rng.normal(size=(3, 20))
+    names = np.array([Varying(f"p{k}") for k in range(len(chain.names))], dtype=object)
+    made = Statements()
+    torque = made.torque(chain, names).formula
+    at = {"q": q, "v": qd, "a": qdd, "s": np.sign(qd)}
+    at |= {f"p{k}": x for k, x in enumerate(vectors.T)}
+    for name, formula in made.used(torque):
+        if name:
+            at[name] = value(formula, at)
+    load = chain.tables(vectors).load
+    gain, offset = load[:, kernels.GAIN], load[:, kernels.OFFSET]
+    motion = (q, qd, qdd)
+    wanted = inverse_torque(chain, vectors, *motion, inputs=AT_ROOM, time=np.zeros(20))
+    assert at[torque] == pytest.approx(gain * np.diag(wanted) - offset, rel=1e-12)

@@ -1,0 +1,266 @@
+"""The law of a joint in formulas, of which C, Python and the page's script are made.
+
+No term is written twice. The compiled kernels' own code runs with names in place of numbers:
+what they assign becomes a statement of the same name. A column of the table of quantities, a
+function of a :class:`~bayesfric.mechanism.quantities.State` in NumPy's functions, gives its own
+formula when it is called with a state that only remembers what is done to it.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections import Counter
+from functools import cache
+from types import CodeType
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.quantities import Quantity, State
+from bayesfric.recordings.arrays import Array
+
+# A number, a name, or an operation and what it is of.
+Formula = float | str | list[Any]
+
+# What every language has, by NumPy's names.
+OPERATIONS = frozenset(
+    (
+        "add", "subtract", "multiply", "divide", "negative", "positive", "absolute", "sign",
+        "maximum", "minimum", "power", "square", "sqrt", "exp", "expm1", "log", "log1p",
+        "sin", "cos", "tan", "arctan", "tanh", "greater", "where",
+    )
+)  # fmt: skip
+# Position, speed and acceleration of the joint, and the sign of its speed.
+MOTION = ("q", "v", "a", "s")
+
+
+class Unwritten(Exception):
+    """No formula says this; the argument is what."""
+
+
+class Traced(NDArrayOperatorsMixin):
+    """A number that remembers how it came about."""
+
+    def __init__(self, formula: Formula) -> None:
+        self.formula = formula
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if method != "__call__" or options:
+            raise Unwritten(ufunc.__name__)
+        return _made(ufunc.__name__, *inputs)
+
+    def __bool__(self) -> bool:
+        raise Unwritten("a choice")
+
+
+class Varying(Traced):
+    """A parameter that has many values, and none in particular."""
+
+    def __eq__(self, other: object) -> bool:
+        return False
+
+    def __le__(self, other: object) -> bool:
+        return False
+
+
+def _formula(x: Any) -> Formula:
+    if isinstance(x, Traced):
+        return x.formula
+    if isinstance(x, np.ndarray) and x.ndim == 0:  # np.ones_like(...)
+        x = x.item()
+    if isinstance(x, int | float | np.integer | np.floating):
+        return float(x)
+    raise Unwritten(type(x).__name__)
+
+
+def _made(operation: str, *inputs: Any) -> Any:
+    """Make an operation of what it is of; what is zero is not written."""
+    if operation not in OPERATIONS:
+        raise Unwritten(operation)
+    of = [_formula(x) for x in inputs]
+    if operation in ("subtract", "divide") and of[1] == (operation == "divide"):
+        return inputs[0]
+    if operation == "add" and 0.0 in of:
+        return inputs[1 - of.index(0.0)]
+    if operation == "multiply" and (0.0 in of or 1.0 in of):
+        return 0.0 if 0.0 in of else inputs[1 - of.index(1.0)]
+    return Traced([operation, *of])
+
+
+def _where(test: Any, yes: Any, no: Any) -> Any:
+    """Choose as an expression of Python does."""
+    if not isinstance(test, Traced):
+        return yes if test else no
+    return yes if _formula(yes) == _formula(no) else _made("where", test, yes, no)
+
+
+class _Told(ast.NodeTransformer):
+    """Have what a kernel assigns put under its name, and choices written down."""
+
+    def visit_Assign(self, node: ast.Assign) -> ast.Assign:
+        self.generic_visit(node)
+        names = ast.Constant(ast.unparse(node.targets[0]).strip("()"))
+        node.value = ast.Call(ast.Name("put", ast.Load()), [names, node.value], [])
+        return node
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.Call:
+        self.generic_visit(node)
+        choice = [node.test, node.body, node.orelse]
+        return ast.Call(ast.Name("where", ast.Load()), choice, [])
+
+
+@cache
+def _code() -> CodeType:
+    tree = ast.parse(inspect.getsource(kernels))
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    for one in functions:
+        one.decorator_list.clear()
+    module = _Told().visit(ast.Module([*functions], []))
+    return compile(ast.fix_missing_locations(module), kernels.__file__, "exec")
+
+
+class Statements:
+    """What works out the law of a joint, one after the other.
+
+    They start from :data:`MOTION` and what else is given. Of a recording is nothing in them: a
+    term of temperature or of time is that of 20 degC as a recording begins, a delay is none.
+
+    Attributes
+    ----------
+    all
+        Names, each there once, and their formulas; a remark has no name.
+    kernels
+        Functions of the kernels, to be called with names or numbers.
+    """
+
+    def __init__(self, *given: str) -> None:
+        self.all: list[tuple[str, Formula]] = []
+        self._taken = Counter((*MOTION, *given))
+        self.kernels: dict[str, Any] = dict(vars(kernels))
+        self.kernels |= {"put": self.put, "where": _where, "math": np, "float": lambda x: x}
+        exec(_code(), self.kernels)
+
+    def put(self, name: str, value: Any) -> Any:
+        """Give a formula a name, or one much like it; several have theirs with commas between."""
+        if isinstance(value, tuple):
+            return tuple(map(self.put, name.split(", "), value))
+        if not isinstance(value, Traced) or isinstance(value.formula, str):
+            return value
+        for known, formula in self.all:
+            if formula == value.formula:
+                return Traced(known)
+        self._taken[name] += 1
+        name += str(self._taken[name]) if self._taken[name] > 1 else ""
+        self.all.append((name, value.formula))
+        return Traced(name)
+
+    def torque(self, chain: Chain, vector: Array, outside: Any = 0.0) -> Any:
+        """Torque at the motor, without the offset of what is measured.
+
+        Parameters
+        ----------
+        chain
+            The mechanism.
+        vector
+            ``(n_parameters,)``, numbers or :class:`Varying`.
+        outside
+            Torque that pushes the load from outside.
+
+        Raises
+        ------
+        Unwritten
+            If a term has no formula; the argument is its parameter's name.
+        """
+        (elements,), (load,), _ = chain.tables(vector[None])
+        self.remark("load")
+        at, torque = self.at(1.0), self.weight(load, outside)
+        torque = self.put("torque", torque + self._carried(chain, vector, len(chain.elements), at))
+        for k in range(len(chain.elements) - 1, -1, -1):
+            element, name = elements[k], chain.elements[k].name
+            self.remark(name)
+            at = self.at(chain.reaches[name])
+            torque = self.put("torque", torque / element[kernels.RATIO])
+            moving = at.direction, at.speed, at.acceleration
+            torque = self.kernels["element_torque"](element, torque, *moving)
+            torque = self.put("torque", torque + self._carried(chain, vector, k, at))
+        return torque
+
+    def weight(self, load: Array, outside: Any) -> Any:
+        """Torque that moves the load itself, eq. (3), less what pushes it; a row of tables."""
+        q, _, a, _ = map(Traced, MOTION)
+        weight = self.kernels["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
+        return load[kernels.LOAD_INERTIA] * a + weight - outside
+
+    def at(self, reach: float) -> State:
+        """State, of nothing carried, where the speed is so many times the joint's."""
+        q, v, a, s = map(Traced, MOTION)
+        position, speed = self.put("position", reach * q), self.put("speed", reach * v)
+        return State(position, speed, self.put("acceleration", reach * a), s, 0.0)
+
+    def _carried(self, chain: Chain, vector: Array, place: int, at: State) -> Any:
+        total: Any = 0.0
+        for term in chain.carried:
+            if term.place == place and not term.row.signal:
+                shape = vector[[term.shape]] if term.shape >= 0 else ()
+                try:
+                    total = total + vector[term.index] * torque_of(term.row, at, *shape)
+                except Unwritten:
+                    raise Unwritten(chain.names[term.index]) from None
+        return total
+
+    def remark(self, text: str) -> None:
+        """Say what the next statements are of."""
+        self.all.append(("", text))
+
+    def tell(self, name: str, value: Any) -> None:
+        """Give what is asked for its name, a number or a formula."""
+        self.all.append((name, _formula(value)))
+
+    def used(self, *read: str) -> list[tuple[str, Formula]]:
+        """Statements that some names are made of, in their order: compilers warn of others."""
+        kept, wanted = [], set(read)
+        for name, formula in reversed(self.all):
+            if not name or name in wanted:
+                kept.append((name, formula))
+                wanted |= names_in(formula) if name else set()
+        return kept[::-1]
+
+
+def torque_of(row: Quantity, at: State, *shape: Any) -> Any:
+    """Torque of a row at a state for a coefficient of one.
+
+    Raises
+    ------
+    Unwritten
+        If no formula says it.
+    """
+    assert row.column is not None
+    try:
+        found = row.column(at, *shape)
+        return found if isinstance(found, Traced) else _formula(found)
+    except (TypeError, ValueError, AttributeError) as error:  # math.sin(...), m.position[0]
+        raise Unwritten(str(error)) from None
+
+
+def formula_of(row: Quantity) -> Formula:
+    """Give a row in the names of a :class:`State` and, where one shapes it, ``shape``."""
+    at = State(*map(Traced, State._fields))
+    return _formula(torque_of(row, at, *((Traced("shape"),) if row.shape else ())))
+
+
+def names_in(formula: Formula) -> set[str]:
+    """Names that a formula is made of."""
+    if isinstance(formula, list):
+        return set().union(*map(names_in, formula[1:]))
+    return {formula} if isinstance(formula, str) else set()
+
+
+def of_time(row: Quantity) -> bool:
+    """Whether a term changes with temperature or time."""
+    return row.signal == "temperature" or (
+        row.role == "own" and row.column is not None and "time" in names_in(formula_of(row))
+    )

@@ -1,1 +1,0 @@
-"""What a page answers with besides the summary: out of a fit, into ``page.json``, as data."""
