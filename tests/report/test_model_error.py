@@ -76,7 +76,7 @@ def test_figures_show_what_the_tables_print(wrong):
         if (
             fills
             and len(ends) == 2
-            and np.allclose(sorted(ends), table[NAME].cited[1:3], rtol=1e-9)
+            and np.allclose(sorted(ends), table[NAME].cell.interval, rtol=1e-9)
         ):
             values, edges, _ = fills[0].get_data()
             middles = 0.5 * (edges[1:] + edges[:-1]) * q.factor

@@ -151,7 +151,11 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     assert one.status == ("doubtful" if doubted else "identified")
     table = parameter_table(summary)
     (line,) = (r for r in table.rows if r.name == NAME)
-    assert line.cited == (one.value, *one.interval, one.sd)
+    assert (line.cell.value, line.cell.interval, line.cell.sd) == (
+        one.value,
+        tuple(one.interval),
+        one.sd,
+    )
     assert posterior_cells(summary)[NAME].interval == tuple(one.interval)
     (column,) = (c for c in comparison({"run": summary}).rows if c.name == NAME)
     assert column.cells["posterior"].value == one.value

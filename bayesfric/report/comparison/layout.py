@@ -64,7 +64,7 @@ def comparison_csv(found: Comparison) -> str:
                 continue
             told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
             told |= {
-                "status": cell.told_status,
+                "status": "doubtful" if cell.doubted else cell.status,
                 "column": column.label,
                 "run": column.run,
                 "column_kind": column.kind,
