@@ -1,4 +1,4 @@
-"""Friction over speed and load: median, 90 % band, and where the data determine it at all.
+"""Friction over speed: median, 90 % band, and where the data determine it at all.
 
 The joint runs at constant speed against a constant load. With ``T`` the true motor
 torque (without its constant offset) and ``L`` the loss-free torque of the load, both at the
@@ -21,6 +21,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -74,49 +75,24 @@ class Curve:
         return Curve(self.speed[where], self.load[where], sign * self.ends[:, where], *flags)
 
 
-@dataclass(frozen=True, eq=False)
-class FrictionCurves:
-    """Everything the friction figure shows."""
-
-    open_scale: bool  # whether loads are the mean of what driving and back-driving feel
-    over_speed: tuple[Curve, ...]  # at no load, at a driven and at a driving load
-    over_load: tuple[Curve, ...]  # at a low and a high speed; empty without load losses
-
-
-def friction_curves(fit: Fit) -> FrictionCurves:
-    """Evaluate the friction curves of a fit where its recordings ran."""
+def friction_curves(fit: Fit) -> list[Curve]:
+    """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
     local, open_scale = local_information(fit.target, fit.posterior.median), has_open_scale(fit)
     place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    lossy = lossy and float(np.ptp(place.load)) > 0.0
-
-    def along(speed: Array, load: Array) -> Curve:
-        ends, determined = band(
-            fit, local, lambda x: friction_torque(fit.chain, x, speed, load, open_scale), open_scale
-        )
-        return Curve(speed, load, ends, determined, place.near(speed, load if lossy else None))
-
+    sides = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
+    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in sides if x.size]
     low, high = float(place.speed.min()), float(place.speed.max())
     # friction jumps at rest: no point there
     least = 1e-3 * max(-low, high)
-    speeds = np.linspace(low, high, _POINTS)
-    speeds = np.where(np.abs(speeds) < least, np.copysign(least, speeds), speeds)
-    if not lossy:
-        return FrictionCurves(open_scale, (along(speeds, np.zeros(_POINTS)),), ())
-    sides = [place.load[place.load > 0.0], place.load[place.load < 0.0]]
-    loads = [
-        0.0,
-        *(_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in sides if x.size),
-    ]
-    # nearly all: single jerks would leave the rest no room
-    first, last = np.quantile(place.load, [0.005, 0.995]).tolist()
-    grid = np.linspace(first, last, _POINTS)
-    top = float(np.quantile(np.abs(place.speed), 0.95)) * (1.0 if high > 0.0 else -1.0)
-    return FrictionCurves(
-        open_scale,
-        tuple(along(speeds, np.full(_POINTS, load)) for load in loads),
-        tuple(along(np.full(_POINTS, _round(share * top)), grid) for share in (0.25, 0.75)),
-    )
+    speed = np.linspace(low, high, _POINTS)
+    speed = np.where(np.abs(speed) < least, np.copysign(least, speed), speed)
+    curves = []
+    for load in (np.full(_POINTS, x) for x in (0.0, *loads)):
+        of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
+        near = place.near(speed, load if loads else None)
+        curves.append(Curve(speed, load, *band(fit, local, of, open_scale), near))
+    return curves
 
 
 def _round(x: float) -> float:

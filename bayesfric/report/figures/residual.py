@@ -45,9 +45,9 @@ def residual_figure(fit: Fit) -> Figure | None:
     with paper_figure(style.PAGE, _HEIGHT) as figure:
         axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
         for ax, table in zip(axes, tables, strict=True):
-            _draw(ax, table / [1.0, *[10.0**exponent] * 3])
+            _draw(ax, table)
             ax.set_xlabel(labels[str(table.columns[0])])
-        few_ticks(axes[0].yaxis, 5)
+        few_ticks(axes[0].yaxis, 5, exponent=exponent)
         axes[0].set_ylabel(f"residual ({scaled_unit(exponent, outputs[0].unit)})")
         style.legend_above(figure, axes[0].get_legend_handles_labels()[0])
     return figure

@@ -117,13 +117,11 @@ def _pair(ax: Axes, fit: Fit, found: Ridge, name: str) -> None:
     for k, (of, axis) in enumerate(pairs):
         seen = np.concatenate([points[k], line[k]])
         exponent = power_of_ten(float(np.nanmin(seen)), float(np.nanmax(seen)))
-        for values in (points, line):
-            values[k] /= 10.0**exponent
         alpha = {found.scaling.drive: r"\alpha_1", found.scaling.back: r"\alpha_2"}.get(of)
         (p,) = (p for p in fit.chain.parameters if p.name == of)
         unit = "" if alpha else p.unit
         axis.set_label_text(axis_label(alpha or p.symbol, of, exponent, unit))
-        few_ticks(axis, 5)
+        few_ticks(axis, 5, exponent=exponent)
     ax.plot(*points, gid="posterior", markeredgewidth=0.0, rasterized=True, zorder=2, **_DOTS)
     ax.plot(*line, color=_LINE, zorder=3, gid="line")
     for k, marker, _ in found.ends:
