@@ -17,8 +17,7 @@ from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report.files import check_free
-from bayesfric.report.shown import Summary
-from bayesfric.report.summary.record import read_summary_file
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 # Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
 # what was read from a file, may have been changed.

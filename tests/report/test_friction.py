@@ -12,12 +12,13 @@ from bayesfric.mechanism.inverse import inverse_torque, load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.friction import friction_caption, friction_figure
-from bayesfric.report.figures.friction_curves import (
+from bayesfric.report.figures.friction import (
     Covered,
     band,
     covered,
+    friction_caption,
     friction_curves,
+    friction_figure,
     friction_torque,
 )
 from bayesfric.report.figures.style import COLUMN

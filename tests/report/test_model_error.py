@@ -12,8 +12,8 @@ from bayesfric.report.figures.corner import quantities
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 from tests.inference.test_discrepancy import fitted

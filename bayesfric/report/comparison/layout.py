@@ -84,7 +84,7 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
 
     quantities = {row.name: asdict(row, dict_factory=listed) for row in found.rows}
     for told in quantities.values():
-        del told["name"]
+        del told["name"], told["told_by"]
         told["columns"] = told.pop("cells")
     return {
         "baseline": found.baseline,

@@ -1,6 +1,27 @@
-"""Friction of the whole joint at the motor, over speed."""
+"""Friction over speed: median, 90 % band, and where the data determine it at all.
+
+The joint runs at constant speed against a constant load. With ``T`` the true motor
+torque (without its constant offset) and ``L`` the loss-free torque of the load, both at the
+motor, friction is ``F = T - L``. What is recorded is ``T`` over ``drive.gain``, where that is one.
+
+``L`` is where care is due. A recording tells ``Gamma/N``, the torque of the leg over the
+ratio, only up to the scaling of leg parameters and ``alpha_1, alpha_2`` that changes no
+torque. ``(1 + mu_1) Gamma/N`` and ``(1 - mu_2) Gamma/N``, what the motor feels of the load
+while it drives and while it is driven, are known all the same, and so is their mean,
+``lambda_1 Gamma/N`` of eq. (13). Where the scale is open this mean therefore stands for the
+load: ``F(speed, L)`` then is the same for all members of the ridge. It is what an
+experiment finds that lifts and lowers the load at one speed, calls half the sum of the two
+torques load and half their difference friction. Where something fixes the scale (a known
+mass, a known parameter of the leg, ``mu_1 = mu_2``), ``L`` is ``Gamma/N`` itself.
+"""
 
 from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -8,28 +29,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.spatial import cKDTree
 
+from bayesfric.estimates.torque import load_at_outputs
+from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fitting import Fit
-from bayesfric.recordings.arrays import Flags
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.inverse import load_reach
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures import style
-from bayesfric.report.figures.friction_curves import (
-    FEWEST,
-    NEAR,
-    Curve,
-    friction_curves,
-    has_open_scale,
-)
 from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import (
-    OPEN_HATCH,
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    paper_figure,
-)
-from bayesfric.report.summary.derived_quantities import LEVEL
+from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
+from bayesfric.report.summary.derived_quantities import LEVEL, around_median, prior_values
 
+# Of the recorded range of speed, and of load: outputs so near to a place cover it.
+NEAR = 0.08
+# Outputs that must be near a place for it to count as recorded.
+FEWEST = 3
+# A quantile of so many draws is known to a fortieth of the band's width.
+_DRAWS = 1000
+_PRIOR_DRAWS = 500
+_POINTS = 121
 _HEIGHT = 2.4
 _OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
 
@@ -128,6 +151,175 @@ def friction_caption(fit: Fit) -> str:
     if fit.chain.gain:
         said += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
     return said
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Friction at ``N`` places, ``(N,)`` each."""
+
+    speed: Array  # the motor's
+    load: Array  # loss-free, see the module
+    # `(3, N)`: low end of the central 90 % interval, median and high end, over the draws that have
+    # a value; `nan` where fewer than half of them do
+    ends: Array
+    determined: Flags  # whether the data had a say: false where the verdict is `prior`
+    covered: Flags  # whether `FEWEST` outputs were near
+
+    @property
+    def median(self) -> Array:
+        """The posterior's."""
+        return np.asarray(self.ends[1])
+
+    @property
+    def shown(self) -> Flags:
+        """Where there is a band to see."""
+        return np.asarray(self.covered & np.isfinite(self.median))
+
+    def part(self, where: Flags, sign: float) -> Curve:
+        """Take some of the places, friction times plus or minus one."""
+        flags = self.determined[where], self.covered[where]
+        return Curve(self.speed[where], self.load[where], sign * self.ends[:, where], *flags)
+
+
+def friction_curves(fit: Fit) -> list[Curve]:
+    """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
+    local, open_scale = local_information(fit.target, fit.posterior.median), has_open_scale(fit)
+    place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    sides = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
+    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in sides if x.size]
+    low, high = float(place.speed.min()), float(place.speed.max())
+    # friction jumps at rest: no point there
+    least = 1e-3 * max(-low, high)
+    speed = np.linspace(low, high, _POINTS)
+    speed = np.where(np.abs(speed) < least, np.copysign(least, speed), speed)
+    curves = []
+    for load in (np.full(_POINTS, x) for x in (0.0, *loads)):
+        of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
+        near = place.near(speed, load if loads else None)
+        curves.append(Curve(speed, load, *band(fit, local, of, open_scale), near))
+    return curves
+
+
+def _round(x: float) -> float:
+    """Round to one digit."""
+    return round(x, -math.floor(math.log10(abs(x)))) if x else x
+
+
+def has_open_scale(fit: Fit) -> bool:
+    """Whether theory leaves a scale between leg and alpha open."""
+    return local_information(fit.target, fit.posterior.median).from_theory > 0
+
+
+def band(
+    fit: Fit, local: LocalInformation, curve: Callable[[Array], Array], gauge_free: bool
+) -> tuple[Array, Flags]:
+    """Give ends and median ``(3, N)`` of a curve over draws, and where the data determine it.
+
+    ``curve`` brings parameters ``(n, n_parameters)`` to the curve's points ``(n, N)``, ``nan``
+    where a draw has no value. Points are judged as single quantities are in ``summary.json``: by
+    the posterior's sd against the prior's and the one that the data alone would leave.
+    ``gauge_free`` is whether, by theory, no scaling of leg and alpha changes it.
+    """
+    moved, steps = around_median(fit)
+    k = steps.size
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # points that no draw has are nan, and say so by that
+        warnings.simplefilter("ignore", RuntimeWarning)
+        values = _finite(curve(fit.chain_draws(_DRAWS)))
+        sd = _robust_sd(values)
+        prior_sd = _robust_sd(_finite(curve(prior_values(fit, _PRIOR_DRAWS, 4))))
+        change = curve(moved)
+        ends = np.nanquantile(values, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
+    gradients = (change[:k] - change[k:]) / (2.0 * steps[:, None])
+    ends[:, np.isnan(values).mean(axis=0) > 0.5] = np.nan
+    determined = [
+        bool(np.isfinite(gradient).all())
+        and verdict(one, before, local.data_sd_of(gradient, gauge_free=gauge_free)) != "prior"
+        for one, before, gradient in zip(sd, prior_sd, gradients.T, strict=True)
+    ]
+    return ends, np.array(determined, dtype=np.bool_)
+
+
+def _finite(x: Array) -> Array:
+    return np.where(np.isfinite(x), x, np.nan)
+
+
+def _robust_sd(x: Array) -> Array:
+    """Sds from quartiles: what divides by 1 - mu_2 has no finite one under many priors."""
+    low, high = np.nanquantile(x, [0.25, 0.75], axis=0)
+    return np.asarray((high - low) / 1.349)
+
+
+def friction_torque(
+    chain: Joint, values: Array, speed: Array, load: Array, open_scale: bool
+) -> Array:
+    """Friction of the whole joint at constant speed, seen at the motor.
+
+    ``speed`` ``(N,)`` is the motor's, not zero, where friction has no one value; ``load`` ``(N,)``
+    is its loss-free torque of the load (``open_scale`` says which, see the module), positive where
+    it resists the motion. Given as ``(n, N)``, positive against the motion, at 20 degC and as a
+    recording begins; at no load it is what
+    the constant, viscous and quadratic ``total_drive.*`` of
+    :func:`bayesfric.mechanism.derived.derive` sum up, times ``drive.gain``.
+    """
+    sign = np.sign(speed)
+    elements, table, carried = chain.tables(values)
+    # a load that weighs what is asked for, and nothing else: the same kernel as everywhere
+    table[:] = 0.0
+    table[:, kernels.GAIN] = 1.0
+    table[:, kernels.GRAVITY] = 1.0
+    with np.errstate(divide="ignore"):
+        table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
+    # what pulls at rest, wherever it goes, is no friction
+    rest = State(0.0, 0.0, 0.0, 0.0, 0.0)
+    for k, term in enumerate(chain.carried):
+        if term.row.column is not None and not term.row.shape and term.row.column(rest) != 0.0:
+            carried[:, k, 0] = 0.0
+    # the sine of the angle is put in place of one: the load is any, not that of a position
+    still = np.zeros_like(load)
+    # at constant speed the torque stands still too
+    samples = chain.samples(still, speed / chain.ratio, still, AT_ROOM, still)
+    samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
+    torque = kernels.inverse_many(elements, table, carried, samples)
+    return np.asarray(sign * torque - load)
+
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """Where the recordings were."""
+
+    speed: Array  # `(M,)` of the motor at every output, rad/s or m/s
+    # `(M,)` loss-free torque of the load at the motor at the posterior median, its inertia
+    # included; positive where it resists the motion
+    load: Array
+
+    def near(self, speed: Array, load: Array | None) -> Flags:
+        """Tell which places ``(N,)`` have ``FEWEST`` outputs near; all loads count if ``None``."""
+        mine, places = [self.speed], [speed]
+        if load is not None:
+            mine.append(self.load)
+            places.append(load)
+        spans = np.array([max(float(np.ptp(x)), 1e-300) for x in mine])
+        # nine tenths of the outputs, or one jerk would stretch what counts as near
+        inner = np.array([float(np.subtract(*np.quantile(x, [0.95, 0.05]))) for x in mine])
+        spans = np.where(inner > 0.0, inner / 0.9, spans)
+        tree = cKDTree(np.stack(mine, axis=1) / spans)
+        distance, _ = tree.query(
+            np.stack(places, axis=1) / spans, k=min(FEWEST, self.speed.size), p=np.inf
+        )
+        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= NEAR)
+
+
+def covered(fit: Fit, median: Array, open_scale: bool) -> Covered:
+    """Collect speeds of all outputs, and their loads at the chain parameters ``median``."""
+    reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
+    speeds, loads = [], []
+    for o in fit.observations:
+        gamma = load_at_outputs(fit.chain, o, median)
+        speeds.append(fit.chain.ratio * o.speed)
+        loads.append(reach * gamma * np.sign(o.speed))
+    return Covered(np.concatenate(speeds), np.concatenate(loads))
 
 
 FIGURE = RunFigure(

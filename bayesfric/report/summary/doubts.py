@@ -28,7 +28,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
-from bayesfric.report.summary.record import Doubt, Own, Summary, quantity_of
+from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.reference_check import priors_off
 from bayesfric.report.summary.rows import PosteriorRow
 
@@ -68,7 +68,7 @@ def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
 
-def put_doubts(summary: Own, doubts: Sequence[Mapping[str, Any]]) -> Own:
+def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
     """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``.
 
     ``undoubted`` keeps what else would be said of a number.

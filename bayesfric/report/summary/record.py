@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
@@ -417,7 +417,7 @@ class Summary(Part):
         """Share of the posterior that its intervals hold."""
         return next((row.level for row in self.rows.values()), 0.9)
 
-    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Self:
+    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Summary:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
         tables = {
             group: {
@@ -452,6 +452,18 @@ class Summary(Part):
                 lines.append(line)
         return pd.DataFrame(lines, columns=[*_FRAME])
 
+    def __str__(self) -> str:
+        """Say it as the terminal does."""
+        from bayesfric.report.terminal import fit_text
+
+        return "\n".join(fit_text(self))
+
+    def _repr_html_(self) -> str:
+        """Show the table with its verdicts in a notebook."""
+        from bayesfric.report.page.rendering import notebook_table  # brings Matplotlib with it
+
+        return notebook_table(self)
+
 
 def _ends(of: str, interval: list[float] | None) -> dict[str, float]:
     return dict(zip((f"{of}low", f"{of}high"), interval or (), strict=False))
@@ -462,8 +474,6 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "contraction", "at_bound", "undefined_share", "gauge_free",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
-# One that shows itself stays one.
-Own = TypeVar("Own", bound=Summary)
 Readable = Summary | Mapping[str, Any]
 
 

@@ -20,7 +20,6 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
-from bayesfric.report.shown import Summary
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning, leaning
 from bayesfric.report.summary.derived_quantities import (
@@ -33,6 +32,7 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import line_of
