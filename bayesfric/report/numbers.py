@@ -7,7 +7,6 @@ posterior the nearer end of its interval does (:func:`finer`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from decimal import ROUND_HALF_EVEN, Decimal
 
 from markupsafe import Markup, escape
@@ -38,18 +37,6 @@ def finer(middle: float, low: float, high: float, sd: float) -> float:
     """
     near, far = sorted((abs(middle - low), abs(high - middle)))
     return min(sd, max(near, _FINEST * far)) or sd
-
-
-def in_tenths(spans: Iterable[tuple[float, float]]) -> list[list[float]]:
-    """Widen spans in s to tenths, and join those that then overlap, as ``exclude`` takes them."""
-    out: list[list[float]] = []
-    for start, stop in sorted(spans):
-        low, high = math.floor(10.0 * start) / 10.0, math.ceil(10.0 * stop) / 10.0
-        if out and low <= out[-1][1]:
-            out[-1][1] = max(out[-1][1], high)
-        else:
-            out.append([low, high])
-    return out
 
 
 def _rounded(value: float, last: int) -> Decimal:

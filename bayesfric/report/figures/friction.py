@@ -43,7 +43,7 @@ from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
-from bayesfric.report.summary.derived_quantities import LEVEL, around_median, prior_values
+from bayesfric.report.summary.derived_quantities import LEVEL, gradients, prior_values
 
 # Of the recorded range of speed, and of load: outputs so near to a place cover it.
 NEAR = 0.08
@@ -221,22 +221,19 @@ def band(
     the posterior's sd against the prior's and the one that the data alone would leave.
     ``gauge_free`` is whether, by theory, no scaling of leg and alpha changes it.
     """
-    moved, steps = around_median(fit)
-    k = steps.size
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # points that no draw has are nan, and say so by that
         warnings.simplefilter("ignore", RuntimeWarning)
         values = _finite(curve(fit.chain_draws(_DRAWS)))
         sd = _robust_sd(values)
         prior_sd = _robust_sd(_finite(curve(prior_values(fit, _PRIOR_DRAWS, 4))))
-        change = curve(moved)
+        changes = gradients(fit, lambda x: curve(x).T)
         ends = np.nanquantile(values, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
-    gradients = (change[:k] - change[k:]) / (2.0 * steps[:, None])
     ends[:, np.isnan(values).mean(axis=0) > 0.5] = np.nan
     determined = [
         bool(np.isfinite(gradient).all())
         and verdict(one, before, local.data_sd_of(gradient, gauge_free=gauge_free)) != "prior"
-        for one, before, gradient in zip(sd, prior_sd, gradients.T, strict=True)
+        for one, before, gradient in zip(sd, prior_sd, changes, strict=True)
     ]
     return ends, np.array(determined, dtype=np.bool_)
 

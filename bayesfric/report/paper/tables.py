@@ -186,30 +186,9 @@ def _table(
     """Lay out a table; notes have ``symbols`` in place of names, as its lines have."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
     below = latex.with_symbols(below, symbols)
-    # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
-    lines = [
-        latex.PACKAGES,
-        r"\begin{table*}",
-        r"\centering",
-        rf"\caption{{{caption}}}",
-        rf"\label{{{label}}}",
-        r"\footnotesize",
-        r"\setlength{\tabcolsep}{4pt}",
-        # superscripts of one line must not touch subscripts of that above
-        r"\renewcommand{\arraystretch}{1.25}",
-        rf"\begin{{{kind}}}{width}{{{columns}}}",
-        r"\toprule",
-        head,
-        r"\midrule",
-        *body,
-        r"\bottomrule",
-        rf"\end{{{kind}}}",
-        r"\par\medskip",
-        rf"\parbox{{\textwidth}}{{\raggedright {below}}}",
-        r"\end{table*}",
-    ]
-    return "\n".join(lines) + "\n"
+    laid = {"kind": kind, "width": width, "columns": columns, "head": head, "body": body}
+    return filled("table.tex.j2", caption=caption, label=label, notes=below, **laid) + "\n"
 
 
 def methods_latex(found: Comparison) -> str:

@@ -84,9 +84,9 @@ def summarise(
         },
         "noise": noise_part.noise_record(fit, residual, choice),
         "fit": {
-            "residual_rms": rms(fit),
+            "residual_rms": rms_of(np.concatenate(residual)),
             **_explained(fit),
-            "torque_constant": torque_constant(fit),
+            "torque_constant": _torque_constant(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
             **_discretisation(fit.target.likelihood),
@@ -140,12 +140,7 @@ def _sampler(posterior: Posterior) -> dict[str, Any]:
     }
 
 
-def rms(fit: Fit) -> float:
-    """Give the root mean square of all residuals."""
-    return rms_of(np.concatenate(fit.residuals))
-
-
-def torque_constant(fit: Fit) -> float | None:
+def _torque_constant(fit: Fit) -> float | None:
     """Give torque per current, N m/A or N/A, where torque is explained and all of it a current."""
     if fit.target.likelihood.method == "output-error":
         return None
