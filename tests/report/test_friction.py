@@ -154,13 +154,14 @@ def test_the_band_holds_the_truth(knee, curves):
     draws = knee.chain_draws()
     for curve in curves:
         true = friction_torque(KNEE, TRUTH[None], curve.speed, curve.load, open_scale=True)[0]
-        assert (curve.ends[0] < true).all()
-        assert (true < curve.ends[2]).all()
+        moving = curve.speed != 0.0
+        assert (curve.ends[0] < true)[moving].all()
+        assert (true < curve.ends[2])[moving].all()
         values = friction_torque(KNEE, draws, curve.speed, curve.load, open_scale=True)
         # 1000 of the draws give the ends of the interval to 10 % of its width
         width = curve.ends[2] - curve.ends[0]
         for end, share in ((curve.ends[0], 0.05), (curve.ends[2], 0.95)):
-            assert (np.abs(end - np.quantile(values, share, axis=0)) < 0.1 * width).all()
+            assert (np.abs(end - np.quantile(values, share, axis=0)) < 0.1 * width)[moving].all()
 
 
 def test_places_are_where_the_recordings_ran(knee, curves):
@@ -168,7 +169,7 @@ def test_places_are_where_the_recordings_ran(knee, curves):
     for curve in curves:
         assert curve.speed.min() >= speed.min() - 1e-9
         assert curve.speed.max() <= speed.max() + 1e-9
-        assert not (curve.speed == 0.0).any()
+        assert np.isnan(curve.median[curve.speed == 0.0]).all()
     assert float(curves[0].load[0]) == 0.0
     assert {np.sign(c.load[0]) for c in curves} == {-1.0, 0.0, 1.0}
 
@@ -251,5 +252,5 @@ def test_what_the_data_leave_open_is_hatched_and_named(make_fit):
 
 def test_the_caption_says_what_load_is(knee, slide):
     assert "mean of what the motor feels" in friction_caption(knee)
-    assert "No element" in friction_caption(slide)
+    assert "No loss depends on load" in friction_caption(slide)
     assert SLIDE.motor_motion == "linear"

@@ -8,11 +8,8 @@ from scipy import stats
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.ridge import ridge, ridge_figure, siblings
+from bayesfric.report.figures.ridge import ridge, ridge_figure
 from bayesfric.report.figures.style import PAGE
 
 from .test_figures import has_unit, nothing_cut_off
@@ -159,7 +156,7 @@ def panel(figure, name):
 
 
 def test_panels_of_the_knee(figure):
-    assert [ax.get_gid() for ax in figure.axes] == [ML, JC, "gearbox.load_back"]
+    assert [ax.get_gid() for ax in figure.axes] == [ML, JC, "gearbox.alpha_back"]
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert labels == ["$ml$ (kg m)", "$J_{c}$ (kg m²)", r"$\alpha_2$ (–)"]
     for ax in figure.axes:
@@ -199,13 +196,3 @@ def test_a_page_wide_and_nothing_cut_off(which, request):
     figure = ridge_figure(request.getfixturevalue(which))
     assert figure.get_figwidth() == PAGE
     nothing_cut_off(figure, upright=False)
-
-
-def test_what_stands_beside_alpha_is_read_from_the_table():
-    chain = KNEE.chain()
-    assert siblings(chain, scalings(chain)[0]) == [ML, JC]
-    loss = Term("joint.creak", lambda m: m.direction, "N m", positive=True)
-    bare = Load(inertia=False, first_moment=False)
-    only = replace(chain, load=bare, elements=(*chain.elements[:2], Element("joint", ratio=1.0)))
-    only = only.with_term(loss)
-    assert siblings(only, scalings(only)[0]) == ["joint.creak"]

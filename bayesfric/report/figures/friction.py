@@ -29,6 +29,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from bayesfric.estimates.torque import load_at_outputs
@@ -72,10 +73,7 @@ def friction_figure(fit: Fit) -> Figure:
         for k, curve in enumerate(curves):
             load = float(curve.load[0])
             label = f"{load:+.3g} {unit}".replace("-", "\N{MINUS SIGN}") if load else "no load"
-            for side in np.unique(np.sign(curve.speed)):
-                part = curve.part(np.sign(curve.speed) == side, float(side))
-                _draw(ax, part, part.speed, style.PALETTE[k], label)
-                label = ""
+            _draw(ax, curve, style.PALETTE[k], label)
         ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
         ax.set(xlabel=rf"motor speed $\dot q_m$ ({per})", ylabel=f"friction {kind} $F$ ({unit})")
         few_ticks(ax.xaxis, 6)
@@ -86,16 +84,18 @@ def friction_figure(fit: Fit) -> Figure:
     return figure
 
 
-def _draw(ax: Axes, curve: Curve, x: Array, colour: str, label: str) -> None:
+def _draw(ax: Axes, curve: Curve, colour: str, label: str) -> None:
     """Draw median and band where recordings were, and beyond that a dashed median alone."""
-    shown, (low, median, high) = curve.shown, curve.ends
+    x, shown, (low, median, high) = curve.speed, curve.shown, np.sign(curve.speed) * curve.ends
     for open_ in (False, True):
         where = shown & (curve.determined != open_)
         if where.any():
-            inside, gid = _joined(where, shown).tolist(), "open" if open_ else "band"
+            # grown by one neighbour, so that parts of a band meet
+            inside = (binary_dilation(where) & shown).tolist()
+            gid = "open" if open_ else "band"
             ax.fill_between(x, low, high, where=inside, gid=gid, **_area(colour, open_))
     ax.plot(x, median, color=colour, gid="outside", **_OUTSIDE)
-    seen = np.where(_joined(shown, np.isfinite(median)), median, np.nan)
+    seen = np.where(binary_dilation(shown), median, np.nan)
     ax.plot(x, seen, color=colour, label=label, gid="median")
 
 
@@ -103,14 +103,6 @@ def _area(colour: str, open_: bool) -> Look:
     if open_:
         return {"facecolor": "none", "edgecolor": colour, "hatch": OPEN_HATCH, "linewidth": 0.4}
     return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0}
-
-
-def _joined(flags: Flags, within: Flags) -> Flags:
-    """Grow by one neighbour, so that parts of a band meet."""
-    grown = flags.copy()
-    grown[1:] |= flags[:-1]
-    grown[:-1] |= flags[1:]
-    return grown & within
 
 
 def _handles(curves: list[Curve]) -> list[Artist]:
@@ -135,19 +127,15 @@ def friction_caption(fit: Fit) -> str:
         f"{100 * LEVEL:.0f} % band, hatched where the data do not tell. Dashed where fewer than "
         f"{FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
     )
-    if all(element.load_loss == "none" for element in fit.chain.elements):
-        said += ". No element has a loss that depends on load."
-    elif has_open_scale(fit):
-        said += (
-            " and, at once, of load. Load is the mean of what the motor feels of it while driving "
-            "and while driven: the scale between load and gearbox is open, and only this mean is "
-            "the same for all parameters that make the same torque."
+    load = "the torque at the joint over the ratio, positive against the motion."
+    if has_open_scale(fit):
+        load = (
+            "the mean of what the motor feels of it while driving and while driven: the scale "
+            "between load and gearbox is open, and only this mean is the same for all parameters "
+            "that make the same torque."
         )
-    else:
-        said += (
-            " and, at once, of load. Load is the torque at the joint over the ratio, positive "
-            "against the motion."
-        )
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    said += f" and, at once, of load. Load is {load}" if lossy else ". No loss depends on load."
     if fit.chain.gain:
         said += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
     return said
@@ -175,26 +163,23 @@ class Curve:
         """Where there is a band to see."""
         return np.asarray(self.covered & np.isfinite(self.median))
 
-    def part(self, where: Flags, sign: float) -> Curve:
-        """Take some of the places, friction times plus or minus one."""
-        flags = self.determined[where], self.covered[where]
-        return Curve(self.speed[where], self.load[where], sign * self.ends[:, where], *flags)
-
 
 def friction_curves(fit: Fit) -> list[Curve]:
     """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
     local, open_scale = local_information(fit.target, fit.posterior.median), has_open_scale(fit)
     place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    sides = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
-    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in sides if x.size]
+    ways = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
+    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in ways if x.size]
     low, high = float(place.speed.min()), float(place.speed.max())
-    # friction jumps at rest: no point there
     least = 1e-3 * max(-low, high)
-    speed = np.linspace(low, high, _POINTS)
-    speed = np.where(np.abs(speed) < least, np.copysign(least, speed), speed)
+    sides = [(low, -least)] if low < -least else []
+    sides += [(least, high)] if high > least else []
+    speed = np.concatenate([np.linspace(*ends, _POINTS // len(sides)) for ends in sides])
+    if len(sides) > 1:  # friction jumps at rest, where it has no value
+        speed = np.insert(speed, _POINTS // 2, 0.0)
     curves = []
-    for load in (np.full(_POINTS, x) for x in (0.0, *loads)):
+    for load in (np.full(speed.size, x) for x in (0.0, *loads)):
         of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
         near = place.near(speed, load if loads else None)
         curves.append(Curve(speed, load, *band(fit, local, of, open_scale), near))
@@ -253,7 +238,7 @@ def friction_torque(
 ) -> Array:
     """Friction of the whole joint at constant speed, seen at the motor.
 
-    ``speed`` ``(N,)`` is the motor's, not zero, where friction has no one value; ``load`` ``(N,)``
+    ``speed`` ``(N,)`` is the motor's, without a value at zero; ``load`` ``(N,)``
     is its loss-free torque of the load (``open_scale`` says which, see the module), positive where
     it resists the motion. Given as ``(n, N)``, positive against the motion, at 20 degC and as a
     recording begins; at no load it is what
@@ -279,7 +264,7 @@ def friction_torque(
     samples = chain.samples(still, speed / chain.ratio, still, AT_ROOM, still)
     samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
     torque = kernels.inverse_many(elements, table, carried, samples)
-    return np.asarray(sign * torque - load)
+    return np.asarray(np.where(sign == 0.0, np.nan, sign * torque - load))
 
 
 @dataclass(frozen=True, eq=False)

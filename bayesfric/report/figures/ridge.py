@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from bayesfric.inference.fitting import Fit
+from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import CHOICES, QUANTITIES
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import RunFigure
@@ -81,7 +80,8 @@ def ridge_figure(fit: Fit) -> Figure | None:
     found = ridge(fit)
     if found is None:
         return None
-    names = [*siblings(fit.chain, found.scaling), found.scaling.back]
+    # the load's own come last, and are what is asked for
+    names = [*found.scaling.behind[:-3:-1], f"{found.scaling.element}.alpha_back"]
     with style.paper_figure(style.PAGE, _HEIGHT) as figure:
         for ax, name in zip(style.panel_grid(figure, len(names), len(names)), names, strict=True):
             _pair(ax, fit, found, name)
@@ -95,47 +95,28 @@ def ridge_figure(fit: Fit) -> Figure | None:
     return figure
 
 
-def siblings(chain: Joint, scaling: Scaling) -> list[str]:
-    """Name two torques behind the gearbox: what only loads have, then as the table lists them."""
-    table = [*QUANTITIES]
-
-    def rank(p: Parameter) -> tuple[bool, int, bool]:
-        place = table.index(p.quantity) if p.quantity in QUANTITIES else len(table)
-        return p.row.option in CHOICES, place, p.owner != "load"
-
-    behind = [p for p in chain.parameters if p.name in scaling.behind and p.row.role == "own"]
-    return [p.name for p in sorted(behind, key=rank)[:2]]
+def _quantities(chain: Joint, values: Array) -> dict[str, tuple[str, str, Array]]:
+    """Give symbol, unit and values of parameters and of what follows from them."""
+    own = {p.name: (p.symbol, p.unit, values[:, k]) for k, p in enumerate(chain.parameters)}
+    return own | {q.name: (q.symbol, q.unit, q.values) for q in derive(chain, values, 0.0)}
 
 
 def _pair(ax: Axes, fit: Fit, found: Ridge, name: str) -> None:
     ax.set_gid(name)
-    draws = fit.chain_draws(_MOST_DRAWS)
-    pairs = [(found.scaling.drive, ax.xaxis), (name, ax.yaxis)]
-    points, line = (
-        np.stack([_shown(fit, found, of, v) for of, _ in pairs]) for v in (draws, found.line)
-    )
+    with np.errstate(divide="ignore", invalid="ignore"):  # an irreversible gearbox has no alpha_2
+        every = [_quantities(fit.chain, v) for v in (fit.chain_draws(_MOST_DRAWS), found.line)]
+    pairs = [(f"{found.scaling.element}.alpha_drive", ax.xaxis), (name, ax.yaxis)]
+    points, line = (np.stack([told[of][2] for of, _ in pairs]) for told in every)
     for k, (of, axis) in enumerate(pairs):
         seen = np.concatenate([points[k], line[k]])
         exponent = power_of_ten(float(np.nanmin(seen)), float(np.nanmax(seen)))
-        alpha = {found.scaling.drive: r"\alpha_1", found.scaling.back: r"\alpha_2"}.get(of)
-        (p,) = (p for p in fit.chain.parameters if p.name == of)
-        unit = "" if alpha else p.unit
-        axis.set_label_text(axis_label(alpha or p.symbol, of, exponent, unit))
+        symbol, unit, _ = every[0][of]
+        axis.set_label_text(axis_label(symbol, of, exponent, unit))
         few_ticks(axis, 5, exponent=exponent)
     ax.plot(*points, gid="posterior", markeredgewidth=0.0, rasterized=True, zorder=2, **_DOTS)
     ax.plot(*line, color=_LINE, zorder=3, gid="line")
     for k, marker, _ in found.ends:
         ax.plot(*line[:, k], marker=marker, markersize=5.0, zorder=4, gid=f"end {k}", **_MARKER)
-
-
-def _shown(fit: Fit, found: Ridge, name: str, values: Array) -> Array:
-    """Read a column of parameter vectors; of a load loss, 1/alpha = 1 + mu_1 or 1 - mu_2, alpha."""
-    x = values[:, fit.chain.names.index(name)]
-    sign = {found.scaling.drive: 1.0, found.scaling.back: -1.0}.get(name)
-    if sign is None:
-        return x.copy()
-    # an irreversible gearbox has no alpha_2
-    return np.divide(1.0, 1.0 + sign * x, out=np.full_like(x, np.nan), where=1.0 + sign * x > 0.0)
 
 
 FIGURE = RunFigure(
