@@ -40,17 +40,14 @@ def roll_out_alerts(found: RollOutPart) -> dict[str, dict[str, Any]]:
     return told
 
 
-def alerts_of(summary: Readable) -> tuple[Alert, ...]:
-    """Gather what a summary warns of."""
-    read = Summary.read(summary)
-    return alerts(read, comparison({"run": read}).contested)
-
-
-def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
+def alerts_of(read: Readable, contested: Sequence[str] | None = None) -> tuple[Alert, ...]:
     """Gather what a run warns of, what makes its numbers unsafe first.
 
-    ``contested`` are numbers of which other methods give other values.
+    ``contested`` are numbers of which other methods give other values, where that is known.
     """
+    summary = Summary.read(read)
+    if contested is None:
+        contested = comparison({"run": summary}).contested
     found = [
         Alert("sampler", text, "sampling", first=True, line=line_of("sampler"))
         for text in summary.sampler.problems

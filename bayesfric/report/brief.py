@@ -5,7 +5,6 @@ Terminal, page and notebook print the same lines and the same digits.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,19 +12,13 @@ from bayesfric.report.alerts import Alert, alerts_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
+from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import ORDER, Reported
 from bayesfric.results.verdict import Outcome
-from bayesfric.templates import percent
 
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
-_SIGNS = {
-    "good": "Fit good",
-    "usable": "Model incomplete",
-    "unchecked": "Model not checked",
-    "doubtful": "Doubtful",
-}
 # What stands beside a number that is not simply identified.
 _BESIDE = {"identified": "", "limit": "", "prior": "needs the prior", "doubtful": "doubtful"}
 
@@ -77,9 +70,9 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
     told = alerts_of(read) if alerts is None else alerts
     found = list(dict.fromkeys(one.line for one in told if one.line))
     return Brief(
-        read=_read(read),
+        read=filled("recorded.txt.j2", summary=read),
         outcome=read.verdict.outcome,
-        verdict=_verdict(read),
+        verdict=filled("verdict.txt.j2", summary=read, found=read.verdict),
         taken=tuple(f"Added: {line_of(one.kind, one.model_dump())}" for one in read.taken),
         level=f"{100.0 * read.level:g} % interval",
         lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
@@ -98,46 +91,6 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
 def _in_tables(name: str) -> bool:
     """Whether the tables have it alone: the noise's, and efficiencies, which alphas are already."""
     return of_noise(name) or quantity_of(name).startswith("efficiency")
-
-
-def _read(summary: Summary) -> str:
-    recordings = summary.fit.recordings
-    lasts = [
-        one.n_samples / one.sampling_rate
-        for one in recordings.values()
-        if one.n_samples and one.sampling_rate
-    ]
-    rates = sorted(one.sampling_rate for one in recordings.values() if one.sampling_rate)
-    if not lasts:
-        return ", ".join(recordings)
-    names = ", ".join(recordings) if len(recordings) < 3 else f"{len(recordings)} recordings"
-    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (rates[0], rates[-1])))
-    together = " in all" if len(recordings) > 1 else ""
-    return f"{names}: {sum(lasts):.4g} s{together} at {hertz} Hz, {summary.fit.quantity}"
-
-
-def _verdict(summary: Summary) -> str:
-    found = summary.verdict
-    if found.outcome == "not converged":
-        lost = summary.sampler.status == "unusable"
-        return f"Not converged: {'no number is a posterior' if lost else 'numbers may still move'}."
-    text = _SIGNS[found.outcome]
-    if found.explained is not None:
-        left = percent(math.sqrt(1.0 - found.explained))
-        text += f": it leaves {left} % of the {summary.fit.quantity}"
-        if summary.fit.residual_rms is not None:
-            text += f" ({summary.fit.residual_rms:.3g} {summary.fit.unit} rms)"
-    if found.outcome == "good" and found.asked:
-        notes = sum(one.severity == "note" for one in summary.findings)
-        more = "none of {} candidates explains more" if not notes else "what it lacks moves nothing"
-        text += "; " + more.format(found.asked)
-    elif found.outcome == "usable":
-        text += "; intervals are wider for it"
-    elif found.outcome == "unchecked" and found.explained is not None:
-        text += "; what it lacks was not asked"
-    elif found.doubtful:
-        text += f"; {found.doubtful} number{'s' * (found.doubtful > 1)} doubtful"
-    return text.rstrip(".") + "."
 
 
 def _line(name: str, one: Reported, unit: str) -> Line:

@@ -182,19 +182,18 @@ def _handles(cells: Sequence[Cell]) -> list[Artist]:
     """List what the legend explains."""
     open_ = [cell for cell in cells if cell.status == "undetermined"]
     told = len(open_) < len(cells)
-    handles: list[Artist] = [Patch(label="posterior", **_TOLD)] if told else []
-    if open_:
-        left_open = "posterior that the data leave open"
-        disagree = "draws of ensembles that disagree"
-        handles.append(Patch(label=left_open if open_[0].converged else disagree, **_OPEN))
-    handles.append(Line2D([], [], label="prior", **_PRIOR))
-    if told:
-        handles.append(Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END))
-    if len(cells) > 1:
-        share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-        words = f"contours around {share} % of the draws"
-        handles.append(Line2D([], [], color=POSTERIOR, label=words))
-    return handles
+    lost = any(not cell.converged for cell in open_)
+    left_open = "draws of ensembles that disagree" if lost else "posterior that the data leave open"
+    share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
+    contours = f"contours around {share} % of the draws"
+    handles: dict[Artist, bool] = {
+        Patch(label="posterior", **_TOLD): told,
+        Patch(label=left_open, **_OPEN): bool(open_),
+        Line2D([], [], label="prior", **_PRIOR): True,
+        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END): told,
+        Line2D([], [], color=POSTERIOR, label=contours): len(cells) > 1,
+    }
+    return [handle for handle, needed in handles.items() if needed]
 
 
 @dataclass(frozen=True, eq=False)
