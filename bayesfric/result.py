@@ -16,6 +16,7 @@ from bayesfric.problem.problem import Problem
 from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
+from bayesfric.report import shown
 from bayesfric.report.files import check_free
 from bayesfric.report.summary.record import Summary, read_summary_file
 
@@ -122,7 +123,7 @@ def summary(posterior: Any) -> Summary:
         Every number with its verdict; ``frame`` is its table, which it shows in a notebook.
     """
     if isinstance(posterior, str | Path):
-        return Summary.read(read_summary_file(Path(posterior)), str(posterior))
+        return shown.Summary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.inference.archive import read_archive, write_archive
 from bayesfric.report.run_directory import archived
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.shown import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import every_kind, knee

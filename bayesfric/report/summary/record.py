@@ -452,18 +452,6 @@ class Summary(Part):
                 lines.append(line)
         return pd.DataFrame(lines, columns=[*_FRAME])
 
-    def __str__(self) -> str:
-        """Say it as the terminal does."""
-        from bayesfric.report.terminal import fit_text
-
-        return "\n".join(fit_text(self))
-
-    def _repr_html_(self) -> str:
-        """Show the table with its verdicts in a notebook."""
-        from bayesfric.report.page.rendering import notebook_table  # brings Matplotlib with it
-
-        return notebook_table(self)
-
 
 def _ends(of: str, interval: list[float] | None) -> dict[str, float]:
     return dict(zip((f"{of}low", f"{of}high"), interval or (), strict=False))
