@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bayesfric.diagnostics.self_check import Checked, QuickFit
-from bayesfric.report.brief import brief
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
@@ -17,7 +16,7 @@ from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.record import ModelError
 from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
-from bayesfric.report.terminal import fit_text
+from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.made_summaries import concluded
 from tests.report.page_reader import read_page

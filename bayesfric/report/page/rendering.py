@@ -19,8 +19,8 @@ from markupsafe import Markup, escape
 from bayesfric.identifiability.sentences import capital, factor
 from bayesfric.report import numbers
 from bayesfric.report.figures.style import mathtext
-from bayesfric.report.numbers import HTML, finer
-from bayesfric.report.paper.tables import ParameterRow, parameter_table
+from bayesfric.report.numbers import HTML
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.text_templates import FILTERS
 from bayesfric.report.words import clause
@@ -85,7 +85,6 @@ def _environment() -> Environment:
         "capital": capital,
         "named": clause,
         "factor": factor,
-        "were_right": were_right_html,
     }
     made.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
     return made
@@ -127,13 +126,3 @@ def _set(token: re.Match[str]) -> str:
     plain = re.sub(r"\\(.)", r"\1", words) + _SPACES.get(command, command)
     plain += {" ": "", "-": "\u2212"}.get(other, other)  # a space means nothing in mathematics
     return re.sub("[{}_^]", lambda m: f"&#{ord(m[0])};", escape(plain))
-
-
-def were_right_html(row: ParameterRow) -> str:
-    """Write the interval that takes the model for right, where that is not the one shown."""
-    told = row.row
-    if told is None or not told.sd or not told.widened or row.cell.status != "determined":
-        return HTML.none
-    low, high = told.interval
-    fine = finer(told.middle, low, high, told.sd)
-    return HTML.interval(low, high, fine) + (" (doubtful)" if row.cell.doubted else "")

@@ -13,7 +13,6 @@ from bayesfric.opened import read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.answers.calculator import Calculator, read_calculator
-from bayesfric.report.brief import brief
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.layout import explained
 from bayesfric.report.figures.registry import read_captions, run_figures
@@ -23,6 +22,7 @@ from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
 from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
+from bayesfric.report.terminal import brief
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
