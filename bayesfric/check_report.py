@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from bayesfric.problem.config_text import toml_value
 from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.report.numbers import TEXT, in_tenths
+from bayesfric.report.numbers import TEXT
 from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
 from bayesfric.report.terminal import aligned, shortened, wrapped
@@ -130,7 +131,7 @@ def _leave_out(findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
     for push in findings:
         if push.span is not None:
             pushed.setdefault(push.recording, []).append(push.span)
-    return {name: {"exclude": in_tenths(sorted(spans))} for name, spans in pushed.items()}
+    return {name: {"exclude": _in_tenths(sorted(spans))} for name, spans in pushed.items()}
 
 
 def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
@@ -195,3 +196,15 @@ def _doubts(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  and {len(lines) - _MANY} more: --verbose"
     if not lines and not found["taken"]:
         yield "Nothing stands out."
+
+
+def _in_tenths(spans: Iterable[tuple[float, float]]) -> list[list[float]]:
+    """Widen spans in s to tenths, and join those that then overlap, as ``exclude`` takes them."""
+    out: list[list[float]] = []
+    for start, stop in sorted(spans):
+        low, high = math.floor(10.0 * start) / 10.0, math.ceil(10.0 * stop) / 10.0
+        if out and low <= out[-1][1]:
+            out[-1][1] = max(out[-1][1], high)
+        else:
+            out.append([low, high])
+    return out

@@ -228,7 +228,6 @@ def explain(
 @app.command()
 def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None:
     """Say what recordings of which some parameters differ tell together, and of the next one."""
-    from bayesfric.report.brief import SIGNS
     from bayesfric.report.text_templates import filled
     from bayesfric.report.words import line_of
 
@@ -236,7 +235,7 @@ def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None
     with _progress() as progress:
         found = model.pool(seed=seed, progress=progress)
     lines = [f"{one.recording}: {line_of(one.kind, one.as_dict())}" for one in found.findings]
-    text = filled("pool.txt.j2", found=found, sign=SIGNS[found.outcome], findings=lines)
+    text = filled("pool.txt.j2", found=found, findings=lines)
     _print(found.as_json(), as_json, text.splitlines())
     if found.status != "reliable":
         raise typer.Exit(NOT_CONVERGED)

@@ -15,13 +15,11 @@ from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond
 from bayesfric.problem.problem import Problem, StartingPoint
-from bayesfric.report.shown import Summary
 from bayesfric.report.summary.bounds import limits_of_losses
-from bayesfric.report.summary.conclusions import put_reported
+from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
-from bayesfric.report.summary.model_error import add_model_error
-from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart
+from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
 from bayesfric.report.summary.rows import BackEmfPart, RestsPart
 from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import summarise

@@ -16,22 +16,27 @@ from bayesfric.problem.problem import Problem
 from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
+from bayesfric.report import shown
 from bayesfric.report.files import check_free
-from bayesfric.report.shown import Summary
-from bayesfric.report.summary.record import read_summary_file
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 # Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
 # what was read from a file, may have been changed.
 _KEPT = "_bayesfric_result"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """A sampled model."""
 
     model: Problem
     fit: Fit  # draws and diagnostics, point estimates, predictions of what was held out
     summary: Summary  # what summary.json holds, but for the place of recordings
+
+    def __repr__(self) -> str:
+        from bayesfric.report.terminal import fit_text
+
+        return "\n".join(fit_text(self.summary))
 
     @property
     def recordings(self) -> list[Measurement]:
@@ -123,7 +128,7 @@ def summary(posterior: Any) -> Summary:
         Every number with its verdict; ``frame`` is its table, which it shows in a notebook.
     """
     if isinstance(posterior, str | Path):
-        return Summary.read(read_summary_file(Path(posterior)), str(posterior))
+        return shown.Summary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 

@@ -20,8 +20,8 @@ def compare(
     """Compare finished runs, or the methods of a single one.
 
     ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.tex`` and
-    ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``
-    and ``each-run.csv``. Point estimates are shown of a single run only if ``estimates`` is left
+    ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``.
+    Point estimates are shown of a single run only if ``estimates`` is left
     out. Of what cannot be compared nothing is written.
     """
     summaries = read_summaries(runs)
@@ -30,11 +30,7 @@ def compare(
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
     from bayesfric.problem.config import chain_of
-    from bayesfric.report.comparison.between_runs import (
-        between_runs,
-        between_runs_csv,
-        each_run_csv,
-    )
+    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
     from bayesfric.report.comparison.run_draws import read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
@@ -68,7 +64,6 @@ def compare(
         }
         if len(checked) > 1:
             texts["between-runs.csv"] = between_runs_csv(pooled)
-            texts["each-run.csv"] = each_run_csv(pooled)
         (beside / "figures").mkdir()
         save(figure, beside / "figures", FOREST.stem)
         texts["report.html"] = compare_page(beside, found, checked, pooled, provenance)

@@ -10,8 +10,8 @@ from typing import Any
 from bayesfric.identifiability.sentences import stated
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import p_text
+from bayesfric.report.summary.doubts import references_off
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.reference_check import references_off
 from bayesfric.report.summary.rollout_part import FEWEST, RollOutPart
 from bayesfric.report.words import line_of
 
@@ -40,17 +40,14 @@ def roll_out_alerts(found: RollOutPart) -> dict[str, dict[str, Any]]:
     return told
 
 
-def alerts_of(summary: Readable) -> tuple[Alert, ...]:
-    """Gather what a summary warns of."""
-    read = Summary.read(summary)
-    return alerts(read, comparison({"run": read}).contested)
-
-
-def alerts(summary: Summary, contested: Sequence[str]) -> tuple[Alert, ...]:
+def alerts_of(read: Readable, contested: Sequence[str] | None = None) -> tuple[Alert, ...]:
     """Gather what a run warns of, what makes its numbers unsafe first.
 
-    ``contested`` are numbers of which other methods give other values.
+    ``contested`` are numbers of which other methods give other values, where that is known.
     """
+    summary = Summary.read(read)
+    if contested is None:
+        contested = comparison({"run": summary}).contested
     found = [
         Alert("sampler", text, "sampling", first=True, line=line_of("sampler"))
         for text in summary.sampler.problems

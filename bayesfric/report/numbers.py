@@ -7,7 +7,6 @@ posterior the nearer end of its interval does (:func:`finer`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from decimal import ROUND_HALF_EVEN, Decimal
 
 from markupsafe import Markup, escape
@@ -40,18 +39,6 @@ def finer(middle: float, low: float, high: float, sd: float) -> float:
     return min(sd, max(near, _FINEST * far)) or sd
 
 
-def in_tenths(spans: Iterable[tuple[float, float]]) -> list[list[float]]:
-    """Widen spans in s to tenths, and join those that then overlap, as ``exclude`` takes them."""
-    out: list[list[float]] = []
-    for start, stop in sorted(spans):
-        low, high = math.floor(10.0 * start) / 10.0, math.ceil(10.0 * stop) / 10.0
-        if out and low <= out[-1][1]:
-            out[-1][1] = max(out[-1][1], high)
-        else:
-            out.append([low, high])
-    return out
-
-
 def _rounded(value: float, last: int) -> Decimal:
     """Round to a power of ten exactly as printed."""
     found = Decimal(repr(value)).quantize(Decimal(1).scaleb(last), rounding=ROUND_HALF_EVEN)
@@ -70,26 +57,20 @@ def _digits(value: float, last: int, exponent: int) -> str:
     return f"{_rounded(value, last).scaleb(-exponent):f}"
 
 
-def _with_sd(value: float, sd: float) -> tuple[str, str, int]:
+def _aligned(sd: float, *values: float) -> tuple[list[str], int]:
+    """Write values to the last digit that an sd sets, and the power of ten taken out of all."""
     last = last_digit(sd)
-    exponent = _shared_exponent(max(abs(value), sd), last)
-    return _digits(value, last, exponent), _digits(sd, last, exponent), exponent
+    exponent = _shared_exponent(max(map(abs, values)), last)
+    return [_digits(x, last, exponent) for x in values], exponent
 
 
 def _with_ends(value: float, low: float, high: float, sd: float) -> tuple[str, str, str, int]:
     """Digits of a value and of its distances up and down, and the exponent."""
+    (middle, _), exponent = _aligned(sd, value, sd)
     last = last_digit(sd)
-    exponent = _shared_exponent(max(abs(value), sd), last)
-    middle = _rounded(value, last)
-    up, down = _rounded(high, last) - middle, middle - _rounded(low, last)
-    above, below = (f"{x.scaleb(-exponent):f}" for x in (up, down))
-    return _digits(value, last, exponent), above, below, exponent
-
-
-def _interval(low: float, high: float, sd: float) -> tuple[list[str], int]:
-    last = last_digit(sd)
-    exponent = _shared_exponent(max(abs(low), abs(high)), last)
-    return [_digits(end, last, exponent) for end in (low, high)], exponent
+    at, up, down = (_rounded(x, last) for x in (value, high, low))
+    above, below = (f"{x.scaleb(-exponent):f}" for x in (up - at, at - down))
+    return middle, above, below, exponent
 
 
 # Media write an exact `number`; a `value` with its sd, or for a skewed posterior with its distances
@@ -118,11 +99,8 @@ def text_rounded(value: float, sd: float | None) -> str:
     """Print a value to the last digit that a standard deviation sets, exponent and all."""
     if not sd:
         return f"{value:.5g}"
-    last = last_digit(sd)
-    if _rounded(value, last).is_zero():
-        return "0"
-    exponent = _shared_exponent(value, last)
-    return _digits(value, last, exponent) + _power(exponent)
+    (shown,), exponent = _aligned(sd, value)
+    return "0" if float(shown) == 0.0 else shown + _power(exponent)
 
 
 def p_text(p_value: float) -> str:
@@ -147,7 +125,7 @@ class _Latex:
         return rf"\num{{{value:.{min(digits, 4)}g}}}"
 
     def value(self, value: float, sd: float) -> str:
-        shown, beside, exponent = _with_sd(value, sd)
+        (shown, beside), exponent = _aligned(sd, value, sd)
         last = last_digit(sd)
         # the uncertainty in parentheses counts last digits; above the point it is written out
         own = "." in shown or last == exponent
@@ -160,7 +138,7 @@ class _Latex:
         return f"${shown}$" if not exponent else rf"$({shown})\times 10^{{{exponent}}}$"
 
     def interval(self, low: float, high: float, sd: float) -> str:
-        shown, exponent = _interval(low, high, sd)
+        shown, exponent = _aligned(sd, low, high)
         # \num groups digits as it does in the value beside it
         ends = ", ".join(rf"\num{{{end}}}" for end in shown)
         return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
@@ -175,7 +153,7 @@ class _Html:
         return html_number(f"{value:.{digits}g}")
 
     def value(self, value: float, sd: float) -> Markup:
-        shown, beside, exponent = _with_sd(value, sd)
+        (shown, beside), exponent = _aligned(sd, value, sd)
         return _scaled(Markup("{} ± {}").format(_signed(shown), beside), exponent)
 
     def ends(self, value: float, low: float, high: float, sd: float) -> Markup:
@@ -185,7 +163,7 @@ class _Html:
         return _scaled(shown, exponent)
 
     def interval(self, low: float, high: float, sd: float) -> Markup:
-        shown, exponent = _interval(low, high, sd)
+        shown, exponent = _aligned(sd, low, high)
         ends = Markup("[{}, {}]").format(*map(_signed, shown))
         return _scaled(ends, exponent, brackets=False)
 

@@ -1,18 +1,140 @@
-"""A run's result as a terminal shows it: the answer in twenty lines, the rest on request."""
+"""The answer of a run as data: verdict, numbers, what is wrong, what next; and on a terminal.
+
+Terminal, page and notebook print the same lines and the same digits.
+"""
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
-from bayesfric.report.alerts import alerts_of
-from bayesfric.report.brief import Brief, brief
+import numpy as np
+
+from bayesfric.report.alerts import Alert, alerts_of
+from bayesfric.report.numbers import TEXT, finer, text_rounded
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.noise import noise_lines
-from bayesfric.report.summary.record import Readable, Summary
+from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.summary.self_check_part import self_check_lines
 from bayesfric.report.summary.validation_part import validation_lines
 from bayesfric.report.text_templates import filled
+from bayesfric.report.words import line_of
+from bayesfric.results.reported import ORDER, Reported
+from bayesfric.results.verdict import Outcome
+
+# Rows of the table, and findings, that are shown at most.
+ROWS, FINDINGS = 16, 3
+# What stands beside a number that is not simply identified.
+_BESIDE = {"identified": "", "limit": "", "prior": "needs the prior", "doubtful": "doubtful"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One number, as it is printed."""
+
+    name: str
+    value: str  # value, sd: empty where only one end is known
+    sd: str
+    interval: str  # or the end that is known
+    unit: str
+    beside: str  # its status, where it is not simply identified
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What a run answers."""
+
+    read: str  # what was recorded
+    outcome: Outcome
+    verdict: str
+    taken: tuple[str, ...]  # what terms = "auto" has put in, a line each
+    level: str
+    lines: tuple[Line, ...]
+    more: int  # numbers that are left out
+    unidentified: tuple[str, ...]  # names
+    why: str  # they are
+    lost: tuple[str, ...]  # names of what has not converged
+    findings: tuple[str, ...]  # the worst first, a line each
+    others: int  # findings that are left out
+    following: str  # the recording that would tell more; may be empty
+
+
+def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
+    """Put the answer of a summary together; ``alerts`` are its own, where they were made."""
+    table = parameter_table(summary)
+    read = table.summary
+    rows = {
+        row.name: row.row.reported
+        for row in table.rows
+        if row.row is not None and row.row.reported is not None and not _in_tables(row.name)
+    }
+    shown = [name for name, one in rows.items() if one.status != "unidentified"]
+    shown = [name for name in shown if name in read.joint or not _told_by(rows, name, read.joint)]
+    shown.sort(key=lambda name: ORDER.index(rows[name].status))
+    scaled = any(len(one.parameters) > 1 for one in read.identifiability.null_directions)
+    lost = tuple(name for name, one in rows.items() if not one.how.converged)
+    told = alerts_of(read) if alerts is None else alerts
+    found = list(dict.fromkeys(one.line for one in told if one.line))
+    return Brief(
+        read=filled("recorded.txt.j2", summary=read),
+        outcome=read.verdict.outcome,
+        verdict=filled("verdict.txt.j2", summary=read, found=read.verdict),
+        taken=tuple(f"Added: {line_of(one.kind, one.model_dump())}" for one in read.taken),
+        level=f"{100.0 * read.level:g} % interval",
+        lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
+        more=max(len(shown) - ROWS, 0),
+        unidentified=tuple(n for n in read.joint if n in rows and n not in {*shown, *lost}),
+        why="together they can be scaled, which changes no torque"
+        if scaled
+        else "the motion hides them",
+        lost=lost,
+        findings=tuple(found[:FINDINGS]),
+        others=max(len(found) - FINDINGS, 0),
+        following=_next(read),
+    )
+
+
+def _in_tables(name: str) -> bool:
+    """Whether the tables have it alone: the noise's, and efficiencies, which alphas are already."""
+    return of_noise(name) or quantity_of(name).startswith("efficiency")
+
+
+def _told_by(rows: Mapping[str, Reported], name: str, joint: Iterable[str]) -> bool:
+    """Whether a parameter is the same number in another unit, as gravity's torque is its moment."""
+    mine = _shares(rows[name])
+    return any(np.allclose(_shares(rows[own]), mine, rtol=1e-9) for own in joint if own in rows)
+
+
+def _shares(one: Reported) -> list[float]:
+    value = one.value or math.nan
+    return [one.sd / abs(value), *sorted(end / value for end in one.interval)]
+
+
+def _line(name: str, one: Reported, unit: str) -> Line:
+    beside = _BESIDE.get(one.status, one.status)
+    if one.bound is not None:
+        side = "at most" if one.at_most else "at least"
+        return Line(name, "", "", f"{side} {one.bound:.3g}", unit, beside)
+    if not one.sd:
+        return Line(name, f"{one.value:.5g}", "", "", unit, beside)
+    low, high = one.interval
+    fine = finer(one.value, low, high, one.sd)
+    value, sd = (text_rounded(x, fine) for x in (one.value, one.sd))
+    return Line(name, value, sd, TEXT.interval(low, high, fine), unit, beside)
+
+
+def _next(summary: Summary) -> str:
+    """Give the recording that would tell what is open."""
+    if summary.verdict.outcome != "not converged":
+        for direction in summary.identifiability.directions or ():
+            for remedy in direction.remedies:
+                if remedy.kind == "known mass":
+                    return remedy.text
+    return ""
+
 
 WIDTH = 100  # columns
 

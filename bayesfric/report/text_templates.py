@@ -10,7 +10,7 @@ from jinja2 import Environment
 
 from bayesfric.progress import spent_text
 from bayesfric.report.numbers import p_text
-from bayesfric.report.words import listed
+from bayesfric.report.words import listed, words_of
 from bayesfric.templates import environment
 
 
@@ -32,7 +32,13 @@ def white_words(white: bool) -> str:
 
 
 # What templates of text and of pages have in common.
-FILTERS = {"p": p_text, "white": white_words, "listed": listed, "spent": spent_text}
+FILTERS = {
+    "p": p_text,
+    "white": white_words,
+    "listed": listed,
+    "spent": spent_text,
+    "said": lambda kind: words_of(kind).what,
+}
 
 
 @cache

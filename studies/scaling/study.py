@@ -125,7 +125,9 @@ def main() -> None:
             figure = ridge_figure(found)
             assert along is not None
             assert figure is not None
-            result["torque_along_the_ridge_changes_by"] = max(along.differences)
+            torques = found.target.likelihood.predict(along.line[[0, 50, 100]])
+            changes = [float(np.abs(torque - torque[1]).max()) for torque in torques]
+            result["torque_along_the_ridge_changes_by"] = max(changes)
             save(figure, figures, "ridge")
         if case == "known-mass":
             figure = ridge_figure(found)

@@ -57,7 +57,7 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
     """A pull of one size in each: half of it is taken, half may be there or not, in all at once."""
     scores = {"offset": 800.0}
 
-    def pulled(target, posterior, missing):
+    def pulled(target, *_):
         drawn = np.tile([scores.get(name, 0.0) for name in target.free], (10, 1))
         return Pull(1.0, drawn, None)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, each_run_csv
+from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.page.compare_page import _counts, shared_recordings
@@ -46,9 +46,6 @@ def test_only_what_the_data_of_two_runs_determine_is_pooled():
         assert float(row["median"]) == found[row["name"]].pool.mean.median
         assert float(row["next_high"]) == found[row["name"]].pool.following.high
         assert row["agree"] == str(found[row["name"]].pool.agree)
-    each = list(csv.DictReader(io.StringIO(each_run_csv(list(found.values())))))
-    assert len(each) == 2 * len(found)
-    assert {row["run"] for row in each} == {"a", "b"}
 
 
 def test_what_another_motion_changes_is_not_pooled():

@@ -8,7 +8,6 @@ from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.brief import brief
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
@@ -17,6 +16,7 @@ from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
+from bayesfric.report.terminal import brief
 from bayesfric.report.words import doubt_text
 
 from .made_summaries import failed, knee, posterior_row

@@ -17,7 +17,7 @@ from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report import calculator
 from bayesfric.report.calculator import FILE, calculator_json, read_calculator, written
-from bayesfric.report.figures.friction_curves import friction_torque
+from bayesfric.report.figures.friction import friction_torque
 from bayesfric.report.page.run_page import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until

@@ -8,12 +8,11 @@ import pytest
 
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.figures.corner import quantities
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.model_error import add_model_error
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 from tests.inference.test_discrepancy import fitted
@@ -68,18 +67,17 @@ def test_figures_show_what_the_tables_print(wrong):
     figure = run_figures()["corner"].draw(run)
     row = wrong.summary.parameters[NAME]
     table = {r.name: r for r in parameter_table(wrong.summary).rows}
-    (q,) = (q for q in quantities(wrong.fit.wide) if q.name == NAME)
     found = []
     for ax in figure.axes:
         fills = [p for p in ax.patches if p.get_gid() == "posterior"]
-        ends = [x.get_xdata()[0] * q.factor for x in ax.lines if x.get_linewidth() == 0.7]
+        ends = [x.get_xdata()[0] for x in ax.lines if x.get_linewidth() == 0.7]
         if (
             fills
             and len(ends) == 2
-            and np.allclose(sorted(ends), table[NAME].cited[1:3], rtol=1e-9)
+            and np.allclose(sorted(ends), table[NAME].cell.interval, rtol=1e-9)
         ):
             values, edges, _ = fills[0].get_data()
-            middles = 0.5 * (edges[1:] + edges[:-1]) * q.factor
+            middles = 0.5 * (edges[1:] + edges[:-1])
             mean = np.average(middles, weights=values)
             found.append(np.sqrt(np.average((middles - mean) ** 2, weights=values)))
     assert found, "no panel has the interval of the tables"
@@ -109,10 +107,8 @@ def test_every_view_goes_by_the_wide_one(wrong):
     assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
 
 
-def test_the_page_shows_both(wrong, tmp_path):
-    html = run_page(tmp_path, wrong.summary, "run")
-    assert "If the model were right" in html
-    assert 'id="model-error"' in html
+def test_the_page_says_what_the_model_lacks(wrong, tmp_path):
+    assert 'id="model-error"' in run_page(tmp_path, wrong.summary, "run")
 
 
 def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bayesfric.report.alerts import alerts_of
+from bayesfric.report.summary.doubts import references_off
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.reference_check import references_off
 
 from .made_summaries import loaded
 

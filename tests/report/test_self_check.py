@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from bayesfric.diagnostics.self_check import Checked, QuickFit
-from bayesfric.report.brief import brief
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
@@ -17,7 +16,7 @@ from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
 from bayesfric.report.summary.record import ModelError
 from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
-from bayesfric.report.terminal import fit_text
+from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.made_summaries import concluded
 from tests.report.page_reader import read_page
@@ -151,7 +150,11 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     assert one.status == ("doubtful" if doubted else "identified")
     table = parameter_table(summary)
     (line,) = (r for r in table.rows if r.name == NAME)
-    assert line.cited == (one.value, *one.interval, one.sd)
+    assert (line.cell.value, line.cell.interval, line.cell.sd) == (
+        one.value,
+        tuple(one.interval),
+        one.sd,
+    )
     assert posterior_cells(summary)[NAME].interval == tuple(one.interval)
     (column,) = (c for c in comparison({"run": summary}).rows if c.name == NAME)
     assert column.cells["posterior"].value == one.value

@@ -1,4 +1,4 @@
-"""What several runs say together: the population, each run in it, and the next recording."""
+"""What several runs say together: the population, and the next recording."""
 
 from __future__ import annotations
 
@@ -77,8 +77,7 @@ def _possible(name: str, pool: Population) -> Population:
         ends = (max(x, row.lower) for x in (one.median, one.low, one.high))
         return Interval(*ends)
 
-    runs = tuple(map(cut, pool.runs))
-    return replace(pool, mean=cut(pool.mean), following=cut(pool.following), runs=runs)
+    return replace(pool, mean=cut(pool.mean), following=cut(pool.following))
 
 
 def told_by_runs(
@@ -158,20 +157,6 @@ def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     between, following = (list(_ends(key, _NONE)) for key in ("between_sd", "next"))
     columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high", *between]
     return csv_text(lines, [*columns, *following, "q", "p_value", "agree"])
-
-
-def each_run_csv(found: Sequence[PooledQuantity]) -> str:
-    """Lay every run's own value and that in view of the others out as CSV text."""
-    lines = [
-        {"name": one.name, "unit": one.told.unit, "run": run, "median": row.middle}
-        | dict(zip(("low", "high"), row.told_interval, strict=True))
-        | _ends("pooled", pooled)
-        for one in found
-        for (run, row), pooled in zip(one.runs.items(), one.pool.runs, strict=True)
-    ]
-    return csv_text(
-        lines, ["name", "unit", "run", "median", "low", "high", *_ends("pooled", _NONE)]
-    )
 
 
 def _ends(key: str, interval: Interval) -> dict[str, float]:

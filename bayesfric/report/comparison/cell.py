@@ -85,17 +85,27 @@ class Cell:
         return sd_towards(other, self.value, self.interval, self.sd)
 
     @property
-    def told_status(self) -> str:
-        """Its status, or that it is doubtful, for tables that are filtered by it."""
-        return "doubtful" if self.doubted else self.status
+    def skewed(self) -> bool:
+        """Whether one sd would misname the interval's two sides."""
+        return self.interval is not None and is_skewed(self.value, *self.interval)
 
-    def written(self, medium: Medium) -> str:
-        """Write the value with its sd; a skewed one with the distances to its interval's ends."""
+    def shown(self, medium: Medium, *, sds: bool = True) -> tuple[str, str]:
+        """Write value and interval; beside what is skewed, distances to its ends and no sd.
+
+        Without ``sds`` all have those distances, where the medium writes any.
+        """
+        if self.limit is not None:
+            sign = medium.limits[self.at_bound == "upper"]
+            return sign + medium.number(self.limit, 3), medium.none
         if not self.sd:
-            return medium.number(self.value, 5)
-        if self.interval is not None and is_skewed(self.value, *self.interval):
-            return medium.ends(self.value, *self.interval, self.fine or self.sd)
-        return medium.value(self.value, self.sd)
+            return medium.number(self.value, 5), medium.none
+        if self.interval is None:
+            return medium.value(self.value, self.sd), medium.none
+        fine = finer(self.value, *self.interval, self.sd)
+        interval = medium.interval(*self.interval, fine)
+        if self.skewed or not sds:
+            return medium.ends(self.value, *self.interval, fine), interval
+        return medium.value(self.value, self.sd), interval
 
     @property
     def plain(self) -> bool:
@@ -104,21 +114,15 @@ class Cell:
 
     def parts(self, medium: Medium) -> Iterator[tuple[str, str]]:
         """Write what a table has of it, each with its kind; an open one in words only."""
+        value, interval = self.shown(medium)
         if self.status not in ("undetermined", "limit"):
-            yield "plain" if self.plain else "value", self.written(medium)
-        if self.interval is not None and self.fine:
-            yield "interval", medium.interval(*self.interval, self.fine)
+            yield "plain" if self.plain else "value", value
+        if self.interval is not None and self.sd:
+            yield "interval", interval
         if self.disagreement is not None:
             yield "quiet", f"{round(self.disagreement, 1) + 0.0:+.1f} sd"  # no -0.0
         if self.remark:
             yield "open" if self.status == "undetermined" else "quiet", self.remark
-
-    @property
-    def fine(self) -> float | None:
-        """What to round the interval by, where there is one."""
-        if self.interval is None or not self.sd:
-            return self.sd
-        return finer(self.value, *self.interval, self.sd)
 
 
 def estimate_cell(row: EstimatedRow, converged: bool = True) -> Cell:

@@ -7,7 +7,7 @@ whatever a file says: it says so in words. Nor is it measured against anything.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -26,6 +26,8 @@ REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
 _FAR = 3.0
 _GAIN = "drive.gain"
+# Keys of rows that whole turns move.
+_PLACES, _SPANS = ("mean", "median", "value", "bound"), ("interval", "model_error_interval", "span")
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,8 @@ class Row:
     symbol: str
     meaning: str
     kind: Kind
-    gauge_free: bool = True
+    told_by: str = ""  # the first run that tells its unit
+    gauge_free: bool | None = None
     cells: dict[str, Cell] = field(default_factory=dict)
     of_motion: bool = False
 
@@ -124,15 +127,30 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     """
     runs = on_one_turn({name: Summary.read(one, name) for name, one in summaries.items()})
     shown = len(runs) == 1 if estimates is None else estimates
-    rows = {row.name: row for row in _rows(runs)}
+    rows: dict[str, Row] = {}
     columns: list[Column] = []
     for name, run in runs.items():
-        mine = list(_columns(name if len(runs) > 1 else "", name, run, estimates=shown))
+        mine = []
+        for column in _columns(f"{name}: " if len(runs) > 1 else "", name, run):
+            # what a number is, estimates say that are not shown, too
+            visible = shown or column.method is None
+            mine += [column] if visible else []
+            for quantity, one, cell in _told(column, run):
+                row = _row(rows, quantity, one, run, name)
+                if visible:
+                    row.cells[column.label] = cell
         if not mine:
             raise BadInput(name, "holds no result to compare", "name a finished run")
-        _fill(rows, mine, run)
         columns += mine
-    _check_common(rows, columns)
+    for row in rows.values():
+        if row.gauge_free is None:
+            # the data alone leave what a scaling changes without any sd
+            told = [run.parameters[row.name] for run in runs.values() if row.name in run.parameters]
+            row.gauge_free = all(one.data_sd is not None for one in told)
+        if not row.gauge_free:
+            for name in runs:
+                _leave_open(row, [column for column in columns if column.run == name])
+    _check_common(rows.values(), columns)
     notes = [*_of_runs(runs), *_of_motion(rows, runs)]
     sources, more = _add_references(rows, runs)
     if sources:
@@ -173,60 +191,9 @@ def _order(row: Row) -> int:
     return 3 if row.kind == "parameter" else 4
 
 
-def _rows(runs: Mapping[str, Summary]) -> Iterator[Row]:
-    """Collect what each quantity is, also from estimates that are not shown."""
-    rows: dict[str, Row] = {}
-    told_by: dict[str, str] = {}
-    # whether no scaling changes it: as files say, and as may be guessed where none does
-    said: dict[str, list[bool]] = {}
-    guessed: dict[str, list[bool]] = {}
-    for run, summary in runs.items():
-        for name, one, kind in _told(summary):
-            row = rows.setdefault(name, Row(name, one.unit, "", "", kind))
-            _check_unit(f"{run}: {name}", one.unit, row, told_by.setdefault(name, run))
-            posterior = isinstance(one, PosteriorRow)
-            # the joint's own symbol before that of what least squares sees
-            row.symbol = one.symbol if posterior and one.symbol else row.symbol or one.symbol
-            row.meaning = row.meaning or one.meaning
-            if (free := getattr(one, "gauge_free", None)) is not None:
-                said.setdefault(name, []).append(free)
-            if posterior:
-                row.of_motion |= one.of_motion
-                # the data alone leave what a scaling changes without any sd
-                derived = name in summary.derived and name not in summary.parameters
-                guessed.setdefault(name, []).append(derived or one.data_sd is not None)
-    for name, row in rows.items():
-        row.gauge_free = all(said.get(name) or guessed.get(name) or [True])
-        yield row
-
-
-def _told(summary: Summary) -> Iterator[tuple[str, Any, Kind]]:
-    """All that a run tells of its joint: name, row and kind."""
-
-    def kind(name: str) -> Kind:
-        if name.partition(".")[0] == "total":
-            return "total"
-        return "parameter" if name in summary.parameters else "derived"
-
-    for method in sorted(summary.estimates, key=METHODS.index):
-        for name, value in summary.estimates[method].parameters.items():
-            yield name, value, value.kind or kind(name)
-    for name, row in [*summary.derived.items(), *summary.joint.items()]:
-        yield name, row, kind(name)
-    for name, known in summary.fixed.items():
-        yield name, known, "parameter"
-
-
-def _check_unit(where: str, unit: str, row: Row, told_by: str) -> None:
-    if unit != row.unit:
-        what = f"is in {unit or 'no unit'!r}, but in {row.unit or 'no unit'!r} in {told_by}"
-        raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
-
-
-def _columns(before: str, run: str, summary: Summary, *, estimates: bool) -> Iterator[Column]:
-    before = f"{before}: " if before else ""
+def _columns(before: str, run: str, summary: Summary) -> Iterator[Column]:
     for method in METHODS:
-        if estimates and method in summary.estimates:
+        if method in summary.estimates:
             one = summary.estimates[method]
             told = "; ".join(filter(None, [one.assumption, *one.notes]))
             rms = one.residual_rms, one.residual_unit
@@ -238,36 +205,55 @@ def _columns(before: str, run: str, summary: Summary, *, estimates: bool) -> Ite
         yield Column(f"{before}posterior", "posterior", run, None, told, *rms, summary.widened)
 
 
-def _fill(rows: Mapping[str, Row], columns: list[Column], summary: Summary) -> None:
-    """Put a run's cells in, but for scales that one of its columns leaves open."""
-    for column in columns:
-        for name, cell in _cells(column, summary):
-            if not of_noise(name):
-                rows[name].cells[column.label] = cell
-    for row in rows.values():
-        mine = [c for c in columns if c.label in row.cells]
-        cells = {c.label: row.cells[c.label] for c in mine}
-        # of a posterior or a search that is none, nothing follows for the others
-        open_ = [n for n, c in cells.items() if c.status == "undetermined" and c.converged]
-        for column in mine if open_ and not row.gauge_free else ():
-            cell = cells[column.label]
-            # a posterior's own verdict stands: it knows the priors, which settle what is open
-            if column.kind == "estimate" and cell.status not in ("undetermined", "known"):
-                row.cells[column.label] = left_open(cell.value, None, f" (see {open_[0]})")
-
-
-def _cells(column: Column, summary: Summary) -> Iterator[tuple[str, Cell]]:
+def _told(column: Column, summary: Summary) -> Iterator[tuple[str, Any, Cell]]:
+    """All that a column tells of its joint: name, row of the file, and what is said of it."""
     if column.method is None:
         for name, row in summary.rows.items():
-            yield name, posterior_cell(row, summary.accounts)
+            if not of_noise(name):
+                yield name, row, posterior_cell(row, summary.accounts)
         for name, known in summary.fixed.items():
-            yield name, Cell(known.value, "known", remark="taken as known")
+            if not of_noise(name):
+                yield name, known, Cell(known.value, "known", remark="taken as known")
         return
     estimate = summary.estimates[column.method]
     for name, value in estimate.parameters.items():
         cell = estimate_cell(value, estimate.converged)
         why = _of_total(summary, name, value.unit) if column.method == "least-squares" else ""
-        yield name, replace(cell, alike=False, remark=cell.remark or why) if why else cell
+        yield name, value, replace(cell, alike=False, remark=cell.remark or why) if why else cell
+
+
+def _row(rows: dict[str, Row], name: str, one: Any, summary: Summary, run: str) -> Row:
+    """Give the row of a quantity, with what one more file says it is."""
+    known = name in summary.parameters or name in summary.fixed
+    kind: Kind = "parameter" if known else "derived"
+    kind = getattr(one, "kind", None) or ("total" if name.startswith("total.") else kind)
+    row = rows.setdefault(name, Row(name, one.unit, "", "", kind, run))
+    _check_unit(f"{run}: {name}", one.unit, row)
+    posterior = isinstance(one, PosteriorRow)
+    # the joint's own symbol before that of what least squares sees
+    row.symbol = one.symbol if posterior and one.symbol else row.symbol or one.symbol
+    row.meaning = row.meaning or one.meaning
+    row.of_motion |= posterior and one.of_motion
+    if (free := getattr(one, "gauge_free", None)) is not None:
+        row.gauge_free = free and row.gauge_free is not False
+    return row
+
+
+def _check_unit(where: str, unit: str, row: Row) -> None:
+    if unit != row.unit:
+        what = f"is in {unit or 'no unit'!r}, but in {row.unit or 'no unit'!r} in {row.told_by}"
+        raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
+
+
+def _leave_open(row: Row, columns: list[Column]) -> None:
+    """Leave an estimate of a scale open where another of the run's columns does."""
+    mine = [(column, row.cells[column.label]) for column in columns if column.label in row.cells]
+    # of a posterior or a search that is none, nothing follows for the others
+    open_ = [c.label for c, cell in mine if cell.status == "undetermined" and cell.converged]
+    for column, cell in mine if open_ else ():
+        # a posterior's own verdict stands: it knows the priors, which settle what is open
+        if column.kind == "estimate" and cell.status not in ("undetermined", "known"):
+            row.cells[column.label] = left_open(cell.value, None, f" (see {open_[0]})")
 
 
 def _of_total(summary: Summary, name: str, unit: str) -> str:
@@ -282,21 +268,19 @@ def _of_total(summary: Summary, name: str, unit: str) -> str:
     return share if bent and name in summary.parameters else ""
 
 
-def _check_common(rows: Mapping[str, Row], columns: list[Column]) -> None:
+def _check_common(rows: Iterable[Row], columns: list[Column]) -> None:
     """Refuse runs that tell nothing, or nothing that another tells, but what was taken as known."""
     has: dict[str, set[str]] = {column.run: set() for column in columns}
-    for column in columns:
-        cells = {name: row.cells.get(column.label) for name, row in rows.items()}
-        has[column.run] |= {name for name, c in cells.items() if c and c.status != "known"}
+    for row in rows:
+        for column in columns:
+            if column.label in row.cells and row.cells[column.label].status != "known":
+                has[column.run].add(row.name)
     # of two, the second is the one out of place
     for run, names in reversed(has.items()):
         others = set[str]().union(*(theirs for other, theirs in has.items() if other != run))
         if len(has) > 1 and not names & others:
-            raise BadInput(
-                run,
-                "has no quantity in common with the other runs",
-                "compare runs whose mechanisms share elements",
-            )
+            what = "has no quantity in common with the other runs"
+            raise BadInput(run, what, "compare runs whose mechanisms share elements")
 
 
 def _of_runs(runs: Mapping[str, Summary]) -> Iterator[str]:
@@ -385,7 +369,7 @@ def _add_references(
             if name not in rows or all(c.status == "known" for c in rows[name].cells.values()):
                 notes.append(_note("no such number", source=row.source, name=name))
                 continue
-            _check_unit(f"{run}: references.{name}", row.unit, rows[name], "the runs")
+            _check_unit(f"{run}: references.{name}", row.unit, rows[name])
             first, told = found.setdefault(name, (run, row))
             if told != row:
                 values = [
@@ -451,9 +435,8 @@ def _turned(row: Any, towards: float) -> Any:
     middle = row.middle if isinstance(row, PosteriorRow) else row.value
     by = float(turned(middle, towards) - middle)
     told = row.model_dump(exclude_none=True)
-    moved = {key: told[key] + by for key in ("mean", "median", "value", "bound") if key in told}
-    ends = ("interval", "model_error_interval", "span")
-    moved |= {key: [end + by for end in told[key]] for key in ends if key in told}
+    moved: dict[str, Any] = {key: told[key] + by for key in _PLACES if key in told}
+    moved |= {key: [end + by for end in told[key]] for key in _SPANS if key in told}
     if isinstance(row, PosteriorRow):
         moved["reported"] = None  # concluded anew, of what was turned
     return row.model_copy(update=moved)

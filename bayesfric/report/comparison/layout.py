@@ -64,7 +64,7 @@ def comparison_csv(found: Comparison) -> str:
                 continue
             told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
             told |= {
-                "status": cell.told_status,
+                "status": "doubtful" if cell.doubted else cell.status,
                 "column": column.label,
                 "run": column.run,
                 "column_kind": column.kind,
@@ -84,7 +84,7 @@ def comparison_dict(found: Comparison) -> dict[str, Any]:
 
     quantities = {row.name: asdict(row, dict_factory=listed) for row in found.rows}
     for told in quantities.values():
-        del told["name"]
+        del told["name"], told["told_by"]
         told["columns"] = told.pop("cells")
     return {
         "baseline": found.baseline,

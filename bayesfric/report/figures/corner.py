@@ -77,7 +77,6 @@ def corner_figure(fit: Fit, summary: Summary) -> Figure:
     k = len(shown)
     with paper_figure(PAGE, PAGE, apart=0.02) as figure:
         grid = figure.add_gridspec(k, k)
-        draws = [q.draws / q.factor for q in shown]
         ranges = [q.nearly_all(0.06) for q in shown]
         open_ = [cell.status == "undetermined" for cell in judged]
         for i in range(k):
@@ -87,7 +86,8 @@ def corner_figure(fit: Fit, summary: Summary) -> Figure:
                     _marginal(ax, shown[i], ranges[i], judged[i])
                 else:
                     filled = not (open_[i] or open_[j])
-                    _pair(ax, (draws[j], draws[i]), (ranges[j], ranges[i]), filled=filled)
+                    _pair(ax, (shown[j], shown[i]), (ranges[j], ranges[i]), filled=filled)
+                few_ticks(ax.xaxis, 3, inner=True, exponent=shown[j].exponent)
                 _label(ax, shown[j] if i == k - 1 else None, shown[i] if 0 == j < i else None)
         figure.align_labels()
         # in the empty upper triangle
@@ -119,17 +119,16 @@ def _choice(
 
 def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) -> None:
     """Draw posterior and prior density of a quantity, both in one over the unit of the axis."""
-    draws = q.draws / q.factor
     highest = 0.0
     if q.prior is not None:
         grid = np.linspace(*limits, _GRID)
-        prior = np.exp(q.prior.log_density(grid * q.factor)) * q.factor
+        prior = np.exp(q.prior.log_density(grid))
         prior = np.where(np.isfinite(prior), prior, np.nan)
         highest = float(np.nanmax(prior, initial=0.0))
         ax.plot(grid, prior, gid="prior", zorder=3, **_PRIOR)
-    if _moves(draws):
-        height, edges = np.histogram(draws, bins=_BINS, range=limits)
-        density = height / (draws.size * np.diff(edges))
+    if _moves(q.draws):
+        height, edges = np.histogram(q.draws, bins=_BINS, range=limits)
+        density = height / (q.draws.size * np.diff(edges))
         open_ = cell.status == "undetermined"
         gid, look = ("open", _OPEN) if open_ else ("posterior", _TOLD)
         ax.stairs(density, edges, fill=True, gid=gid, **look)
@@ -137,7 +136,7 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) ->
         # those of the tables, to the digit; of a limit the end away from the bound
         told = [cell.limit] if cell.limit is not None else cell.interval or ()
         for end in () if open_ else told:
-            ax.axvline(end / q.factor, ymax=0.8, **_END)
+            ax.axvline(end, ymax=0.8, **_END)
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
         highest = max(peak, min(2.0 * peak, highest))
@@ -152,25 +151,24 @@ def _moves(draws: Array) -> bool:
 
 def _pair(
     ax: Axes,
-    pair: tuple[Array, Array],
+    pair: tuple[Quantity, Quantity],
     limits: tuple[tuple[float, float], tuple[float, float]],
     *,
     filled: bool,
 ) -> None:
     import corner  # brings ArviZ along, which takes a second or more
 
-    if all(map(_moves, pair)):
+    if all(_moves(q.draws) for q in pair):
         look: Look = {"color": POSTERIOR, "contour_kwargs": {"linewidths": (0.6, 0.9)}}
         look |= {"plot_datapoints": False, "plot_density": False, "fill_contours": filled}
         look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
-        corner.hist2d(*pair, ax=ax, quiet=True, **look)
+        corner.hist2d(*(q.draws for q in pair), ax=ax, quiet=True, **look)
     ax.set(xlim=limits[0], ylim=limits[1])
-    few_ticks(ax.yaxis, 3, inner=True)
+    few_ticks(ax.yaxis, 3, inner=True, exponent=pair[1].exponent)
 
 
 def _label(ax: Axes, below: Quantity | None, beside: Quantity | None) -> None:
     """Label an outer panel, on two lines: a panel is hardly wider than a unit."""
-    few_ticks(ax.xaxis, 3, inner=True)
     # upright: neighbours leave a number no room, and gaps stay equal
     ax.tick_params(axis="x", labelrotation=90, labelbottom=below is not None)
     ax.tick_params(axis="y", labelleft=beside is not None)
@@ -184,19 +182,18 @@ def _handles(cells: Sequence[Cell]) -> list[Artist]:
     """List what the legend explains."""
     open_ = [cell for cell in cells if cell.status == "undetermined"]
     told = len(open_) < len(cells)
-    handles: list[Artist] = [Patch(label="posterior", **_TOLD)] if told else []
-    if open_:
-        left_open = "posterior that the data leave open"
-        disagree = "draws of ensembles that disagree"
-        handles.append(Patch(label=left_open if open_[0].converged else disagree, **_OPEN))
-    handles.append(Line2D([], [], label="prior", **_PRIOR))
-    if told:
-        handles.append(Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END))
-    if len(cells) > 1:
-        share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-        words = f"contours around {share} % of the draws"
-        handles.append(Line2D([], [], color=POSTERIOR, label=words))
-    return handles
+    lost = any(not cell.converged for cell in open_)
+    left_open = "draws of ensembles that disagree" if lost else "posterior that the data leave open"
+    share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
+    contours = f"contours around {share} % of the draws"
+    handles: dict[Artist, bool] = {
+        Patch(label="posterior", **_TOLD): told,
+        Patch(label=left_open, **_OPEN): bool(open_),
+        Line2D([], [], label="prior", **_PRIOR): True,
+        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END): told,
+        Line2D([], [], color=POSTERIOR, label=contours): len(cells) > 1,
+    }
+    return [handle for handle, needed in handles.items() if needed]
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,27 +212,17 @@ class Quantity:
         low, high = (float(v) for v in np.quantile(self.draws, [0.05, 0.95]))
         return power_of_ten(low, high)
 
-    @property
-    def factor(self) -> float:
-        """What one on an axis stands for, in ``unit``."""
-        return float(10.0**self.exponent)
-
-    @property
-    def scaled_unit(self) -> str:
-        """Unit on an axis, with the power of ten; a dash where there is neither."""
-        return scaled_unit(self.exponent, self.unit)
-
     def label(self, between: str = " ") -> str:
         """Symbol and unit for an axis, with ``between`` between them."""
-        return f"{self.symbol}{between}({self.scaled_unit})"
+        return f"{self.symbol}{between}({scaled_unit(self.exponent, self.unit)})"
 
     def nearly_all(self, margin: float) -> tuple[float, float]:
         """Give an axis nearly all draws and a share of their width, nothing beyond the support."""
-        low, high = (float(v) for v in np.quantile(self.draws / self.factor, [0.001, 0.999]))
+        low, high = (float(v) for v in np.quantile(self.draws, [0.001, 0.999]))
         room = margin * (high - low) or 0.05 * abs(low) or 1.0
         if self.prior is None:
             return low - room, high + room
-        lower, upper = self.prior.lower / self.factor, self.prior.upper / self.factor
+        lower, upper = self.prior.lower, self.prior.upper
         return max(low - room, min(lower, low)), min(high + room, max(upper, high))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from itertools import cycle
 from typing import NamedTuple
@@ -131,35 +130,34 @@ def _drawable(found: Comparison) -> list[Row]:
 
 
 def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
-    low, high = _range(row)
-    exponent = power_of_ten(low, high)
-    factor = 10.0**exponent
-    ax.set_xlim(low / factor, high / factor)
-    for line in lines:
-        cell = row.cells.get(line.column.label)
-        if cell is None:
-            continue
-        at = cell.value / factor
-        if cell.status == "undetermined":
-            # where nothing else is known, the number may lie anywhere
-            inside = low / factor <= at <= high / factor
-            if inside:
-                ax.plot(at, line.y, gid="open", **line.mark(filled=False))
-            if cell.span is not None:
-                line.draw(ax, (x / factor for x in cell.span), "span", _SPAN)
-            words = "not determined" if cell.converged else "not converged"
-            _words(ax, at if inside else None, line.y, words)
-        elif cell.status == "limit":
-            _limit(ax, line, cell, factor)
-        else:
+    told = [
+        (line, row.cells[line.column.label]) for line in lines if line.column.label in row.cells
+    ]
+    ax.margins(x=0.06)
+    for line, cell in told:
+        if cell.span is not None:
+            line.draw(ax, cell.span, "span", _SPAN)
+            ax.plot(cell.value, line.y, gid="open", **line.mark(filled=False))
+        elif cell.limit is not None:
+            line.draw(ax, [cell.value, cell.limit], "limit", {"linewidth": 0.9})
+            ax.plot(cell.limit, line.y, color=line.colour, marker="|", markersize=6.0)
+        elif cell.status != "undetermined":
             for ends, kind, look in _bars(cell):
-                line.draw(ax, (end / factor for end in ends), kind, look)
-            ax.plot(at, line.y, gid="value", **line.mark())
-            if cell.status != "determined":
-                _words(ax, at, line.y, cell.remark)
+                line.draw(ax, ends, kind, look)
+            ax.plot(cell.value, line.y, gid="value", **line.mark())
     if REFERENCE in row.cells:
-        _reference(ax, row.cells[REFERENCE], factor)
-    style.few_ticks(ax.xaxis, 4, inner=True)
+        _reference(ax, row.cells[REFERENCE])
+    ax.set_xlim(ax.get_xlim())  # what is written, and where an arrow ends, moves it no more
+    for line, cell in told:
+        if cell.limit is not None:
+            _arrow(ax, line, cell, cell.limit)
+        if cell.status == "undetermined":
+            words = "not determined" if cell.converged else "not converged"
+            _words(ax, cell.value if cell.span is not None else None, line.y, words)
+        elif cell.status != "determined":
+            _words(ax, cell.value if cell.limit is None else cell.limit, line.y, cell.remark)
+    exponent = power_of_ten(*ax.get_xlim())
+    style.few_ticks(ax.xaxis, 4, inner=True, exponent=exponent)
     label = style.axis_label(row.symbol, row.name, exponent, row.unit)
     # names are longer than symbols
     ax.set_xlabel(label, fontsize=style.SMALL + 1.0 if row.symbol else style.WORDS)
@@ -182,19 +180,15 @@ def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
     return bars
 
 
-def _limit(ax: Axes, line: _Line, cell: Cell, factor: float) -> None:
-    """Draw an arrow from the limit towards the bound."""
-    assert cell.limit is not None
-    limit = cell.limit / factor
-    left = cell.limit >= cell.value
+def _arrow(ax: Axes, line: _Line, cell: Cell, limit: float) -> None:
+    """Draw an arrow from the limit to the bound, or as far towards it as there is room."""
     low, high = ax.get_xlim()
-    near, far = low + 0.03 * (high - low), low + 0.97 * (high - low)
-    bound = cell.bound if cell.bound is not None else -math.inf if left else math.inf
-    end = min(max(bound / factor, near), far)
+    towards = low if cell.at_bound == "lower" else high
+    end = 0.97 * towards + 0.015 * (low + high)
+    if cell.bound is not None:
+        end = max(cell.bound, end) if towards == low else min(cell.bound, end)
     line.draw(ax, [limit, end], "limit", {"linewidth": 0.9})
-    ax.plot(limit, line.y, color=line.colour, marker="|", markersize=6.0, gid="limit")
-    ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if left else ">"})
-    _words(ax, limit, line.y, cell.remark)
+    ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if towards == low else ">"})
 
 
 def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
@@ -211,36 +205,15 @@ def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
     said.set_in_layout(False)
 
 
-def _reference(ax: Axes, cell: Cell, factor: float) -> None:
-    at = cell.value / factor
+def _reference(ax: Axes, cell: Cell) -> None:
     if cell.sd:
-        low, high = (end / factor for end in _around(cell, cell.sd))
-        ax.axvspan(low, high, color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
-    ax.axvline(at, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
-    side, away = ("left", 2.0) if at < sum(ax.get_xlim()) / 2.0 else ("right", -2.0)
+        ax.axvspan(*_around(cell, cell.sd), color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
+    ax.axvline(cell.value, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
+    side, away = ("left", 2.0) if cell.value < sum(ax.get_xlim()) / 2.0 else ("right", -2.0)
     words = shortened(cell.remark, _SOURCE)
     look: Look = {"xycoords": ax.get_xaxis_transform(), "color": _REFERENCE, "va": "top"}
     look |= {"textcoords": "offset points", "ha": side, "fontsize": style.WORDS}
-    ax.annotate(words, (at, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
-
-
-def _range(row: Row) -> tuple[float, float]:
-    """Everything that is drawn, and a margin."""
-    points: list[float] = []
-    for cell in row.cells.values():
-        if cell.status == "undetermined":
-            points += [*cell.span, cell.value] if cell.span is not None else []
-        elif cell.status == "limit":
-            points += [cell.value, cell.value if cell.limit is None else cell.limit]
-        else:
-            points += [cell.value, *(end for ends, *_ in _bars(cell) for end in ends)]
-            # a reference has a band
-            points += _around(cell, cell.sd) if cell.sd and cell.status == "known" else ()
-    low, high = min(points), max(points)
-    margin = 0.06 * (high - low) or 0.1 * abs(low) or 1.0
-    if math.isclose(low, high, rel_tol=1e-9):
-        margin = max(margin, 0.1 * abs(low))
-    return low - margin, high + margin
+    ax.annotate(words, (cell.value, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
 
 
 def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:

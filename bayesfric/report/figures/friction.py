@@ -1,6 +1,27 @@
-"""Friction of the whole joint at the motor, over speed and over load."""
+"""Friction over speed: median, 90 % band, and where the data determine it at all.
+
+The joint runs at constant speed against a constant load. With ``T`` the true motor
+torque (without its constant offset) and ``L`` the loss-free torque of the load, both at the
+motor, friction is ``F = T - L``. What is recorded is ``T`` over ``drive.gain``, where that is one.
+
+``L`` is where care is due. A recording tells ``Gamma/N``, the torque of the leg over the
+ratio, only up to the scaling of leg parameters and ``alpha_1, alpha_2`` that changes no
+torque. ``(1 + mu_1) Gamma/N`` and ``(1 - mu_2) Gamma/N``, what the motor feels of the load
+while it drives and while it is driven, are known all the same, and so is their mean,
+``lambda_1 Gamma/N`` of eq. (13). Where the scale is open this mean therefore stands for the
+load: ``F(speed, L)`` then is the same for all members of the ridge. It is what an
+experiment finds that lifts and lowers the load at one speed, calls half the sum of the two
+torques load and half their difference friction. Where something fixes the scale (a known
+mass, a known parameter of the leg, ``mu_1 = mu_2``), ``L`` is ``Gamma/N`` itself.
+"""
 
 from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -8,91 +29,73 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
 
+from bayesfric.estimates.torque import load_at_outputs
+from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.inference.fitting import Fit
-from bayesfric.recordings.arrays import Flags
+from bayesfric.mechanism import kernels
+from bayesfric.mechanism.inverse import load_reach
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import State
+from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures import style
-from bayesfric.report.figures.friction_curves import (
-    FEWEST,
-    NEAR,
-    Curve,
-    FrictionCurves,
-    friction_curves,
-    has_open_scale,
-)
 from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import (
-    OPEN_HATCH,
-    Array,
-    Look,
-    few_ticks,
-    legend_above,
-    paper_figure,
-)
-from bayesfric.report.summary.derived_quantities import LEVEL
+from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
+from bayesfric.report.summary.derived_quantities import LEVEL, gradients, prior_values
 
+# Of the recorded range of speed, and of load: outputs so near to a place cover it.
+NEAR = 0.08
+# Outputs that must be near a place for it to count as recorded.
+FEWEST = 3
+# A quantile of so many draws is known to a fortieth of the band's width.
+_DRAWS = 1000
+_PRIOR_DRAWS = 500
+_POINTS = 121
 _HEIGHT = 2.4
 _OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
 
 
 def friction_figure(fit: Fit) -> Figure:
-    """Draw friction over speed, and over load where there is a load loss.
+    """Draw friction over speed, at some loads where there is a load loss, a column wide.
 
-    All at the motor, with the posterior median and its 90 % band. Loads left of zero drive
+    All at the motor, with the posterior median and its 90 % band. Loads below zero drive
     the motor (back-driving). Where hardly any outputs are near the median goes on dashed,
     without a band; where the data do not determine the curve the band is hatched.
     """
-    found = friction_curves(fit)
-    alone = not found.over_load
-    with paper_figure(style.COLUMN if alone else style.PAGE, _HEIGHT) as figure:
-        axes = figure.subplots(1, 1 if alone else 2, squeeze=False)[0]
-        _over_speed(axes[0], fit, found)
-        if not alone:
-            _over_load(axes[1], fit, found)
-        legend_above(figure, _handles([*found.over_speed, *found.over_load]), 2 if alone else None)
+    curves = friction_curves(fit)
+    rotary = fit.chain.motor_motion == "rotary"
+    kind, unit, per = ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
+    with paper_figure(style.COLUMN, _HEIGHT) as figure:
+        ax = figure.subplots()
+        for k, curve in enumerate(curves):
+            load = float(curve.load[0])
+            label = f"{load:+.3g} {unit}".replace("-", "\N{MINUS SIGN}") if load else "no load"
+            _draw(ax, curve, style.PALETTE[k], label)
+        ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
+        ax.set(xlabel=rf"motor speed $\dot q_m$ ({per})", ylabel=f"friction {kind} $F$ ({unit})")
+        few_ticks(ax.xaxis, 6)
+        few_ticks(ax.yaxis, 6)
+        if len(curves) > 1:
+            ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
+        legend_above(figure, _handles(curves), 2)
     return figure
 
 
-def _over_speed(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
-    several = len(found.over_speed) > 1
-    for k, curve in enumerate(found.over_speed):
-        load = float(curve.load[0])
-        label = ("no load" if load == 0.0 else _signed(load, _units(fit)[1])) if several else None
-        for side in np.unique(np.sign(curve.speed)):
-            part = curve.part(np.sign(curve.speed) == side, float(side))
-            _draw(ax, part, part.speed, style.PALETTE[k], label)
-            label = None
-    ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    ax.set_xlabel(rf"motor speed $\dot q_m$ ({_units(fit)[2]})")
-    _friction_axis(ax, fit, 6, "at load" if several else "")
-
-
-def _over_load(ax: Axes, fit: Fit, found: FrictionCurves) -> None:
-    for k, curve in enumerate(found.over_load):
-        label = _signed(float(curve.speed[0]), _units(fit)[2])
-        _draw(ax, curve, curve.load, style.PALETTE[k], label)
-    ax.axvline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
-    low, high = ax.get_ylim()
-    low = min(low, 0.0)
-    # room for the words above and below
-    ax.set_ylim(low - 0.02 * (high - low), high + 0.38 * (high - low))
-    said: Look = {"fontsize": style.SMALL, "color": "0.35", "transform": ax.transAxes}
-    ax.text(0.03, 0.03, "load helps", ha="left", va="bottom", **said)
-    ax.text(0.97, 0.03, "load resists", ha="right", va="bottom", **said)
-    ax.set_xlabel(f"load {_load_symbol(fit, found.open_scale)} ({_units(fit)[1]})")
-    _friction_axis(ax, fit, 5, "at motor speed")
-
-
-def _draw(ax: Axes, curve: Curve, x: Array, colour: str, label: str | None) -> None:
+def _draw(ax: Axes, curve: Curve, colour: str, label: str) -> None:
     """Draw median and band where recordings were, and beyond that a dashed median alone."""
-    shown, (low, median, high) = curve.shown, curve.ends
+    x, shown, (low, median, high) = curve.speed, curve.shown, np.sign(curve.speed) * curve.ends
     for open_ in (False, True):
         where = shown & (curve.determined != open_)
         if where.any():
-            inside, gid = _joined(where, shown).tolist(), "open" if open_ else "band"
+            # grown by one neighbour, so that parts of a band meet
+            inside = (binary_dilation(where) & shown).tolist()
+            gid = "open" if open_ else "band"
             ax.fill_between(x, low, high, where=inside, gid=gid, **_area(colour, open_))
     ax.plot(x, median, color=colour, gid="outside", **_OUTSIDE)
-    seen = np.where(_joined(shown, np.isfinite(median)), median, np.nan)
+    seen = np.where(binary_dilation(shown), median, np.nan)
     ax.plot(x, seen, color=colour, label=label, gid="median")
 
 
@@ -100,14 +103,6 @@ def _area(colour: str, open_: bool) -> Look:
     if open_:
         return {"facecolor": "none", "edgecolor": colour, "hatch": OPEN_HATCH, "linewidth": 0.4}
     return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0}
-
-
-def _joined(flags: Flags, within: Flags) -> Flags:
-    """Grow by one neighbour, so that parts of a band meet."""
-    grown = flags.copy()
-    grown[1:] |= flags[:-1]
-    grown[:-1] |= flags[1:]
-    return grown & within
 
 
 def _handles(curves: list[Curve]) -> list[Artist]:
@@ -125,33 +120,6 @@ def _handles(curves: list[Curve]) -> list[Artist]:
     return [median, *(handle for handle, there in needed.items() if there)]
 
 
-def _signed(x: float, unit: str) -> str:
-    return f"{x:+.3g} {unit}".replace("-", "\N{MINUS SIGN}")
-
-
-def _units(fit: Fit) -> tuple[str, str, str]:
-    """Name torque or force at the motor, its unit, and that of speed."""
-    rotary = fit.chain.motor_motion == "rotary"
-    return ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
-
-
-def _friction_axis(ax: Axes, fit: Fit, ticks: int, legend: str) -> None:
-    kind, unit, _ = _units(fit)
-    ax.set_ylabel(f"friction {kind} $F$ ({unit})")
-    few_ticks(ax.xaxis, ticks)
-    few_ticks(ax.yaxis, 6)
-    if legend:
-        ax.legend(loc="upper left", title=legend, title_fontsize=style.SMALL, alignment="left")
-
-
-def _load_symbol(fit: Fit, open_scale: bool) -> str:
-    """Symbol of the loss-free torque of the load at the motor, ready for Matplotlib."""
-    if not open_scale:
-        return r"$\Gamma/N$"
-    two = [element for element in fit.chain.elements if element.load_loss == "two"]
-    return r"$\lambda_1\Gamma/N$" if len(two) == 1 else r"$\overline{\Gamma/\alpha N}$"
-
-
 def friction_caption(fit: Fit) -> str:
     """Say what load means in the figure, which depends on what the run can tell."""
     said = (
@@ -159,22 +127,181 @@ def friction_caption(fit: Fit) -> str:
         f"{100 * LEVEL:.0f} % band, hatched where the data do not tell. Dashed where fewer than "
         f"{FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
     )
-    if all(element.load_loss == "none" for element in fit.chain.elements):
-        said += ". No element has a loss that depends on load."
-    elif has_open_scale(fit):
-        said += (
-            " and, at once, of load. Load is the mean of what the motor feels of it while driving "
-            "and while driven: the scale between load and gearbox is open, and only this mean is "
-            "the same for all parameters that make the same torque."
+    load = "the torque at the joint over the ratio, positive against the motion."
+    if has_open_scale(fit):
+        load = (
+            "the mean of what the motor feels of it while driving and while driven: the scale "
+            "between load and gearbox is open, and only this mean is the same for all parameters "
+            "that make the same torque."
         )
-    else:
-        said += (
-            " and, at once, of load. Load is the torque at the joint over the ratio, positive "
-            "against the motion."
-        )
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    said += f" and, at once, of load. Load is {load}" if lossy else ". No loss depends on load."
     if fit.chain.gain:
         said += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
     return said
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Friction at ``N`` places, ``(N,)`` each."""
+
+    speed: Array  # the motor's
+    load: Array  # loss-free, see the module
+    # `(3, N)`: low end of the central 90 % interval, median and high end, over the draws that have
+    # a value; `nan` where fewer than half of them do
+    ends: Array
+    determined: Flags  # whether the data had a say: false where the verdict is `prior`
+    covered: Flags  # whether `FEWEST` outputs were near
+
+    @property
+    def median(self) -> Array:
+        """The posterior's."""
+        return np.asarray(self.ends[1])
+
+    @property
+    def shown(self) -> Flags:
+        """Where there is a band to see."""
+        return np.asarray(self.covered & np.isfinite(self.median))
+
+
+def friction_curves(fit: Fit) -> list[Curve]:
+    """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
+    local, open_scale = local_information(fit.target, fit.posterior.median), has_open_scale(fit)
+    place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
+    lossy = any(element.load_loss != "none" for element in fit.chain.elements)
+    ways = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
+    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in ways if x.size]
+    low, high = float(place.speed.min()), float(place.speed.max())
+    least = 1e-3 * max(-low, high)
+    sides = [(low, -least)] if low < -least else []
+    sides += [(least, high)] if high > least else []
+    speed = np.concatenate([np.linspace(*ends, _POINTS // len(sides)) for ends in sides])
+    if len(sides) > 1:  # friction jumps at rest, where it has no value
+        speed = np.insert(speed, _POINTS // 2, 0.0)
+    curves = []
+    for load in (np.full(speed.size, x) for x in (0.0, *loads)):
+        of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
+        near = place.near(speed, load if loads else None)
+        curves.append(Curve(speed, load, *band(fit, local, of, open_scale), near))
+    return curves
+
+
+def _round(x: float) -> float:
+    """Round to one digit."""
+    return round(x, -math.floor(math.log10(abs(x)))) if x else x
+
+
+def has_open_scale(fit: Fit) -> bool:
+    """Whether theory leaves a scale between leg and alpha open."""
+    return local_information(fit.target, fit.posterior.median).from_theory > 0
+
+
+def band(
+    fit: Fit, local: LocalInformation, curve: Callable[[Array], Array], gauge_free: bool
+) -> tuple[Array, Flags]:
+    """Give ends and median ``(3, N)`` of a curve over draws, and where the data determine it.
+
+    ``curve`` brings parameters ``(n, n_parameters)`` to the curve's points ``(n, N)``, ``nan``
+    where a draw has no value. Points are judged as single quantities are in ``summary.json``: by
+    the posterior's sd against the prior's and the one that the data alone would leave.
+    ``gauge_free`` is whether, by theory, no scaling of leg and alpha changes it.
+    """
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # points that no draw has are nan, and say so by that
+        warnings.simplefilter("ignore", RuntimeWarning)
+        values = _finite(curve(fit.chain_draws(_DRAWS)))
+        sd = _robust_sd(values)
+        prior_sd = _robust_sd(_finite(curve(prior_values(fit, _PRIOR_DRAWS, 4))))
+        changes = gradients(fit, lambda x: curve(x).T)
+        ends = np.nanquantile(values, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
+    ends[:, np.isnan(values).mean(axis=0) > 0.5] = np.nan
+    determined = [
+        bool(np.isfinite(gradient).all())
+        and verdict(one, before, local.data_sd_of(gradient, gauge_free=gauge_free)) != "prior"
+        for one, before, gradient in zip(sd, prior_sd, changes, strict=True)
+    ]
+    return ends, np.array(determined, dtype=np.bool_)
+
+
+def _finite(x: Array) -> Array:
+    return np.where(np.isfinite(x), x, np.nan)
+
+
+def _robust_sd(x: Array) -> Array:
+    """Sds from quartiles: what divides by 1 - mu_2 has no finite one under many priors."""
+    low, high = np.nanquantile(x, [0.25, 0.75], axis=0)
+    return np.asarray((high - low) / 1.349)
+
+
+def friction_torque(
+    chain: Joint, values: Array, speed: Array, load: Array, open_scale: bool
+) -> Array:
+    """Friction of the whole joint at constant speed, seen at the motor.
+
+    ``speed`` ``(N,)`` is the motor's, without a value at zero; ``load`` ``(N,)``
+    is its loss-free torque of the load (``open_scale`` says which, see the module), positive where
+    it resists the motion. Given as ``(n, N)``, positive against the motion, at 20 degC and as a
+    recording begins; at no load it is what
+    the constant, viscous and quadratic ``total_drive.*`` of
+    :func:`bayesfric.mechanism.derived.derive` sum up, times ``drive.gain``.
+    """
+    sign = np.sign(speed)
+    elements, table, carried = chain.tables(values)
+    # a load that weighs what is asked for, and nothing else: the same kernel as everywhere
+    table[:] = 0.0
+    table[:, kernels.GAIN] = 1.0
+    table[:, kernels.GRAVITY] = 1.0
+    with np.errstate(divide="ignore"):
+        table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
+    # what pulls at rest, wherever it goes, is no friction
+    rest = State(0.0, 0.0, 0.0, 0.0, 0.0)
+    for k, term in enumerate(chain.carried):
+        if term.row.column is not None and not term.row.shape and term.row.column(rest) != 0.0:
+            carried[:, k, 0] = 0.0
+    # the sine of the angle is put in place of one: the load is any, not that of a position
+    still = np.zeros_like(load)
+    # at constant speed the torque stands still too
+    samples = chain.samples(still, speed / chain.ratio, still, AT_ROOM, still)
+    samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
+    torque = kernels.inverse_many(elements, table, carried, samples)
+    return np.asarray(np.where(sign == 0.0, np.nan, sign * torque - load))
+
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """Where the recordings were."""
+
+    speed: Array  # `(M,)` of the motor at every output, rad/s or m/s
+    # `(M,)` loss-free torque of the load at the motor at the posterior median, its inertia
+    # included; positive where it resists the motion
+    load: Array
+
+    def near(self, speed: Array, load: Array | None) -> Flags:
+        """Tell which places ``(N,)`` have ``FEWEST`` outputs near; all loads count if ``None``."""
+        mine, places = [self.speed], [speed]
+        if load is not None:
+            mine.append(self.load)
+            places.append(load)
+        spans = np.array([max(float(np.ptp(x)), 1e-300) for x in mine])
+        # nine tenths of the outputs, or one jerk would stretch what counts as near
+        inner = np.array([float(np.subtract(*np.quantile(x, [0.95, 0.05]))) for x in mine])
+        spans = np.where(inner > 0.0, inner / 0.9, spans)
+        tree = cKDTree(np.stack(mine, axis=1) / spans)
+        distance, _ = tree.query(
+            np.stack(places, axis=1) / spans, k=min(FEWEST, self.speed.size), p=np.inf
+        )
+        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= NEAR)
+
+
+def covered(fit: Fit, median: Array, open_scale: bool) -> Covered:
+    """Collect speeds of all outputs, and their loads at the chain parameters ``median``."""
+    reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
+    speeds, loads = [], []
+    for o in fit.observations:
+        gamma = load_at_outputs(fit.chain, o, median)
+        speeds.append(fit.chain.ratio * o.speed)
+        loads.append(reach * gamma * np.sign(o.speed))
+    return Covered(np.concatenate(speeds), np.concatenate(loads))
 
 
 FIGURE = RunFigure(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bayesfric.inference.fitting import Fit
@@ -14,10 +16,10 @@ from bayesfric.inference.likelihood.likelihood import Outputs
 from bayesfric.recordings.moving import too_slow
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
-from bayesfric.report.figures.over_time import as_pixels, broken, draw_band, draw_measured
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import Array, Look, few_ticks, remark_below, shortened
 from bayesfric.report.summary.derived_quantities import LEVEL
+from bayesfric.results.roll_out import Rolled
 
 _MOST = 3
 # The same draws as the residuals of the summary.
@@ -26,6 +28,8 @@ _DRAWS = 200
 _BUDGET = 20_000_000
 _HEIGHT = 3.4
 _GREY = "#8a8a8a"
+# Lines of more points are drawn as pixels; as paths they would make a slow and huge PDF.
+_MOST_POINTS = 5000
 
 
 @dataclass(frozen=True)
@@ -53,14 +57,12 @@ def predictive(fit: Fit) -> list[Predictive]:
     n = len(flat)
     values = fit.target.chain_values(flat)
     scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
-    windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
-    at_once = max(1, _BUDGET // max(windows, 1))
-
     likelihood = fit.target.likelihood
     # about one draw's prediction: squares of small differences lose no digits
     origin = [f[0] for f in likelihood.predict(values[:1])]
-    first = [np.zeros_like(f) for f in origin]
-    second = [np.zeros_like(f) for f in origin]
+    first, second = ([np.zeros_like(f) for f in origin] for _ in range(2))
+    windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
+    at_once = max(1, _BUDGET // max(windows, 1))
     for begin in range(0, n, at_once):
         for r, f in enumerate(likelihood.predict(values[begin : begin + at_once])):
             first[r] += (f - origin[r]).sum(axis=0)
@@ -142,6 +144,44 @@ def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
     look: Look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED}
     ax.plot(time, -2.0 * sigma, gid="sigma", **look)
     ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", gid="sigma", **look)
+
+
+def as_pixels(o: Outputs | Observation | Rolled) -> bool:
+    """Whether there are too many outputs to draw them as paths."""
+    return o.time.size > _MOST_POINTS
+
+
+def broken(o: Outputs | Observation, *values: Array) -> list[Array]:
+    """Give time and values with a break wherever outputs are missing."""
+    gaps = (np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)
+    at: NDArray[np.intp] = np.flatnonzero(gaps) + 1
+    # a time inside the gap keeps the order; the values there are none
+    between = 0.5 * (o.time[at - 1] + o.time[at])
+    return [
+        np.insert(o.time, at, between),
+        *(np.insert(np.asarray(v, dtype=np.float64), at, np.nan) for v in values),
+    ]
+
+
+def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **named: Any) -> None:
+    """Draw the band between two ends, ``(n_outputs,)`` each; ``named`` is its label and name."""
+    time, low, high = broken(o, low, high)
+    ax.fill_between(
+        time, low, high, color=style.BAND, linewidth=0.0, rasterized=as_pixels(o), **named
+    )
+
+
+def draw_measured(
+    ax: Axes, o: Outputs | Observation, time: Array, values: Array, **named: Any
+) -> None:
+    """Draw what was measured, broken already; ``named`` is its width, label and name.
+
+    An output between two gaps is a dot: no line reaches it.
+    """
+    here = np.pad(np.isfinite(values), 1)
+    alone = np.flatnonzero(here[1:-1] & ~here[:-2] & ~here[2:]).tolist()
+    named |= {"marker": ".", "markersize": 1.5, "markevery": alone, "rasterized": as_pixels(o)}
+    ax.plot(time, values, color=style.MEASURED, **named)
 
 
 FIGURE = RunFigure(

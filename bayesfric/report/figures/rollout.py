@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesfric.report.figures import style
-from bayesfric.report.figures.over_time import as_pixels
+from bayesfric.report.figures.prediction import as_pixels
 from bayesfric.report.figures.registry import Declared
 from bayesfric.report.figures.style import Look, few_ticks, legend_above, paper_figure, shortened
 from bayesfric.results.roll_out import Rolled, RollOut

@@ -219,13 +219,23 @@ class _InnerLocator(MaxNLocator):
         return list(ticks[(ticks >= low) & (ticks <= high)])
 
 
-def few_ticks(axis: Axis, most: int, *, inner: bool = False) -> None:
+class _Plain(ScalarFormatter):
+    """Numbers whose power of ten stands in the axis' label, and not in its corner."""
+
+    def get_offset(self) -> str:
+        """Say nothing."""
+        return ""
+
+
+def few_ticks(axis: Axis, most: int, *, inner: bool = False, exponent: int = 0) -> None:
     """Put at most ``most`` plain numbers on an axis, never an offset in the corner.
 
-    ``inner`` ones keep clear of the ends, for panels that touch.
+    ``inner`` ones keep clear of the ends, for panels that touch; the power of ten of ``exponent``
+    is taken out of all, and stands in the axis' label.
     """
     locator = _InnerLocator if inner else MaxNLocator
     axis.set_major_locator(locator(most, steps=[1, 2, 5, 10], min_n_ticks=2))
-    formatter = ScalarFormatter(useOffset=False)
-    formatter.set_scientific(False)
+    formatter = _Plain(useOffset=False)
+    formatter.set_scientific(bool(exponent))
+    formatter.set_powerlimits((exponent, exponent))
     axis.set_major_formatter(formatter)

@@ -8,8 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -19,10 +18,9 @@ from markupsafe import Markup, escape
 
 from bayesfric.identifiability.sentences import capital, factor
 from bayesfric.report import numbers
-from bayesfric.report.comparison.cell import Cell, settled_by
 from bayesfric.report.figures.style import mathtext
-from bayesfric.report.numbers import HTML, finer
-from bayesfric.report.paper.tables import ParameterRow, parameter_table
+from bayesfric.report.numbers import HTML
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.text_templates import FILTERS
 from bayesfric.report.words import clause
@@ -36,8 +34,15 @@ _GREEK = {
     "Theta": "Θ", "dot": "", "cdot": "·", "times": "×",
     "sin": "\u2009sin\u2009", "cos": "\u2009cos\u2009",
 }  # fmt: skip
-_UPRIGHT = ("mathrm", "text", "mathit", "operatorname")
-_TOKEN = re.compile(r"\\([A-Za-z]+|.)|([{}_^])|([^\\{}_^]+)", re.DOTALL)
+_SPACES = {"!": "", **dict.fromkeys(",;: ", "\u2009")}
+_TOKEN = re.compile(
+    r"\\(?:mathrm|text|mathit|operatorname)\{((?:[^{}\\]|\\.)*)\}"
+    r"|\\([A-Za-z]+|.)|([{}_^])|([^\W\d_])|(.)",
+    re.DOTALL,
+)
+_GROUP = re.compile(r"([_^])(?:\{([^{}]*)\}|(<i>.</i>|&#?\w+;|[^{}]))")
+_BARE = re.compile(r"(?<![_^])\{([^{}]*)\}")
+_TAGS = {"_": "sub", "^": "sup"}
 
 
 def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any) -> str:
@@ -80,14 +85,8 @@ def _environment() -> Environment:
         "capital": capital,
         "named": clause,
         "factor": factor,
-        "cell": cell_html,
-        "value_of": value_html,
-        "interval_of": interval_html,
-        "were_right": were_right_html,
-        "verdict_of": verdict_words,
-        "kind_of": verdict_kind,
     }
-    made.globals |= {"symbol": html_symbol, "number": numbers.HTML.value}
+    made.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
     return made
 
 
@@ -98,106 +97,32 @@ def html_symbol(symbol: str, name: str) -> Markup:
     """
     # as figures set it: words in subscripts upright, underscores of names kept
     shown = mathtext(symbol, name) if symbol else ""
-    if shown.startswith("$"):
-        tokens = deque(_tokens(shown[1:-1]))
-        try:
-            set_ = _group(tokens, upright=False)
-        except (IndexError, KeyError):
-            set_ = Markup()
-        if set_ and not tokens:
-            return Markup('<span class="sym">{}</span>').format(set_)
-    return Markup("<code>{}</code>").format(name)
+    try:
+        text = _TOKEN.sub(_set, shown[1:-1] if shown.startswith("$") else "")
+    except KeyError:  # a sign that no page has
+        text = ""
+    before = None
+    while before != text:  # groups from the innermost out
+        before = text
+        text = _GROUP.sub(_scripted, text)
+        text = _BARE.sub(r"\1", text)
+    if not text or re.search(r"[{}_^]", text):
+        return Markup("<code>{}</code>").format(name)
+    return Markup(f'<span class="sym">{text.replace("</i><i>", "")}</span>')
 
 
-def _tokens(text: str) -> Iterator[str]:
-    for command, mark, plain in _TOKEN.findall(text):
-        if command:
-            yield "\\" + command
-        else:
-            yield from mark or plain
+def _scripted(group: re.Match[str]) -> str:
+    mark, inside, single = group.groups(default="")
+    return f"<{_TAGS[mark]}>{inside}{single}</{_TAGS[mark]}>"
 
 
-def _group(tokens: deque[str], *, upright: bool) -> Markup:
-    """Set everything up to a closing brace, which is left."""
-    parts = Markup()
-    while tokens and tokens[0] != "}":
-        parts += _one(tokens, upright=upright)
-    return Markup(parts.replace("</i><i>", ""))
-
-
-def _one(tokens: deque[str], *, upright: bool) -> Markup:
-    first = tokens.popleft()
-    if first in ("_", "^"):
-        tag = "sub" if first == "_" else "sup"
-        return Markup(f"<{tag}>{{}}</{tag}>").format(_one(tokens, upright=upright))
-    if first == "{":
-        inner = _group(tokens, upright=upright)
-        tokens.popleft()
-        return inner
-    if first.startswith("\\"):
-        command = first[1:]
-        if command in _UPRIGHT:
-            return _one(tokens, upright=True)
-        if command in (",", ";", ":", " ", "!"):
-            return Markup("\u2009" if command != "!" else "")
-        return escape(command) if len(command) == 1 else escape(_GREEK[command])
-    if first == " ":  # of no meaning in LaTeX's mathematics
-        return Markup()
-    if first.isalpha() and not upright:
-        return Markup("<i>{}</i>").format(first)
-    return escape("\u2212" if first == "-" else first)
-
-
-def verdict_words(row: ParameterRow) -> str:
-    """Say what determined a number, in words that stand in its line."""
-    told, settled = row.row, row.by == "together" and not row.cell.doubted
-    if told is None or row.cell.doubted or not (settled or (row.by == "limit" and told.given_by)):
-        return row.verdict
-    return settled_by(told) + ("" if settled else ", on one side only")
-
-
-def verdict_kind(row: ParameterRow) -> str:
-    """Sort verdicts from ``data`` to ``open``."""
-    return "weak" if row.by == "together" else row.by
-
-
-def value_html(row: ParameterRow) -> Markup:
-    """Write a number with its standard deviation, or what may be said of it instead."""
-    if row.by == "open":
-        words = "not determined" if row.cell.converged else "not converged"
-        return Markup('<span class="open">{}</span>').format(words)
-    return Markup(row.shown(HTML)[0])
-
-
-def interval_html(row: ParameterRow) -> Markup:
-    """Write an interval; of an open number in words that say so."""
-    if not row.cell.converged:
-        return Markup('<span class="open">none: the ensembles disagree, or stand still</span>')
-    if row.by == "open" and row.row is not None:
-        return Markup('<span class="open">prior and bounds leave {} to {}</span>').format(
-            *(HTML.number(end, 3) for end in row.row.interval)
-        )
-    return Markup(row.shown(HTML)[1])
-
-
-def were_right_html(row: ParameterRow) -> Markup | None:
-    """Write the interval that takes the model for right, where that is not the one shown."""
-    told = row.row
-    if told is None or not told.widened or row.cell.status != "determined":
-        return None
-    low, high = told.interval
-    fine = finer(told.middle, low, high, told.sd)
-    return Markup(row.with_doubt(HTML.interval(low, high, fine))) if told.sd else None
-
-
-def cell_html(cell: Cell | None) -> Markup:
-    """Write one cell of a comparison; an open one in words only."""
-    if cell is None:
-        return Markup('<span class="quiet">–</span>')
-    shown = {
-        "plain": '{}<sup class="mark">†</sup>',
-        "open": '<span class="open">{}</span>',
-        "quiet": '<span class="quiet">{}</span>',
-    }
-    lines = [Markup(shown.get(kind, "{}")).format(text) for kind, text in cell.parts(HTML)]
-    return Markup("<br>").join(lines)
+def _set(token: re.Match[str]) -> str:
+    """Set all but marks and braces; those of names are written so that they are none."""
+    words, command, mark, letter, other = token.groups(default="")
+    if mark or letter:
+        return mark or f"<i>{letter}</i>"
+    if len(command) > 1:
+        return _GREEK[command]
+    plain = re.sub(r"\\(.)", r"\1", words) + _SPACES.get(command, command)
+    plain += {" ": "", "-": "\u2212"}.get(other, other)  # a space means nothing in mathematics
+    return re.sub("[{}_^]", lambda m: f"&#{ord(m[0])};", escape(plain))

@@ -11,8 +11,7 @@ from typing import Any
 from bayesfric.errors import BadInput
 from bayesfric.opened import read_text
 from bayesfric.recordings.moving import too_slow
-from bayesfric.report.alerts import alerts
-from bayesfric.report.brief import brief
+from bayesfric.report.alerts import alerts_of
 from bayesfric.report.calculator import Calculator, read_calculator
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.comparison.layout import explained
@@ -23,6 +22,7 @@ from bayesfric.report.page.provenance import read_provenance
 from bayesfric.report.page.rendering import render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
 from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
+from bayesfric.report.terminal import brief
 
 
 def run_page(folder: Path, summary: Readable, name: str) -> str:
@@ -35,7 +35,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     read = Summary.read(summary, name)
     table = parameter_table(read, name)
     methods = comparison({name: read})
-    told = alerts(read, methods.contested)
+    told = alerts_of(read, methods.contested)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
@@ -123,11 +123,11 @@ def _command(joint: Sequence[ParameterRow]) -> str:
     if not joint or not all(row.cell.converged for row in joint):
         return ""
 
-    def known(row: ParameterRow) -> tuple[bool, float]:
-        spread = row.row.told_sd / abs(row.row.mean) if row.row and row.row.mean else 0.0
-        return row.by != "open", -spread
+    def unknown(row: ParameterRow) -> tuple[bool, float]:
+        told = row.row
+        return row.by == "open", told.told_sd / abs(told.mean) if told and told.mean else 0.0
 
     # a constant in the measurement is asked for last
     asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
-    name = min(asked, key=known).name
-    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(name)}"
+    name = shlex.quote(max(asked, key=unknown).name)
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"

@@ -9,8 +9,6 @@ from importlib.resources import files
 
 from bayesfric.version import __version__
 
-# What every file says that goes into a paper.
-PACKAGES = r"% needs \usepackage{array,booktabs,siunitx,tabularx}, siunitx version 3"
 _ESCAPED = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
     "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",

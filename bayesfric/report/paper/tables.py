@@ -10,17 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from bayesfric.report.comparison.cell import Cell, posterior_cells
+from bayesfric.report.comparison.cell import Cell, posterior_cells, settled_by
 from bayesfric.report.comparison.comparison import Comparison, comparison
 from bayesfric.report.comparison.layout import comparison_csv
-from bayesfric.report.numbers import LATEX, Medium, finer
+from bayesfric.report.numbers import LATEX, Medium
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.bounds import bound_mend
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import PosteriorRow, is_skewed
+from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import seldom_held_sentence
 from bayesfric.report.text_templates import filled
 
@@ -33,7 +33,7 @@ _GROUPS = {
 # By what settles a number, as on the page, in words that a column of a paper has room for.
 _VERDICTS = {
     "data": "data",
-    "together": "data and prior",
+    "weak": "data and prior",
     "limit": "data, on one side",
     "open": "prior",
     "known": "known",
@@ -56,26 +56,12 @@ class ParameterRow:
     cell: Cell  # what may be said of it, as in the comparison of methods
 
     @property
-    def cited(self) -> tuple[float, float, float, float] | None:
-        """Value, ends of the interval and sd, as reported."""
-        if self.row is None:
-            return None
-        low, high = self.row.told_interval
-        return self.row.value, low, high, self.row.told_sd
-
-    @property
-    def skewed(self) -> bool:
-        """Whether one sd would misname the interval's two sides."""
-        told = self.row is not None and self.row.median is not None
-        return told and self.cited is not None and is_skewed(*self.cited[:3])
-
-    @property
     def by(self) -> str:
-        """What settles it: ``data``, ``together`` (and prior), ``limit``, ``open`` or ``known``."""
+        """What settles it: ``data``, ``weak`` (and prior), ``limit``, ``open`` or ``known``."""
         if self.row is None:
             return "known"
         if self.cell.status == "determined":
-            return "data" if self.row.verdict == "data" else "together"
+            return "data" if self.row.verdict == "data" else "weak"
         return "limit" if self.cell.status == "limit" else "open"
 
     @property
@@ -88,9 +74,13 @@ class ParameterRow:
         given = self.by == "limit" and self.row is not None and self.row.given_by
         return _GIVEN_LIMIT if given else _VERDICTS[self.by]
 
-    def with_doubt(self, written: str) -> str:
-        """Say beside a number or an interval that it is doubtful, if it is."""
-        return f"{written} (doubtful)" if self.cell.doubted else written
+    @property
+    def in_words(self) -> str:
+        """What determined it, in words that there is room for in its line of a page."""
+        given = self.by == "limit" and self.row is not None and self.row.given_by
+        if self.row is None or self.cell.doubted or not (self.by == "weak" or given):
+            return self.verdict
+        return settled_by(self.row) + (", on one side only" if given else "")
 
     @property
     def mend(self) -> str:
@@ -99,22 +89,11 @@ class ParameterRow:
 
     def shown(self, medium: Medium) -> tuple[str, str]:
         """Write value and interval; an open one has neither."""
-        if self.cited is None or self.row is None:
-            return medium.number(self.cell.value, 5), medium.none
-        if self.cell.limit is not None:
-            sign = medium.limits[self.cell.at_bound == "upper"]
-            return self.with_doubt(sign + medium.number(self.cell.limit, 3)), medium.none
         if self.by == "open":
             return f"{medium.none} ({self.verdict})", medium.none
-        if not self.row.sd:
-            return medium.number(self.row.value, 5), medium.none
-        middle, low, high, sd = self.cited
-        fine = finer(middle, low, high, sd)
-        ends = self.with_doubt(medium.interval(low, high, fine))
-        # an sd has to name both sides
-        if self.skewed or not medium.sds:
-            return medium.ends(middle, low, high, fine), ends
-        return medium.value(middle, sd), ends
+        value, interval = self.cell.shown(medium, sds=medium.sds)
+        doubt = " (doubtful)" if self.cell.doubted else ""
+        return (value + doubt, interval) if interval == medium.none else (value, interval + doubt)
 
 
 @dataclass(frozen=True)
@@ -207,30 +186,9 @@ def _table(
     """Lay out a table; notes have ``symbols`` in place of names, as its lines have."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
     below = latex.with_symbols(below, symbols)
-    # IEEE sets captions of tables in small capitals: a title can be read so, notes cannot
     kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
-    lines = [
-        latex.PACKAGES,
-        r"\begin{table*}",
-        r"\centering",
-        rf"\caption{{{caption}}}",
-        rf"\label{{{label}}}",
-        r"\footnotesize",
-        r"\setlength{\tabcolsep}{4pt}",
-        # superscripts of one line must not touch subscripts of that above
-        r"\renewcommand{\arraystretch}{1.25}",
-        rf"\begin{{{kind}}}{width}{{{columns}}}",
-        r"\toprule",
-        head,
-        r"\midrule",
-        *body,
-        r"\bottomrule",
-        rf"\end{{{kind}}}",
-        r"\par\medskip",
-        rf"\parbox{{\textwidth}}{{\raggedright {below}}}",
-        r"\end{table*}",
-    ]
-    return "\n".join(lines) + "\n"
+    laid = {"kind": kind, "width": width, "columns": columns, "head": head, "body": body}
+    return filled("table.tex.j2", caption=caption, label=label, notes=below, **laid) + "\n"
 
 
 def methods_latex(found: Comparison) -> str:
@@ -265,10 +223,7 @@ def _cell(cell: Cell | None) -> str:
         return ""
     if cell.status == "undetermined":
         return "---" if cell.converged else "n.c."
-    if cell.limit is not None:
-        mark = r"\textsuperscript{d}" if cell.doubted else ""
-        return LATEX.limits[cell.at_bound == "upper"] + LATEX.number(cell.limit, 3) + mark
-    shown = cell.written(LATEX)
+    shown, _ = cell.shown(LATEX)
     if cell.status == "bound":
         return shown + r"\textsuperscript{b}"
     shown += r"\textsuperscript{d}" if cell.doubted else ""

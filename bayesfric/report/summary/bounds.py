@@ -12,7 +12,7 @@ from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.report.summary.part import Bound
-from bayesfric.report.summary.record import Own, of_noise
+from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import line_of
 
@@ -89,7 +89,7 @@ def bound_warning(name: str, row: PosteriorRow) -> str | None:
     return line_of("bound", {"name": name, "side": row.at_bound, "mend": mend})
 
 
-def limits_of_losses(summary: Own) -> Own:
+def limits_of_losses(summary: Summary) -> Summary:
     """Say that a torque factor is known from one side only where its loss is.
 
     As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.

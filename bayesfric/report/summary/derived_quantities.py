@@ -80,13 +80,18 @@ def spread(x: Array) -> dict[str, Any]:
     }
 
 
-def around_median(fit: Fit) -> tuple[Array, Array]:
-    """Chain parameters a step above, then below the posterior's median, and the ``(k,)`` steps."""
+def gradients(fit: Fit, values: Callable[[Array], Array]) -> Array:
+    """Give the change of quantities with each free parameter at the posterior's median, ``(n, k)``.
+
+    For ``values`` see :class:`Group`.
+    """
     median, k = fit.posterior.median, len(fit.target.free)
     steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
     either = np.concatenate([np.diag(steps), -np.diag(steps)])
-    moved = median + np.pad(either, ((0, 0), (0, median.size - k)))
-    return fit.target.chain_values(moved), steps
+    change = values(
+        fit.target.chain_values(median + np.pad(either, ((0, 0), (0, median.size - k))))
+    )
+    return np.asarray((change[:, :k] - change[:, k:]) / (2.0 * steps))
 
 
 def prior_values(fit: Fit, draws: int, key: int) -> Array:
@@ -99,14 +104,11 @@ def prior_values(fit: Fit, draws: int, key: int) -> Array:
 def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str, dict[str, Any]]]:
     if not group.found:
         return
-    moved, steps = around_median(fit)
-    k = steps.size
     with np.errstate(divide="ignore", invalid="ignore"):
         in_prior = group.values(prior_values(fit, *group.prior))
-        change = group.values(moved)
-    gradients = (change[:, :k] - change[:, k:]) / (2.0 * steps)
+        changes = gradients(fit, group.values)
     sound = sound_quantities(fit, group.values, len(group.found), group.most)
-    for q, prior, gradient, converged in zip(group.found, in_prior, gradients, sound, strict=True):
+    for q, prior, gradient, converged in zip(group.found, in_prior, changes, sound, strict=True):
         told = local.data_sd_of(gradient, gauge_free=q.gauge_free)
         prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
         by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told)}

@@ -19,8 +19,9 @@ from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import effort_words
+from bayesfric.mechanism.parameter import effort_words, scales_with_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings import units
@@ -28,9 +29,8 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
-from bayesfric.report.summary.record import Doubt, Own, Summary, quantity_of
-from bayesfric.report.summary.reference_check import priors_off
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import Doubt, Summary, quantity_of
+from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
 _ANGLES = ("rad", "deg", "turn")
 # What another reading leaves of the torque at most, over what this one leaves. Of the measured
@@ -42,6 +42,10 @@ FAR_LESS = 0.5
 _EXPLAINED = 0.8
 # Robust standard deviations below zero that are no chance.
 _NEGATIVE = 3.0
+# Sds between a reference and what was found that are no chance.
+_FAR = 3.0
+# What data say of a posterior of which they have less than this share is hardly told by it.
+_LEAST_SHARE = 0.1
 
 
 def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
@@ -68,7 +72,7 @@ def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
 
-def put_doubts(summary: Own, doubts: Sequence[Mapping[str, Any]]) -> Own:
+def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary:
     """Put doubts into a summary: what they are of is not ``data``, the run not ``reliable``.
 
     ``undoubted`` keeps what else would be said of a number.
@@ -287,3 +291,84 @@ def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[s
             for o in observations
         ]
         yield {"is": one, "taken": other, "share": best_share(chain, scaled)[0]}
+
+
+def references_off(summary: Summary) -> dict[str, Any] | None:
+    """Name references far from what was found, and the one factor of all.
+
+    So are priors that the data contradict. Far counts the sd of the told interval and the
+    reference's own. ``None`` where none is; what the data leave open contradicts nothing.
+    """
+    compared = list(_compared(summary))
+    off = [one for one in compared if one["times"] > _FAR]
+    if not off:
+        return None
+    scaled = [one for one in compared if one["scaled"]]
+    # a gain that is fitted is that factor already
+    factor = _common(scaled) if not summary.scaled and any(one in off for one in scaled) else None
+    return {"off": {one["name"]: one["times"] for one in off}, "compared": off, "factor": factor}
+
+
+def priors_off(summary: Summary) -> dict[str, float]:
+    """Name told priors that the data contradict, with how many sds they are off."""
+    found = references_off(summary) or {"compared": ()}
+    return {one["name"]: one["times"] for one in found["compared"] if one["by"] == "prior"}
+
+
+def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
+    for name, reference in summary.references.items():
+        row = summary.rows.get(name)
+        if row is not None and row.verdict != "prior" and row.converged is not False:
+            sd = sd_towards(reference.value, row.middle, row.told_interval, row.told_sd)
+            found = _beside(row, reference.value, reference.sd, row.middle, sd)
+            yield {"name": name, "by": "reference"} | found
+    for name, row in summary.joint.items():
+        if name in summary.references or row.converged is False:
+            continue
+        if told := _of_data(row):
+            yield {"name": name, "by": "prior"} | _beside(row, *told)
+
+
+def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
+    """Give value and sd of a told prior that is narrow, and of what the data say without it.
+
+    As if both were normal: precisions add up, and means weighed by them. The sd is that were the
+    model right, as when the two were made one: a model error may be no more than that they differ.
+    """
+    if row.prior_default or row.prior_sd is None or row.prior_interval is None or row.period:
+        return None
+    value, sd = sum(row.prior_interval) / 2.0, row.prior_sd
+    if not 0.0 < row.sd < sd < KNOWN * abs(value):
+        return None
+    share = 1.0 - (row.sd / sd) ** 2  # that the data have in the posterior
+    if share < _LEAST_SHARE:
+        return None
+    found = value + (row.middle - value) / share
+    return value, sd, found, row.sd / share**0.5
+
+
+def _beside(
+    row: PosteriorRow, value: float, known: float | None, found: float, found_sd: float
+) -> dict[str, Any]:
+    """Put what was found beside a value that is ``known`` so well."""
+    away = found - value
+    if row.period:
+        away -= row.period * round(away / row.period)
+    sd = float(np.hypot(found_sd, known or 0.0))
+    return {
+        "times": abs(away) / sd if sd > 0.0 else 0.0,
+        "factor": found / value if value * found > 0.0 and not row.period else None,
+        "relative": sd / abs(found) if found else 0.0,
+        "scaled": scales_with_torque(row.unit),
+    }
+
+
+def _common(scaled: list[dict[str, Any]]) -> float | None:
+    """Give the factor by which all are off alike, if there is one."""
+    if not all(one["factor"] and one["relative"] for one in scaled):
+        return None
+    logs = np.log([one["factor"] for one in scaled])
+    weights = np.array([one["relative"] for one in scaled]) ** -2.0
+    mean = float(weights @ logs / weights.sum())
+    alike = np.abs(logs - mean) < _FAR * weights**-0.5
+    return float(np.exp(mean)) if alike.all() else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
@@ -417,7 +417,7 @@ class Summary(Part):
         """Share of the posterior that its intervals hold."""
         return next((row.level for row in self.rows.values()), 0.9)
 
-    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Self:
+    def with_rows(self, changes: Mapping[str, Mapping[str, Any]], **update: Any) -> Summary:
         """Change keys of rows, by name of parameter or derived quantity, and other parts."""
         tables = {
             group: {
@@ -462,8 +462,6 @@ _FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high",
     "contraction", "at_bound", "undefined_share", "gauge_free",
     "posterior_low", "posterior_high", "posterior_sd",
     "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
-# One that shows itself stays one.
-Own = TypeVar("Own", bound=Summary)
 Readable = Summary | Mapping[str, Any]
 
 

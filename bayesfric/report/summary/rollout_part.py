@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import FiniteFloat
 
@@ -72,14 +72,9 @@ def rollout_part(found: RollOut) -> RollOutPart:
         one.name: vars(one) | {"position": vars(one.at_position), "speed": vars(one.at_speed)}
         for one in found.rolled
     }
-    pooled: dict[str, Any] = {
-        key: sum(row[key] for row in rows.values()) / len(rows) for key in ("blind", "over")
-    }
-    motion = {
-        "position": vars(found.pooled["at_position"]),
-        "speed": vars(found.pooled["at_speed"]),
-    }
-    told = {"unit": found.rolled[0].unit, "recordings": rows, "pooled": pooled | motion}
+    mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in ("blind", "over")}
+    errors = {key.removeprefix("at_"): vars(error) for key, error in found.pooled.items()}
+    told = {"unit": found.rolled[0].unit, "recordings": rows, "pooled": mean | errors}
     return RollOutPart.model_validate(
         told | {key: getattr(found, key) for key in RollOutPart.model_fields if key not in told}
     )

@@ -20,7 +20,7 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
-from bayesfric.report.shown import Summary
+from bayesfric.report import shown
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.bounds import bound_warning, leaning
 from bayesfric.report.summary.derived_quantities import (
@@ -33,6 +33,7 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import line_of
@@ -84,9 +85,9 @@ def summarise(
         },
         "noise": noise_part.noise_record(fit, residual, choice),
         "fit": {
-            "residual_rms": rms(fit),
+            "residual_rms": rms_of(np.concatenate(residual)),
             **_explained(fit),
-            "torque_constant": torque_constant(fit),
+            "torque_constant": _torque_constant(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
             **_discretisation(fit.target.likelihood),
@@ -105,7 +106,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = _with_mirrored(Summary.model_validate(found), fit)
+    summary = _with_mirrored(shown.Summary.model_validate(found), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     unseen = fit.chain.unseen_inertia
     warnings = [
@@ -140,12 +141,7 @@ def _sampler(posterior: Posterior) -> dict[str, Any]:
     }
 
 
-def rms(fit: Fit) -> float:
-    """Give the root mean square of all residuals."""
-    return rms_of(np.concatenate(fit.residuals))
-
-
-def torque_constant(fit: Fit) -> float | None:
+def _torque_constant(fit: Fit) -> float | None:
     """Give torque per current, N m/A or N/A, where torque is explained and all of it a current."""
     if fit.target.likelihood.method == "output-error":
         return None
