@@ -54,7 +54,7 @@ LONG = {
     "fleet": """
         population""",
     "hostile": """
-        findings random runs special_files""",
+        findings odd runs special_files""",
     "identifiability": """
         advise""",
     "inference": """
