@@ -127,17 +127,9 @@ def test_simulate_replaces_its_own(bench):
             "amplitud = 1",
             ["simulation.amplitud: unknown key; did you mean 'amplitude'?"],
         ),
-        (
-            "negative",
-            "amplitude = -1",
-            ["simulation.amplitude: got -1; it should be greater than 0"],
-        ),
-        (
-            "true",
-            "amplitude = true",
-            ["simulation.amplitude: got true; it should be a valid number"],
-        ),
-        ("unit", 'duration = "10 s"', ["duration: got '10 s'; it should be a valid number"]),
+        ("negative", "amplitude = -1", ["simulation.amplitude: got -1"]),
+        ("true", "amplitude = true", ["simulation.amplitude: got true"]),
+        ("unit", 'duration = "10 s"', ["duration: got '10 s'"]),
         ("short", "duration = 0.001", ["simulation.duration: makes fewer than 10 samples"]),
         ("endless", "duration = 1e5\nrate = 1e6", ["simulation.duration: makes 1e+11 samples"]),
         ("no-chirp", 'excitation = "chirp"\nfrequencies = []', ["frequencies: is empty"]),
@@ -145,11 +137,7 @@ def test_simulate_replaces_its_own(bench):
         ("mass", "added_mass = 1", ["simulation.added_mass: has no radius"]),
         ("name", 'parameters = {"moter.inertia" = 1}', ["no such parameter", "'motor.inertia'?"]),
         ("value", 'parameters = {"motor.inertia" = -1}', ["-1 is no possible value"]),
-        (
-            "no-number",
-            'parameters = {"motor.inertia" = "a"}',
-            ["got 'a'; it should be a valid number"],
-        ),
+        ("no-number", 'parameters = {"motor.inertia" = "a"}', ["got 'a'"]),
         ("weightless", 'parameters = {"motor.inertia" = 0}', ["c.toml: simulation", "no inertia"]),
     ),
 )
@@ -178,7 +166,3 @@ def test_slip_on_the_command_line(bench, arguments, parts):
     has(done.err, "Usage: bayesfric", *parts)
     assert "Traceback" not in done.err
     assert bench.held() == before
-
-
-def test_bad_output_in_a_process_of_its_own(places):
-    has(places.refused("fit", "c.toml", "-o", "full", run=places.run_apart), "full: is not empty")

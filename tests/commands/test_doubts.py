@@ -16,14 +16,8 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.model import Model
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.summary.doubts import (
-    _accelerates,
-    doubts_before,
-    find_doubts,
-    put_doubts,
-)
+from bayesfric.report.summary.doubts import _accelerates, doubts_before, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary
-from bayesfric.report.words import doubt_text
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
@@ -216,38 +210,6 @@ def test_what_loses_energy_is_not_negative(name, doubted):
     totals = Estimate("least-squares", (value,), 0.1, 100, "")
     found = doubts_before(totals, [])
     assert found == ([{"kind": "negative", "values": {name: -1.0}}] if doubted else [])
-
-
-@pytest.mark.parametrize(
-    ("doubt", "says"),
-    [
-        (
-            {"kind": "unexplained", "share": 0.217, "quantity": "motor torque"},
-            "only 22 % of",
-        ),
-        ({"kind": "feedback", "law": "sign of speed", "recordings": ["a", "b"]}, "(a, b)"),
-        ({"kind": "negative", "values": {"total.viscous": -0.31}}, "total.viscous (-0.31)"),
-        (MISSING, "(3.4 % rms): delay = true in [mechanism]"),
-        (MISSING | {"physical": False}, "of the wrong sign"),
-        (MISSING | {"hint": ""}, "look at the time stamps"),
-        (MISSING | {"what": "push", "span": [3.0, 3.4]}, "exclude = [[3.0, 3.4]]"),
-        ({"kind": "velocity", "recording": "a", "factor": 57.3}, "57.3 times that"),
-        ({"kind": "velocity", "recording": "a", "factor": 0.0}, "is not its position's: check"),
-        ({"kind": "acceleration", "ratio": 5.6, "parameters": ["motor.inertia"]}, "motor.inertia"),
-    ],
-)
-def test_every_kind_is_worded_with_its_numbers(doubt, says):
-    words = doubt_text(doubt)
-    assert says in words
-    assert "\n" not in words
-    assert not words.endswith(".")
-
-
-def test_no_doubt_changes_nothing():
-    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    summary = put_doubts(summary, find_doubts(_Fit(), summary))
-    assert summary.as_dict()["doubts"] == []
-    assert summary.sampler.status == "reliable"
 
 
 def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):

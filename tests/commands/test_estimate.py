@@ -124,6 +124,15 @@ def test_the_output_error_likelihood_needs_a_point(small):
     assert {"noise.torque", "noise.position"} <= set(problem.priors)
 
 
+def test_noise_that_is_to_be_chosen_is_not_silently_white(small):
+    problem = Model.from_config(small.folder / "c.toml")
+    with pytest.raises(ValueError, match="white_target"):
+        problem.target()
+    small.config(CONFIG + '\n[noise]\nmodel = "white"\n')
+    told = Model.from_config(small.folder / "c.toml")
+    assert told.target().names == problem.white_target().names
+
+
 def test_a_noise_prior_of_the_other_likelihood_is_refused(small):
     small.config(CONFIG + '\n[priors]\n"noise.torque" = [0, 1]\n')
     with pytest.raises(BadInput, match=r"noise\.torque"):

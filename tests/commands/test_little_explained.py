@@ -7,7 +7,6 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.report.summary.doubts import other_units
-from bayesfric.report.words import doubt_text
 from tests.recordings.samples import has
 
 T = 0.002 * np.arange(10000)
@@ -111,13 +110,6 @@ def test_a_measured_pendulum_in_a_wrong_unit(real_data, unit, named):
         assert (best["is"], best["taken"]) == ("rad", "deg")
         assert best["share"] > 0.8 > 2 * doubts[0]["share"]
     assert not any("delay = true" in one for one in found.warnings)
-
-
-@pytest.mark.usefixtures("unexplained")
-def test_a_share_is_told_before_a_fit_and_after():
-    found = bf.check(pendulum(preset="motor-axis"))
-    assert any("explains only" in one for one in found.warnings)
-    has(doubt_text({"kind": "unexplained", "share": 0.4}), "explains only 40 % of the torque")
 
 
 @pytest.mark.usefixtures("unexplained")
