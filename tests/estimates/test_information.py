@@ -180,13 +180,6 @@ def test_null_directions_have_no_sd_and_what_is_across_them_has():
     )
 
 
-def test_what_does_not_show_at_all_has_no_sd():
-    jacobian = np.stack([np.ones(50), np.zeros(50)], axis=1)
-    information = Information(jacobian, np.random.default_rng(1).standard_normal(50), np.ones(2))
-    assert information.sds(np.array([0.0, 1.0])) == (np.inf, np.inf)
-    assert np.isfinite(information.sds(np.array([1.0, 0.0]))[0])
-
-
 def test_fewer_rows_than_parameters_leave_directions_open():
     found = directions(np.array([[1.0, 1.0, 0.0]]), np.ones(3))
     assert found.null.tolist() == [False, True, True]

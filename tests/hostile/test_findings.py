@@ -269,6 +269,7 @@ N = good.N
         ("table", pa.array([{"q": 1.0}] * N), ["'q'", "struct", "not numbers"]),
         ("map", pa.array([[(1, 1.0)]] * N, pa.map_(pa.int8(), pa.float64())), ["'q'", "map"]),
         ("null", pa.nulls(N), ["'q'", "row 1", "is empty"]),
+        ("gap", pa.array([1.0, None] * (N // 2)), ["'q'", "row 2", "is empty"]),
         ("bytes", pa.array([b"\xff"] * N), ["'q'", "binary, not numbers"]),
     ),
 )

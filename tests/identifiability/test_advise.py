@@ -94,12 +94,6 @@ def test_only_a_known_mass_lifts_the_scale(knee):
     assert kinds == {"excitation", "known mass", "longer"}
 
 
-def test_a_ranking_is_a_table(knee):
-    assert len(knee.frame) == len(knee.advices)
-    assert knee.frame["after.sd"].is_monotonic_increasing
-    assert knee.frame.loc[1, "kind"] == "known mass"
-
-
 def test_a_derived_quantity_is_known_as_well_as_what_it_is_made_of(square):
     """alpha = 1/(1 + mu): at one point its sd is alpha^2 that of mu, by the delta method."""
     name, options = "gearbox.load_drive", AdviceOptions(masses=())
@@ -235,13 +229,6 @@ def test_a_played_recording_is_prepared_like_a_real_one(square):
     np.testing.assert_array_equal(again.measured, square.measured)
 
 
-def test_nothing_depends_on_chance(square):
-    options = AdviceOptions(masses=())
-    target, point, local = problem(square)
-    first, second = (ranking(target, point, local, options, "load.inertia") for _ in range(2))
-    assert [one.after for one in first.advices] == [one.after for one in second.advices]
-
-
 def test_bad_names_and_limits_are_refused(square):
     with pytest.raises(BadInput, match=r"did you mean 'load\.inertia'"):
         ranked("load.inerta", square)
@@ -267,20 +254,6 @@ def test_only_what_has_gone_round_has_no_stops(square):
     assert limits.angles == (far.q.min(), far.q.max())
     wider = AdviceOptions(angle_limits=(-9.0, 9.0))
     assert limits_of(wider, slide, [far], slide.vector(AXIS.values)).angles == (-9.0, 9.0)
-
-
-def test_the_text_says_what_sds_and_default_limits_rest_on(knee):
-    told = {"written": None, "path": "a.csv", "torque_unit": "N m", "position_unit": "rad"}
-    text = "\n".join(page("advise.txt", found=knee, **told))
-    assert "hold only if the model is right" in text
-    assert text.index("hold only") < text.index("Best: ")
-    assert knee.as_json()["assumption"] == str(knee.assumption)
-    assert "rad (all that was recorded; angle_limits widens it)" in text
-    low, high = knee.limits.recorded_angles
-    for one in knee.advices:
-        assert low <= one.angles[0] < one.angles[1] <= high
-    given = replace(knee, limits=replace(knee.limits, angles=(-1.0, 1.0)))
-    assert "widens it" not in "\n".join(page("advise.txt", found=given, **told))
 
 
 def test_limits_left_out_come_from_the_recordings(square):

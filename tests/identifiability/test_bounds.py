@@ -1,37 +1,10 @@
 """Which noise identify's sds are for, and that a limit is none of the determined."""
 
 import numpy as np
-from scipy.signal import lfilter
 
 import bayesfric as bf
-from bayesfric.commands.identify import identify_text
 
 AXIS, MEMORY = bf.Joint.preset("motor-axis"), 0.97
-
-
-def model(**more):
-    """A SIMULATED axis whose torque has noise that remembers, taken for white."""
-    made = AXIS.simulate(
-        {}, rate=200, duration=20.0, excitation="multisine", amplitude=1.0, torque_noise=0.0
-    )
-    white = np.random.default_rng(1).standard_normal(len(made))
-    noise = 0.03 * np.sqrt(1.0 - MEMORY**2) * lfilter([1.0], [1.0, -MEMORY], white)
-    t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
-    recording = bf.Recording.from_arrays(t, q, torque + noise, name="run")
-    options = {"noise": {"model": "white"}, "processing": {"band": "10 Hz", "dead_zone": 0}}
-    return bf.Model(AXIS, recording, **(options | more))
-
-
-def test_the_footnote_says_which_noise_the_sds_are_for():
-    """Only of white noise are they an estimate's."""
-    seen = model()
-    text = "\n".join(identify_text(seen.identification(), seen))
-    assert "(white)" in text
-    assert "estimate weighs all residuals alike" not in text
-    remembers = model(noise={"model": "auto"})
-    text = "\n".join(identify_text(remembers.identification(), remembers))
-    assert "(AR(" in text
-    assert "estimate weighs all residuals alike" in text
 
 
 def test_a_limit_is_not_called_determined():

@@ -47,16 +47,8 @@ def same(found, expected):
         np.testing.assert_array_equal(
             getattr(found.diagnostics, name), getattr(expected.diagnostics, name)
         )
-    for name in (
-        "status",
-        "problems",
-        "warmup",
-        "steps",
-        "thin",
-        "not_finite",
-        "not_finite_share",
-        "warnings",
-    ):
+    said = ("status", "problems", "warmup", "steps", "thin", "not_finite", "not_finite_share")
+    for name in (*said, "warnings"):
         assert getattr(found.diagnostics, name) == getattr(expected.diagnostics, name), name
 
 

@@ -83,18 +83,6 @@ def test_inverse_model_returns_the_torque_everything(exponents, seed, mass, q0, 
     )
 
 
-@pytest.mark.parametrize("name", sorted(PRESETS))
-def test_presets_reverse(name):
-    preset = PRESETS[name]
-    chain = preset.chain()
-    amplitude = 0.8 if name != "servo-pendulum" else 0.4
-    motion = returns_the_torque(
-        chain, chain.vector(preset.values), signal(1e-3, amplitude=amplitude), period=1e-3
-    )
-    assert motion.reversals >= 3
-    assert motion.events > motion.reversals
-
-
 def random_joint(rng, mu=1.5):
     n = rng.integers(1, 5)
     elements = np.zeros((n, len(kernels.ELEMENT_SLOTS)))

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-import bayesfric as bf
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.summary import summarise
@@ -39,20 +38,6 @@ def test_it_is_unseen_where_the_load_loss_does_not_change_with_it():
         lossy = any("gearbox.load" in name for name in joint.names)
         blind = lossy and np.isclose(loss(3.0), loss(0.0)).all()
         assert bool(joint.unseen_inertia) == blind
-
-
-def test_check_says_so_before_anything_is_fitted():
-    rng = np.random.default_rng(1)
-    time = np.arange(3000) * 0.002
-    q = np.sin(4.0 * time) + 0.4 * np.sin(11.0 * time)
-    tau = 0.4 * np.sin(q) + 0.05 * np.cos(4.0 * time) + 0.01 * rng.standard_normal(3000)
-    recording = bf.Recording.from_arrays(time, q, tau)
-    said = " ".join(bf.check(bf.Model(SERVO, recording)).warnings)
-    assert "the load loss sees no inertia" in said
-    plain = Joint.preset("motor-axis")
-    assert "the load loss sees no inertia" not in " ".join(
-        bf.check(bf.Model(plain, recording)).warnings
-    )
 
 
 def test_a_run_says_so_with_the_mend():

@@ -17,13 +17,7 @@ VISCOUS = [0.085, 0.118, 0.101, 0.094]
 def recording(number, viscous):
     time = np.arange(0.0, 6.0, 0.005)
     q, qd, qdd = swing(time, [(0.31 + 0.04 * number, 0.9), (0.9, 0.4), (1.9, 0.12)])
-    torque = (
-        VALUES["motor.inertia"] * qdd
-        + viscous * qd
-        + VALUES["motor.coulomb"] * np.sign(qd)
-        + 9.80665 * VALUES["load.first_moment"] * np.sin(q)
-        + VALUES["offset"]
-    )
+    torque = AXIS.torque(VALUES | {"motor.viscous": viscous}, q, qd, qdd)
     noise = 0.1 * np.random.default_rng(number).standard_normal(time.size)
     return bf.Recording.from_arrays(time, q, torque + noise, name=f"day {number}")
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from bayesfric.recordings import Channel, Current, Position, Torque, Voltage, tables, units
+from bayesfric.recordings import Channel, Current, Position, Torque, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers
 
@@ -164,8 +164,8 @@ def test_brackets_in_a_file_name_are_no_pattern(tmp_path):
 # -- real files
 
 
-def test_recorder_preamble_of_a_real_file(data):
-    path = data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / "10.csv"
+def test_recorder_preamble_of_a_real_file(real_data):
+    path = real_data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / "10.csv"
     table = read_table(path, source())
     assert table.names[1:] == ("Velocity actual value averaged", "Torque actual value averaged")
     assert table.column(1)[:2].tolist() == [0.0, 51.2]
@@ -180,40 +180,8 @@ def test_recorder_preamble_of_a_real_file(data):
     assert table.row(0) == "row 1 (line 15)"
 
 
-def test_servo_log_with_twos_complement(data):
-    path = data / "xl330-pendulum" / "2026-01-15_10h30m10.json"
-    used = source(
-        path.name,
-        time=Channel(column="timestamp", unit="s"),
-        position=Position(column="position", unit="rad"),
-        torque=None,
-        voltage=Voltage(
-            column="load",
-            unit="V/885",
-            twos_complement=16,
-            times="input_volts",
-            torque_constant="0.354 N m/A",
-            resistance="3.4 ohm",
-        ),
-    )
-    recording = read(path.parent, used)[0]
-    entries = json.loads(path.read_text())["entries"]
-    load = np.array([e["load"] for e in entries])
-    assert load.max() > 60000
-    volts = np.where(load > 32767, load - 65536, load) / 885
-    volts = volts * np.array([e["input_volts"] for e in entries])
-    stamps = np.array([e["timestamp"] for e in entries])
-    on_grid = np.interp(recording.time, stamps - stamps[0], volts)
-    speed = np.gradient(recording.position, recording.period)
-    expected = 0.354 / 3.4 * (on_grid - 0.354 * speed)
-    # the two speeds differ in their filters only
-    assert np.sqrt(np.mean((recording.torque - expected) ** 2)) < 0.05 * np.std(expected)
-    assert "PCHIP" in " ".join(recording.steps)
-    assert any("885" in warning for warning in recording.warnings)
-
-
-def test_robot_log_by_column_numbers(data):
-    raw = np.loadtxt(data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
+def test_robot_log_by_column_numbers(real_data):
+    raw = np.loadtxt(real_data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
     used = source(
         "joint_2.csv",
         time=Channel(column=1, unit="s"),
@@ -224,7 +192,7 @@ def test_robot_log_by_column_numbers(data):
         start=8,
         stop="60 s",
     )
-    recording = read(data / "ur10e-joint2", used, ratio=101.0)[0]
+    recording = read(real_data / "ur10e-joint2", used, ratio=101.0)[0]
     stamps = raw[:, 0] - raw[0, 0]
     assert 8 <= recording.time[0] < 8.05
     assert 59.9 < recording.time[-1] <= 60

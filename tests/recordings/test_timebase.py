@@ -199,17 +199,3 @@ def test_the_same_encoder_is_told_alike_however_long_a_recording_is(tmp_path):
         (found,) = read(tmp_path, from_npz())
         assert "position: read in steps of 0.00291 rad at the joint" in found.steps
         assert not found.warnings
-
-
-def test_logs_of_one_measured_encoder_are_told_alike(data):
-    told = set()
-    for file in ("sac", "es500", "es1kg", "ilqr", "ddp", "dircol"):
-        wanted = source(
-            str(data / "dfki-pendulum" / f"{file}.csv"),
-            time=Channel(column="time", unit="s"),
-            position=Position(column="position", unit="rad"),
-            torque=Torque(column="torque", unit="N m"),
-        )
-        (found,) = read(data, wanted)
-        told.add(next(said for said in found.steps if "in steps of" in said))
-    assert told == {"position: read in steps of 0.00291 rad at the joint"}
