@@ -62,38 +62,6 @@ def test_text_has_both_deviations_units_and_references(small):
     assert re.search(rf"{number} ± +{number} +{number} +{number} kg m² +data sheet: 0.0101", line)
 
 
-def test_nothing_undetermined_gets_a_deviation(bench):
-    """The packaged knee alone leaves the scale open: no number there has an sd."""
-    bench.simulated(KNEE, "knee")
-    ended = bench.run("estimate", "c.toml", "--method", "input-error")
-    assert ended.code == 0, ended.err
-    for name in ("load.first_moment", "gearbox.load_drive", "joint.viscous"):
-        (line,) = [one for one in ended.out.splitlines() if one.strip().startswith(name)]
-        assert "not determined" in line
-        assert "±" not in line
-        assert "fit as well" in line
-    found = bench.told("estimate", "c.toml", "--method", "input-error")
-    row = found["estimates"]["input-error"]["parameters"]["load.first_moment"]
-    assert (row["sd"], row["sd_robust"], row["determined"]) == (None, None, False)
-    assert row["span"][0] < 0.42 < row["span"][1]
-
-
-KNEE = """\
-[mechanism]
-preset = "rabbit-knee"
-
-[[recordings]]
-file = "knee.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad", side = "motor" }
-torque = { column = "torque", unit = "N m" }
-
-[simulation]
-duration = 5.0
-excitation = "square-multisine"
-"""
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     cases(

@@ -4,7 +4,6 @@ import errno
 import itertools
 import json
 import os
-import random
 import re
 import shutil
 import signal
@@ -18,7 +17,6 @@ import pytest
 from bayesfric.commands.fit import fit
 from bayesfric.commands.unfinished import alone_in
 from bayesfric.errors import BadInput, Interrupted
-from bayesfric.inference.archive import read_archive
 from bayesfric.inference.sampling import checkpoint
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
@@ -460,31 +458,3 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
 
 
 # -- killed
-
-
-@pytest.mark.slow
-def test_killed_at_fifty_random_moments(here, whole):
-    """The command line itself; five kills on the way to every result."""
-    moments = random.Random(2005)
-    kills = 0
-    while kills < 50:
-        for _ in range(5):
-            options = ["--resume"] if steps(here.folder) else []
-            before = steps(here.folder)
-            process = begun(here.folder, *options)
-            wait_for(lambda before=before: steps(here.folder) > before, process)
-            time.sleep(moments.uniform(0.0, 0.3))
-            if process.poll() is not None:
-                break
-            process.kill()
-            process.communicate()
-            kills += 1
-        if not (here.folder / "run").exists():
-            options = ["--resume"] if steps(here.folder) else []
-            assert here.run("fit", "few.toml", "-o", "run", *options).code == 3
-        assert read_archive(here.folder / "run" / "posterior.nc").attrs["seed"] == "3"
-        shutil.rmtree(here.folder / HIDDEN, ignore_errors=True)
-        for path in here.folder.glob(".run.*.partial"):
-            shutil.rmtree(path)
-        same(here.folder, whole)
-        shutil.rmtree(here.folder / "run")

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import tomllib
 from importlib.resources import files
 from types import SimpleNamespace
@@ -264,14 +263,6 @@ def test_check_names_the_added_mass(bench):
     assert re.search(r"added mass: 0\.25 kg at 0\.12 m", text)
     bench.config()
     assert "added mass" not in bench.run("check", "c.toml", "--verbose").out
-
-
-def test_check_tells_files_of_one_name_apart_by_their_folders(bench):
-    for folder in ("a", "b"):
-        (bench.folder / folder).mkdir()
-        shutil.copy(bench.folder / "run.csv", bench.folder / folder)
-    bench.edit('"run.csv"', '"*/run.csv"')
-    assert [one["name"] for one in checked(bench)["recordings"]] == ["a-run", "b-run"]
 
 
 def test_check_of_the_packaged_pair(bench):

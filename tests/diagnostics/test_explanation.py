@@ -15,6 +15,7 @@ from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, wi
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.model import Model
 from bayesfric.templates import placed
+from tests.axis import recording_of
 from tests.diagnostics.bench import axis, model, recording, table
 
 
@@ -26,8 +27,7 @@ def right():
 def of_table(change):
     made = table().copy()
     change(made)
-    columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
-    return Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
+    return Model(axis(), recording(made))
 
 
 def test_a_right_model_lacks_nothing(right):
@@ -82,10 +82,7 @@ def test_a_joint_without_inertia_is_not_asked():
 
 
 def test_few_outputs_are_not_asked():
-    made = table()[:400]
-    columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
-    few = Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
-    assert few.explain().reason == "few"
+    assert Model(axis(), recording(table()[:400])).explain().reason == "few"
 
 
 @pytest.mark.parametrize("preset", ["rabbit-knee", "motor-axis", "servo-pendulum"])
@@ -177,8 +174,8 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
             {}, rate=250, duration=8.0, excitation="multisine", torque_noise=0.01, amplitude=1.0,
             seed=seed + 1, **more,
         )  # fmt: skip
-        t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
-        recordings.append(bf.Recording.from_arrays(t, q, times * torque, name=f"{seed}", **more))
+        made["torque"] *= times
+        recordings.append(recording_of(made, name=f"{seed}", **more))
     found = Model(replace(full, gain=False), recordings).explain().findings
     assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+import bayesfric as bf
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.report.summary.summary import summarise
@@ -40,7 +41,11 @@ def test_it_is_unseen_where_the_load_loss_does_not_change_with_it():
         assert bool(joint.unseen_inertia) == blind
 
 
-def test_a_run_says_so_with_the_mend():
+def test_check_and_run_say_so_with_the_mend():
+    time = np.arange(3000) * 0.002
+    q = np.sin(4.0 * time) + 0.4 * np.sin(11.0 * time)
+    checked = bf.check(bf.Model(SERVO, bf.Recording.from_arrays(time, q, np.cos(4.0 * time))))
+    assert "unseen-inertia" in [one["kind"] for one in checked.found["doubts"]]
     said = " ".join(summarise(build(SERVO, samples=300)).warnings)
     assert "the load loss sees no inertia" in said
     assert "inertia = true under [mechanism.load], in place of motor.inertia" in said

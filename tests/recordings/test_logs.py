@@ -54,27 +54,6 @@ def test_the_same_numbers_to_the_last_bit(written, form):
     np.testing.assert_array_equal(other.torque, tau[:, 1])
 
 
-@pytest.mark.parametrize(
-    "forms",
-    [
-        ("CSV", "ROS 2, MCAP", "LeRobot"),
-        pytest.param(("CSV", *FORMATS), marks=pytest.mark.slow),
-    ],
-    ids=["three", "all"],
-)
-def test_the_same_posterior_to_the_last_bit(written, forms):
-    folder, found = written
-    draws = set()
-    for file, keys in (found[form] for form in forms):
-        recording = Recording(Source.model_validate({"file": file, "name": "knee", **keys}), folder)
-        model = bf.Model(
-            bf.Joint.preset("motor-axis"), [recording], sampling={"walkers": 16, "min_ess": 20}
-        )
-        posterior = model.sample(seed=1).posterior
-        draws.add(b"".join(posterior[name].to_numpy().tobytes() for name in sorted(posterior)))
-    assert len(draws) == 1
-
-
 @pytest.mark.parametrize("period", [0.001, 0.0333, 1e-4])
 def test_stamps_of_nanoseconds_are_the_decimal_numbers(tmp_path, period):
     """Since the first message, from whole nanoseconds divided once: 0.001 s is 0.001 s."""

@@ -20,7 +20,7 @@ from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rollout_part import rollout_part
 from bayesfric.result import result_of
 from bayesfric.rollouts.rollout import Recorded, _over, _rolled, moving_share, rollout
-from tests.commands.bench import Bench, without_figures
+from tests.commands.bench import Bench, has, without_figures
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -313,40 +313,26 @@ def test_a_fit_by_targets_is_that_by_the_torque(made, joint):
             assert abs(by_target[name].value - row.mean) < 5.0 * row.sd, name
 
 
-def test_another_mechanism_is_refused(bench, made):
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["run", "other.toml"], ["other.toml: mechanism: is not the run's"]),
+        (["."], ["summary.json"]),
+        (["run", "nowhere.toml"], ["nowhere.toml"]),
+        (["gone"], ["one.csv"]),
+        (["drawless"], ["posterior.nc"]),
+    ],
+)
+def test_what_cannot_be_played_is_refused(bench, made, words, parts):
     folder, _ = made
     text = '[mechanism]\npreset = "servo-pendulum"\n' + table("three")
     (folder / "other.toml").write_text(text)
-    told = bench.run("rollout", "run", "other.toml")
-    assert told.code == 2
-    assert "other.toml: mechanism: is not the run's" in told.err
-
-
-def test_what_is_no_run_is_refused(bench, tmp_path):
-    told = bench.run("rollout", str(tmp_path))
-    assert told.code == 2
-    assert "summary.json" in told.err
-    assert told.err.count("\n") == 1
-
-
-def test_a_configuration_that_is_not_there_is_refused(bench):
-    told = bench.run("rollout", "run", "nowhere.toml")
-    assert told.code == 2
-    assert "nowhere.toml" in told.err
-    assert told.err.count("\n") == 1
-
-
-def test_a_run_whose_recordings_are_gone_is_refused(bench, made, tmp_path):
-    folder, _ = made
-    shutil.copytree(folder / "run", tmp_path / "run")
-    moved = folder / "one.csv"
-    moved.rename(folder / "gone.csv")
-    try:
-        told = bench.run("rollout", str(tmp_path / "run"))
-    finally:
-        (folder / "gone.csv").rename(moved)
-    assert told.code == 2
-    assert "one.csv" in told.err
+    for name in ("gone", "drawless"):
+        shutil.copytree(folder / "run", folder / name, dirs_exist_ok=True)
+    (folder / "drawless" / "posterior.nc").write_bytes(b"no draws")
+    summary = (folder / "run" / "summary.json").read_text().replace("one.csv", "none/one.csv")
+    (folder / "gone" / "summary.json").write_text(summary)
+    has(bench.refused("rollout", *words), *parts)
 
 
 def test_a_run_read_back_has_the_draws_of_its_intervals(made):
@@ -374,12 +360,3 @@ def test_what_was_fixed_is_filled_in(made):
     assert (values[:, 0] == 0.7).all()
     for k in range(1, len(names)):
         assert (values[:, k] == 0.5 + k).all()
-
-
-def test_a_run_without_draws_is_refused(bench, made, tmp_path):
-    shutil.copytree(made[0] / "run", tmp_path / "run")
-    (tmp_path / "run" / "posterior.nc").write_bytes(b"no draws")
-    told = bench.run("rollout", str(tmp_path / "run"))
-    assert told.code == 2
-    assert "posterior.nc" in told.err
-    assert told.err.count("\n") == 1
