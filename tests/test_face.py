@@ -19,6 +19,7 @@ from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
+from tests.axis import swing
 from tests.commands.bench import Bench, without_figures
 from tests.conftest import REPOSITORY, brought
 
@@ -44,16 +45,9 @@ def axis():
 def measured(seed=0, n=2000):
     """Exact motion of an axis, with noise of the torque."""
     t = np.arange(n) / 500.0
-    q, qd, qdd = np.zeros(n), np.zeros(n), np.zeros(n)
-    for w, a in ((3.1, 0.8), (10.7, 0.3), (24.0, 0.05)):
-        q, qd, qdd = (
-            q + a * np.sin(w * t),
-            qd + a * w * np.cos(w * t),
-            qdd - a * w**2 * np.sin(w * t),
-        )
-    inertia, viscous, coulomb, offset = TRUTH.values()
+    q, qd, qdd = swing(t, [(0.49, 0.8), (1.7, 0.3), (3.8, 0.05)])
     noise = 0.01 * np.random.default_rng(seed).standard_normal(n)
-    return t, q, inertia * qdd + viscous * qd + coulomb * np.sign(qd) + offset + noise
+    return t, q, axis().torque(TRUTH, q, qd, qdd) + noise
 
 
 def arrays(seed=0, **more):

@@ -22,22 +22,6 @@ from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
 
-JOINT = """\
-[mechanism]
-preset = "{preset}"
-
-[[recordings]]
-file = "run.csv"
-time = {{ column = "t", unit = "s" }}
-position = {{ column = "q", unit = "rad" }}
-torque = {{ column = "tau", unit = "N m" }}
-
-[sampling]
-min_ess = 500
-{more}
-"""
-
-
 MISSING = {
     **{"kind": "missing", "what": "delay", "shape": "", "share": 0.034, "p": 1 / 61, "rivals": []},
     **{"parameters": ["motor.inertia", "offset"], "moves": {"motor.inertia": 3.1, "offset": -2.2}},
@@ -60,11 +44,11 @@ def fitted(tmp_path):
     """Write a recording, check and fit it; nobody looks at figures and pages here."""
 
     def run(t, q, torque, preset="motor-axis", more="", checked=True):
-        np.savetxt(
-            tmp_path / "run.csv", np.c_[t, q, torque], "%.9g", ",", header="t,q,tau", comments=""
-        )
+        header, rows = "time,position,torque", np.c_[t, q, torque]
+        np.savetxt(tmp_path / "small.csv", rows, "%.9g", ",", header=header, comments="")
         path = tmp_path / "joint.toml"
-        path.write_text(JOINT.format(preset=preset, more=more), encoding="utf-8")
+        text = SMALL.replace("motor-axis", preset) + f"[sampling]\nmin_ess = 500\n{more}\n"
+        path.write_text(text, encoding="utf-8")
         model = Model.from_config(path)
         told = check(model).text().splitlines() if checked else []
         return model.fit().summary.as_dict(), told
@@ -130,9 +114,7 @@ def test_a_controllers_law_is_not_learned_as_friction(fitted):
 @pytest.mark.usefixtures("unexplained")
 def test_a_torque_of_the_wrong_sign_is_said(fitted):
     t = 0.005 * np.arange(3000)
-    q = np.sin(3 * t) + 0.4 * np.sin(7.1 * t)
-    v = 3 * np.cos(3 * t) + 0.4 * 7.1 * np.cos(7.1 * t)
-    a = -9 * np.sin(3 * t) - 0.4 * 7.1**2 * np.sin(7.1 * t)
+    q, v, a = swing(t, [(0.477, 1.0), (1.13, 0.4)])
     noise = np.random.default_rng(1).normal(0, 0.01, t.size)
     summary, told = fitted(t, q, -(0.1 * a + 0.3 * v + 0.2 * np.sign(v)) + noise)
     (doubt,) = [one for one in summary["doubts"] if one["kind"] == "negative"]
@@ -158,9 +140,7 @@ def test_what_a_model_does_not_explain_determines_nothing(fitted):
 
 def test_an_honest_recording_raises_no_doubt(fitted):
     t = 0.005 * np.arange(4000)
-    q = np.sin(2 * t) + 0.3 * np.sin(5.3 * t)
-    v = 2 * np.cos(2 * t) + 0.3 * 5.3 * np.cos(5.3 * t)
-    a = -4 * np.sin(2 * t) - 0.3 * 5.3**2 * np.sin(5.3 * t)
+    q, v, a = swing(t, [(0.318, 1.0), (0.844, 0.3)])
     # noise twice as large as the signal: little is explained, and that is all right
     noise = np.random.default_rng(4).normal(0, 2.0, t.size)
     summary, told = fitted(t, q, 0.1 * a + 0.3 * v + 0.2 * np.sign(v) + noise)

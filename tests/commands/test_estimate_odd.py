@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from bayesfric.mechanism.presets import PRESETS
+
 from .bench import SMALL, cases, has
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -36,6 +38,8 @@ def test_a_stribeck_rise_that_may_vanish(pendulum):
     )
     found = estimates(pendulum, "--method", "input-error")["input-error"]["parameters"]
     assert found["motor.stribeck_velocity"]["value"] >= 0.0
+    inertia, true = found["motor.inertia"], PRESETS["servo-pendulum"].values["motor.inertia"]
+    assert abs(inertia["value"] - true) < 5.0 * inertia["sd_robust"]
 
 
 def test_one_element_with_two_losses(pendulum):
@@ -75,7 +79,8 @@ def test_rest_leaves_no_certainty_of_its_own(pendulum):
     pendulum.config(PENDULUM + "\n[estimation]\nsegment = 1.0\n")
     found = estimates(pendulum, "--method", "output-error")["output-error"]
     sds = [row["sd"] for row in found["parameters"].values() if row["sd"] is not None]
-    assert all(sd > 0.0 for sd in sds)
+    assert sds
+    assert min(sds) > 0.0
 
 
 def test_torque_of_no_joint(pendulum):

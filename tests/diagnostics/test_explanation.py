@@ -8,7 +8,6 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
 from bayesfric.diagnostics.explanation import finding, setting_of
-from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.scans import TONE, Scan
 from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
@@ -155,12 +154,6 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
     # of the recording a mean that the twins show is half known, so it scores a little less
     assert np.mean(np.square(scores)[:, :2], axis=0) == pytest.approx(1.0, abs=0.3)
     assert np.mean(np.square(np.concatenate(twins))[:, :2], axis=0) == pytest.approx(1.0, abs=0.15)
-
-
-def test_a_finding_lists_what_it_moves_most_first():
-    one = Finding("delay", "doubt", 5.0, 0.02, moves={"b": -4.0, "a": 1.7})
-    assert one.parameters == ("b", "a")
-    assert replace(one, moves={}).parameters == ()
 
 
 @pytest.mark.parametrize("times", [0.8, 1.0, 1.3])

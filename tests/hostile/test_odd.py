@@ -11,12 +11,9 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
 
 from bayesfric.errors import BadInput
 from bayesfric.problem.config import parse_config
@@ -129,18 +126,7 @@ def test_cells_and_names_of_a_csv(tmp_path):
             assert ends_well(tmp_path, "csv", made.encode(errors="replace")) is None, (text, at)
 
 
-def _saved(form, columns):
-    out = io.BytesIO()
-    if form == "npz":
-        np.savez(out, **columns)
-    elif form == "mat":
-        savemat(out, columns)
-    else:
-        pq.write_table(pa.table(columns), out)
-    return out.getvalue()
-
-
-@pytest.mark.parametrize("form", ["npz", "mat", "parquet"])
+@pytest.mark.parametrize("form", ["npz", "deflated.mat", "parquet"])
 @pytest.mark.parametrize("name", ["t", "q", "tau"])
 def test_numbers_of_a_column(tmp_path, form, name):
     whole = good.columns()
@@ -148,7 +134,7 @@ def test_numbers_of_a_column(tmp_path, form, name):
         for where in (slice(3, 4), slice(None)):
             odd = whole[name].copy()
             odd[where] = number
-            recording = _saved(form, whole | {name: odd})
+            recording = good.content(form, data=whole | {name: odd})
             assert ends_well(tmp_path, form, recording) is None, number
 
 
@@ -160,11 +146,10 @@ def test_types_and_shapes_of_a_column(tmp_path, name):
     with np.errstate(all="ignore"):
         kinds = [(100 * of).astype("i8").astype(kind) for kind in TYPES]
     for odd in (*shapes, *kinds):
-        recording = _saved("npz", whole | {name: odd})
+        recording = good.content("npz", data=whole | {name: odd})
         assert ends_well(tmp_path, "npz", recording) is None, (odd.shape, odd.dtype)
-    for odd in ("", "Q", "a.b", "/q", "../q", "\ufeffq", "t" * 400):
-        renamed = {odd if n == name else n: x for n, x in whole.items()}
-        assert ends_well(tmp_path, "npz", _saved("npz", renamed)) is None, odd
+    for odd in ("Q", "a.b", "/q", "../q", "\ufeffq", "t" * 400):
+        assert ends_well(tmp_path, "npz", npz(**{odd: npy(), "t": npy()})) is None, odd
 
 
 @pytest.mark.parametrize(

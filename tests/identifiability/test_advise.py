@@ -177,17 +177,9 @@ def test_what_cannot_move_is_dropped_and_said_so(square):
     assert reasons.pop("longer") == "the torque limit"
     assert set(reasons.values()) == {"the joint hardly moves"}
     # one line for each reason, however many there are; everything is in the other form
-    lines = page(
-        "advise.txt", found=found, written=None, torque_unit="N m", position_unit="rad"
-    )  # fmt: skip
-    told = lines[lines.index("Left out (--json describes each)") + 1 :]
-    still = [one for one, reason in found.dropped if str(reason) != "the torque limit"]
-    assert len(still) > 8
-    (line,) = [x for x in told if "the joint hardly moves" in x]
-    assert line.startswith(f"  the joint hardly moves ({len(still)}): {still[0].form}, ")
-    assert f"and {len({one.form for one in still}) - 4} more" in line
-    assert len(told) == 2
-    assert len(found.as_json()["dropped"]) == len(found.dropped)
+    lines = page("advise.txt", found=found, written=None, torque_unit="N m", position_unit="rad")
+    assert len(lines[lines.index("Left out (--json describes each)") + 1 :]) == 2
+    assert len(found.as_json()["dropped"]) == len(found.dropped) > 8
 
 
 def test_a_flat_improper_prior_leaves_no_sd_without_a_mass(square):
@@ -230,8 +222,6 @@ def test_a_played_recording_is_prepared_like_a_real_one(square):
 
 
 def test_bad_names_and_limits_are_refused(square):
-    with pytest.raises(BadInput, match=r"did you mean 'load\.inertia'"):
-        ranked("load.inerta", square)
     with pytest.raises(BadInput, match=r"is fixed at 0\.206"):
         ranked("load.inertia", square, texts={"load.inertia": 0.206})
     fixed = {name: KNEE.values[name] for name in ("gearbox.load_drive", "gearbox.load_back")}

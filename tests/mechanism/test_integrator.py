@@ -35,9 +35,9 @@ def convergence(chain, vector, torque, period, steps, **options):
 
 def test_error_falls_with_the_fourth_power_of_the_step():
     chain = KNEE.chain()
-    runs, last, ratios = convergence(
-        chain, chain.vector(KNEE.values), interrupted(5e-3, 5.0), 5e-3, (1, 2, 4, 8)
-    )
+    torque = interrupted(5e-3, 5.0)
+    vector, steps = chain.vector(KNEE.values), (1, 2, 4, 8)
+    runs, last, ratios = convergence(chain, vector, torque, 5e-3, steps)
     assert last.reversals >= 7
     # kinks: more events than stops and breakaways can explain
     starts = np.sum(np.diff(last.sticking.astype(int)) == -1)
@@ -51,16 +51,9 @@ def test_error_falls_with_the_fourth_power_of_the_step():
 
 def test_error_falls_with_the_fourth_power_of_the_step_everything():
     chain = everything()
-    torque = interrupted(2e-3, 3.0) * 0.8
-    _, last, ratios = convergence(
-        chain,
-        chain.vector(EVERYTHING),
-        torque,
-        2e-3,
-        (4, 8, 16),
-        inputs=Inputs(1.0, 0.4),
-        q0=0.3,
-    )
+    torque, options = interrupted(2e-3, 3.0) * 0.8, {"inputs": Inputs(1.0, 0.4), "q0": 0.3}
+    vector, steps = chain.vector(EVERYTHING), (4, 8, 16)
+    _, last, ratios = convergence(chain, vector, torque, 2e-3, steps, **options)
     assert last.reversals >= 3
     assert np.sum(last.sticking) > 100
     assert 12 < ratios.mean() < 20, ratios

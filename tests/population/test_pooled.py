@@ -91,11 +91,6 @@ def test_what_cannot_be_pooled_is_refused(given, said):
     assert said in str(error.value)
 
 
-def test_a_fit_does_not_drop_what_varies():
-    with pytest.raises(bf.errors.BadInput, match="bayesfric pool"):
-        model().fit()
-
-
 def test_only_recordings_are_varied_over():
     with pytest.raises(bf.errors.BadInput, match=r"motor\.viscous"):
         bf.Model(AXIS, recording(0, 0.1), vary={"motor.viscous": "day"})

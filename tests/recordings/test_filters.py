@@ -136,17 +136,6 @@ def test_parallel_filter(factor, band, edges, seed):
         np.testing.assert_allclose(both[1, 0], used.apply(y), atol=1e-12)
 
 
-def test_no_unusable_sample_loses_no_window():
-    used = lay_windows(parallel_taps(10, None, FS), [(0, 1000)], 10, np.ones(1000, dtype=bool))
-    assert len(used.taps) == 81
-    assert used.starts.tolist() == list(range(0, 920, 10))
-    alone = lay_windows(parallel_taps(1, None, FS), [(3, 9)], 1, np.ones(10, dtype=bool))
-    assert alone.taps.tolist() == [1.0]
-    assert alone.starts.tolist() == [3, 4, 5, 6, 7, 8]
-    narrow = lay_windows(parallel_taps(10, 5.0, FS), [(0, 4000)], 10, np.ones(4000, dtype=bool))
-    assert len(narrow.taps) == 801
-
-
 def test_parallel_filter_halves_at_its_cutoff():
     t = np.arange(5000) / FS
     used = lay_windows(parallel_taps(10, 50.0, FS), [(0, 5000)], 10, np.ones(5000, dtype=bool))

@@ -13,28 +13,12 @@ from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Summary
 from tests.axis import swing
-from tests.commands.bench import without_figures
+from tests.commands.bench import recorded, without_figures
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
 SERVO = PRESETS["servo-pendulum"]
 ANGLE = "load.gravity_angle"
-CONFIG = """
-[mechanism]
-preset = "servo-pendulum"
-{mechanism}
-[[recordings]]
-file = "arm.csv"
-time = {{ column = "t", unit = "s" }}
-position = {{ column = "q", unit = "rad" }}
-torque = {{ column = "tau", unit = "N m" }}
-[sampling]
-min_ess = 400
-[estimation]
-starts = 2
-[priors]
-{prior}
-"""
 
 
 def arm(folder, angle, prior="", mechanism=""):
@@ -46,9 +30,11 @@ def arm(folder, angle, prior="", mechanism=""):
     torque = inverse_torque(chain, values, q, qd, qdd)
     torque += 0.05 * np.random.default_rng(3).standard_normal(t.size)
     rows = np.stack([t, q - angle, torque], axis=1)
-    np.savetxt(folder / "arm.csv", rows, "%.9f", ",", header="t,q,tau", comments="")
-    text = CONFIG.format(prior=f'"{ANGLE}" = {prior}' if prior else "", mechanism=mechanism)
-    return parse_config(text, folder / "arm.toml")
+    header = "time,position,torque"
+    np.savetxt(folder / "arm.csv", rows, "%.9f", ",", header=header, comments="")
+    text = f'[mechanism]\npreset = "servo-pendulum"\n{mechanism}\n{recorded("arm")}'
+    text += "[sampling]\nmin_ess = 400\n[estimation]\nstarts = 2\n[priors]\n"
+    return parse_config(text + (f'"{ANGLE}" = {prior}' if prior else ""), folder / "arm.toml")
 
 
 def fitted(folder, angle):
