@@ -21,8 +21,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.observation import Observation
-from tests.conftest import made_recording
+from tests.conftest import made_observation, made_recording
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 CHAIN = KNEE.chain()
@@ -45,29 +44,13 @@ SINE = excitation.sine(TIME, PEAK, 1.0)
 
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Motion and torque as they are: filtering would blur what the square wave's edges are."""
-    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=Inputs(added_mass, radius))
+    inputs = Inputs(added_mass, radius, name)
+    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=inputs)
     taken = lay_windows(
         parallel_taps(1, None, 1.0 / PERIOD), ((0, N),), 1, np.abs(motion.qd) > 0.01
     )
-    return Observation(
-        name=name,
-        q=motion.q,
-        qd=motion.qd,
-        qdd=motion.qdd,
-        torque=torque,
-        compared=torque,
-        filter=taken,
-        time=taken.apply(motion.time),
-        measured=taken.apply(torque),
-        speed=taken.apply(motion.qd),
-        period=PERIOD,
-        segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
-        stamps=motion.time,
-        inputs=Inputs(added_mass, radius, name),
-        steps=(),
-        warnings=(),
-        settings={},
-    )
+    moved = motion.q, motion.qd, motion.qdd
+    return made_observation(name, motion.time, moved, torque, taken, PERIOD, inputs)
 
 
 def problem(*observations, texts=None):

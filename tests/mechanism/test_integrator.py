@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
-from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
-from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
+from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
 
 
 def interrupted(period, seconds):
@@ -79,71 +76,6 @@ def simulate_many(chain, values, torque, period, q0=0.0, qd0=0.0, **options):
     return simulate_segments(chain, values, torque, period, [(0, len(torque))], *states, **options)[
         0
     ]
-
-
-def scipy_motion(chain, vector, torque, period):
-    """Integrate by DOP853, with the acceleration from root finding on the inverse model."""
-    elements, load = (table[0] for table in chain.tables(vector[np.newaxis])[:2])
-    total = load[kernels.LOAD_INERTIA] + sum(
-        e[kernels.INERTIA] * np.prod([x[kernels.RATIO] for x in elements[k:]]) ** 2
-        for k, e in enumerate(elements)
-    )
-
-    def input_torque(q, qd, qdd, sign):
-        gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
-        return carried_to_motor(elements, load[kernels.LOAD_INERTIA] * qdd + gravity, sign, qd, qdd)
-
-    def acceleration(q, qd, tau, sign):
-        reach = 1e4 / total
-        return brentq(lambda a: input_torque(q, qd, a, sign) - tau, -reach, reach, xtol=1e-13)
-
-    tau = load[kernels.GAIN] * torque - load[kernels.OFFSET]
-    state, sign, out = np.zeros(2), 0.0, [np.zeros(2)]
-    for i in range(torque.size - 1):
-        t, rate = 0.0, (tau[i + 1] - tau[i]) / period
-
-        def applied(x, i=i, rate=rate):
-            return tau[i] + rate * x
-
-        while t < period:
-            if state[1] == 0.0:
-                low, high = (input_torque(state[0], 0.0, 0.0, s) for s in (-1.0, 1.0))
-                now, then = applied(t), applied(period)
-                if low <= now <= high:
-                    if low <= then <= high:
-                        break
-                    sign = 1.0 if then > high else -1.0
-                    t = ((high if sign > 0 else low) - tau[i]) / rate
-                else:
-                    sign = 1.0 if now > high else -1.0
-
-            def field(x, y, sign=sign, applied=applied):
-                return [y[1], acceleration(y[0], y[1], applied(x), sign)]
-
-            def stop(x, y, sign=sign):
-                return y[1] * sign + (1e-30 if x == 0.0 else 0.0)
-
-            stop.terminal, stop.direction = True, -1
-            solved = solve_ivp(
-                field, (t, period), state, "DOP853", events=stop, rtol=1e-11, atol=1e-13
-            )
-            t, state = solved.t[-1], solved.y[:, -1].copy()
-            if solved.status == 1:
-                state[1] = 0.0
-        out.append(state.copy())
-    return np.array(out).T
-
-
-def test_agrees_with_scipy_integrator():
-    chain = KNEE.chain()
-    vector = chain.vector(KNEE.values)
-    period = 2e-2
-    torque = current_loop(square(np.arange(31) * period, 0.8, 2.5), period, 5e-3)
-    motion = simulate(chain, vector, torque, period, tolerance=1e-11)
-    assert motion.reversals >= 2
-    q, qd = scipy_motion(chain, vector, torque, period)
-    np.testing.assert_allclose(motion.q, q, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(motion.qd, qd, rtol=0, atol=1e-8)
 
 
 # --- many vectors, and refusals -------------------------------------------------------

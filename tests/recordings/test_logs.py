@@ -77,23 +77,13 @@ def test_fields_by_path(tmp_path):
     vector = types["geometry_msgs/msg/Vector3"]
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 5), "")
     dimension = types["std_msgs/msg/MultiArrayLayout"]([], 0)
-    wrenches = (
-        (
-            logs.BEGIN + k * 10**6,
-            types["geometry_msgs/msg/WrenchStamped"](
-                header,
-                types["geometry_msgs/msg/Wrench"](vector(0.0, 1.0, 2.0), vector(3.0, 4.0, k + 0.5)),
-            ),
-        )
-        for k in range(5)
-    )
-    arrays = (
-        (
-            logs.BEGIN + k * 10**6,
-            types["std_msgs/msg/Float64MultiArray"](dimension, np.arange(3) + 0.25 * k),
-        )
-        for k in range(5)
-    )
+    wrench, stamped = (types[f"geometry_msgs/msg/Wrench{end}"] for end in ("", "Stamped"))
+    array = types["std_msgs/msg/Float64MultiArray"]
+    wrenches, arrays = [], []
+    for k in range(5):
+        stamp, pull = logs.BEGIN + k * 10**6, vector(3.0, 4.0, k + 0.5)
+        wrenches.append((stamp, stamped(header, wrench(vector(0.0, 1.0, 2.0), pull))))
+        arrays.append((stamp, array(dimension, np.arange(3) + 0.25 * k)))
     logs.write_ros2(tmp_path / "bag", wrenches, topic="/ft", more=[("/data", arrays)])
     torque = read_table(tmp_path / "bag", TableOptions(table="/ft")).column("wrench.torque.z")
     assert torque.tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
