@@ -1,7 +1,5 @@
 """Bad recordings and configurations, given to the real command: one line, exit code 2, no trace."""
 
-import json
-
 import pytest
 
 from .bench import CONFIG, PRIOR, RECORDING, cases, has, lines
@@ -18,17 +16,6 @@ pytestmark = pytest.mark.usefixtures("nothing_explained")
 def test_recording_too_short_for_its_processing(bench, n, parts):
     bench.recording(lines(n))
     has(bench.refused(), "c.toml", *parts)
-
-
-def test_gap_is_no_error_but_a_border_between_segments(bench):
-    rows = lines()
-    del rows[150:250]
-    bench.recording(rows)
-    done = bench.run("check", "c.toml", "--json")
-    assert (done.code, done.err) == (0, "")
-    (found,) = json.loads(done.out)["recordings"]
-    assert found["settings"]["n_segments"] == 2
-    assert any("2 segments" in step for step in found["steps"])
 
 
 # -- which file

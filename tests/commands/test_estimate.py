@@ -1,7 +1,5 @@
 """``bayesfric estimate``: the three methods as a user sees them, and references."""
 
-import re
-
 import pytest
 
 from bayesfric.errors import BadInput
@@ -53,13 +51,6 @@ def test_one_method_alone(small):
     found = small.told("estimate", "c.toml", "--method", "input-error")
     assert list(found["estimates"]) == ["input-error"]
     assert small.run("estimate", "c.toml", "--method", "guessing").code == 2
-
-
-def test_text_has_both_deviations_units_and_references(small):
-    ended = small.run("estimate", "c.toml", "--method", "least-squares")
-    (line,) = [one for one in ended.out.splitlines() if "motor.inertia" in one]
-    number = r"[-+.\de]+"
-    assert re.search(rf"{number} ± +{number} +{number} +{number} kg m² +data sheet: 0.0101", line)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The same numbers come out of every format and dialect."""
 
 import hashlib
+import io
 import json
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.io import savemat
 from bayesfric.recordings import Channel, Current, Position, Torque, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers
+from tests.hostile import good
 
 from .samples import has, lines, numbered, read, refused, source, swing, write
 
@@ -84,47 +86,46 @@ def content():
     return dict(zip(HEADER.split(","), swing(), strict=True))
 
 
-def test_parquet(tmp_path):
-    frame = pd.DataFrame(content() | {"note": ["x"] * 200})
-    frame.to_parquet(tmp_path / "run.parquet")
-    same(read(tmp_path, source("run.parquet"))[0])
-    same(read(tmp_path, numbered("run.parquet"))[0])
+def nested(where, rows=False):
+    table = {key: value.tolist() for key, value in content().items()}
+    inner = pd.DataFrame(table).to_dict("records") if rows else table
+    for key in reversed(where):
+        inner = {"mass": 0.5, key: inner}
+    return json.dumps(inner).encode()
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)])
-def test_matlab(tmp_path, compressed, shape):
-    values = {key: value.reshape(shape) for key, value in content().items()}
-    savemat(tmp_path / "run.mat", values, do_compression=compressed)
-    same(read(tmp_path, source("run.mat"))[0])
+def shaped(*shape):
+    return {key: value.reshape(shape) for key, value in content().items()}
 
 
-def test_matlab_struct(tmp_path):
-    savemat(tmp_path / "run.mat", {"log": {"joint": content(), "who": "me"}})
-    same(read(tmp_path, source("run.mat", table="log.joint"))[0])
+def structs():
+    out = io.BytesIO()
+    savemat(out, {"log": {"joint": content(), "who": "me"}})
+    return out.getvalue()
 
 
-@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_npz(tmp_path, save):
-    save(tmp_path / "run.npz", **content())
-    same(read(tmp_path, source("run.npz"))[0])
-
-
-def test_json_columns(tmp_path):
-    values = {key: value.tolist() for key, value in content().items()}
-    (tmp_path / "a.json").write_text(json.dumps(values))
-    (tmp_path / "b.json").write_text(json.dumps({"log": {"joint": values}}))
-    same(read(tmp_path, source("a.json"))[0])
-    same(read(tmp_path, source("b.json", table="log.joint"))[0])
-
-
-def test_json_rows(tmp_path):
-    rows = pd.DataFrame(content()).to_dict("records")
-    (tmp_path / "a.json").write_text(json.dumps(rows))
-    (tmp_path / "b.json").write_text(json.dumps({"mass": 0.5, "entries": rows}))
-    for name in ("a.json", "b.json"):
-        same(read(tmp_path, source(name))[0])
-    same(read(tmp_path, source("b.json", table="entries"))[0])
+@pytest.mark.parametrize(
+    ("form", "table", "data"),
+    [
+        ("parquet", None, good.content("parquet", data=content() | {"note": ["x"] * 200})),
+        *(("mat", None, good.content("deflated.mat", data=shaped(*s)))
+          for s in ((-1,), (-1, 1), (1, -1))),
+        ("mat", "log.joint", structs()),
+        ("npz", None, good.content("npz", data=content())),
+        ("npz", None, good.content("deflated.npz", data=content())),
+        ("json", None, nested([])),
+        ("json", "log.joint", nested(["log", "joint"])),
+        ("json", None, nested([], rows=True)),
+        ("json", None, nested(["entries"], rows=True)),
+        ("json", "entries", nested(["entries"], rows=True)),
+    ],
+)  # fmt: skip
+def test_binary_formats_and_json(tmp_path, form, table, data):
+    (tmp_path / f"run.{form}").write_bytes(data)
+    more = {"table": table} if table else {}
+    same(read(tmp_path, source(f"run.{form}", **more))[0])
+    if form == "parquet":
+        same(read(tmp_path, numbered("run.parquet"))[0])
 
 
 def test_json_booleans_are_numbers(tmp_path):

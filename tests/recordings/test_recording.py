@@ -149,10 +149,6 @@ def test_refused_as_a_file_is(make, parts):
     has(refused(make), *parts)
 
 
-def test_the_number_names_what_has_no_name():
-    assert measured(Recording.from_arrays(T, Q, TAU), number=3).name == "recording-3"
-
-
 def test_si_is_for_numbers_as_they_are(tmp_path):
     write(tmp_path, "\n".join(lines()))
     unit = {"column": "tau", "unit": "SI", "constant": "2 N m/A"}
