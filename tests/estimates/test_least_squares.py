@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bayesfric.errors import BadInput
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.mechanism.presets import PRESETS
 
@@ -82,6 +83,13 @@ def test_what_one_direction_of_motion_cannot_tell_is_left_open(make_observation)
     assert np.isfinite(totals["motor.inertia"].sd)
     assert np.isinf(totals["motor.coulomb"].sd)
     assert np.isinf(totals["offset"].sd)
+
+
+def test_fewer_outputs_than_totals_are_refused(make_observation):
+    o = make_observation(AXIS.chain(), AXIS.values)
+    few = type(o)(**{**vars(o), "measured": o.measured[:3]})
+    with pytest.raises(BadInput, match="cannot determine"):
+        least_squares(AXIS.chain(), [few])
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -10,10 +10,19 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from tests.mechanism.joints import everything
 
 KNEE = PRESETS["rabbit-knee"]
-CHAINS = {"knee": KNEE.chain(), "everything": everything()}
+FULL = Joint(
+    elements=(
+        Element("motor", inertia=True, coulomb="symmetric", viscous=True, stribeck=True),
+        Element("gearbox", ratio=20.0, inertia=True, viscous=True, load_loss="two"),
+        Element("bearing", coulomb="symmetric", quadratic=True, stribeck=True, load_loss="one"),
+    ),
+    load=Load(inertia=True, first_moment=True, gravity_angle=True),
+    offset=True,
+    gain=True,
+)
+CHAINS = {"knee": KNEE.chain(), "full": FULL}
 
 
 def random_values(chain, rng):
@@ -85,9 +94,8 @@ def test_scalings_are_a_group_and_the_middle_stays_the_middle(seed, factor):
 
 
 def test_motor_offset_and_angle_do_not_take_part():
-    (scaling,) = scalings(everything())
-    behind = {n for n in everything().names if n.startswith("joint.") and "stribeck" not in n}
-    behind |= {"load.inertia", "load.first_moment"}
+    (scaling,) = scalings(FULL)
+    behind = {"bearing.coulomb", "bearing.quadratic", "load.inertia", "load.first_moment"}
     assert set(scaling.names) == {"gearbox.load_drive", "gearbox.load_back"} | behind
 
 
