@@ -42,8 +42,8 @@ LONG = {
     "": """
         face own_term""",
     "commands": """
-        advise again alerts bad_input bad_output compare complete doubts estimate
-        estimate_odd explain fit identify init_from little_explained own_offsets
+        advise again alerts bad_input bad_output compare doubts estimate
+        explain fit identify init_from little_explained own_offsets
         pool report resume simulate_check_init validation voltage""",
     "diagnostics": """
         explanation self_check""",

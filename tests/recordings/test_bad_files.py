@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import Position
+from bayesfric.recordings import Position, Processing, Torque
 from bayesfric.recordings.tables import read_table
 
 from .samples import has, lines, numbered, read, refused, source, swing, write
@@ -123,3 +123,61 @@ def test_hand_edited_recorder_file(real_data, name):
     with pytest.raises(BadInput, match=r"line 15.*was") as caught:
         read_table(path, source()).column(3)
     assert f"{name}.csv" in caught.value.where
+
+
+# -- time stamps, signals and units that make no sense
+
+
+ROWS = lines()
+
+
+def constant(column):
+    cells = [line.split(",") for line in ROWS[1:]]
+    return [ROWS[0], *(",".join([*row[:column], "0.5", *row[column + 1 :]]) for row in cells)]
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ([*ROWS[:17], ROWS[18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)", "back in"]),
+        ([*ROWS[:18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)", "repeats"]),
+        (constant(1), ["'q'", "position", "0.5"]),
+        (constant(2), ["'tau'", "torque", "0.5"]),
+        (lines(30), ["30 samples", "min_samples = 50"]),
+        ([line for i, line in enumerate(ROWS) if i == 0 or i % 40 < 30], ["gap", "min_samples"]),
+    ],
+    ids=["unsorted", "repeated", "constant position", "constant torque", "short", "gaps"],
+)
+def test_samples(tmp_path, text, parts):
+    write(tmp_path, "\n".join(text))
+    has(refused(tmp_path), "run.csv", *parts)
+
+
+def torque(unit="N m", **keys):
+    return source(torque=Torque(column="tau", unit=unit, **keys))
+
+
+@pytest.mark.parametrize(
+    ("used", "more", "parts"),
+    [
+        (source(start=50), {}, ["run.csv", "start = 50 s"]),
+        (source(), {"ratio": 101.0}, ["run.csv", "'q'", "101", 'side = "motor"']),
+        (torque(twos_complement=16), {}, ["'tau'", "row 1 (line 2)", "16 bits"]),
+        (source(), {"processing": Processing(dead_zone="1 mm/s")}, ["dead_zone", "rad/s"]),
+    ],
+)
+def test_meaning(tmp_path, used, more, parts):
+    write(tmp_path, "\n".join(ROWS))
+    has(refused(tmp_path, used, **more), *parts)
+
+
+def test_two_files_with_one_name(tmp_path):
+    for name in ("a.csv", "b.csv"):
+        write(tmp_path, "\n".join(ROWS), name)
+    has(refused(tmp_path, source("*.csv", name="x")), "name", "2 files")
+
+
+@pytest.mark.parametrize("unit", ["%", "N", "V", "rad", "bananas", "", "9**9**9", "N m +/- 1"])
+def test_wrong_unit_of_the_torque(tmp_path, unit):
+    write(tmp_path, "\n".join(ROWS))
+    has(refused(tmp_path, torque(unit)), "run.csv", "'tau'", "unit of torque", "N m")
