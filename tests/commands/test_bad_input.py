@@ -67,7 +67,7 @@ def test_file(bench, file, parts):
         ("element", "preset", "elements.moter.inertia = true\npreset", [".moter", "'motor'?"]),
         ("term", "preset", "elements.motor.inerta = true\npreset", ["r.inerta", "'inertia'?"]),
         ("delay", "preset", 'delay = "2 ms"\npreset', ["mechanism.delay"]),
-        ("no-delay", PRIOR, '"drive.delay" = 0.004', ["priors.drive.delay: no such parameter"]),
+        ("no-delay", PRIOR, '"drive.delay" = 0.004', ["priors.drive.delay", "no such parameter"]),
         ("order", "scale =", 'model = "white"\norder = 2\nscale =', ["noise.order", "white"]),
         ("load", "preset", "load.first_momnt = true\npreset", ["momnt", "'first_moment'?"]),
         # wrong types and ranges, worded plainly

@@ -283,9 +283,6 @@ def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_obs
 # -- limits
 
 
-AXIS, MEMORY = bf.Joint.preset("motor-axis"), 0.97
-
-
 def test_a_limit_is_not_called_determined():
     """Without a load loss in the recording its alphas stand at one: what fit calls the bounds'."""
     pendulum = bf.Joint.preset("servo-pendulum")
