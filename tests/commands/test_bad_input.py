@@ -52,6 +52,7 @@ def test_file(bench, file, parts):
         ("force", '"N m"', '"N"', ["run.csv", "'tau'", "a torque like", "'N'"]),
         ("time", "[processing]", '[processing]\ntrim = "5 m"', [".trim: got '5 m'"]),
         ("lowpass", "[processing]", '[processing]\nlowpass = "20"', [".lowpass: got '20'"]),
+        ("no-period", "order = 4", 'resample = "0 s"', ["processing.resample", "got '0 s'"]),
         ("resample", "order = 4", 'resample = "often"', [".resample: 'often' is not a known unit"]),
         ("speed", "order = 4", 'dead_zone = "5 m/s"', ["c.toml: processing, dead_zone", "'5 m/s'"]),
         # unknown keys

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from bayesfric.errors import BadInput
 from bayesfric.recordings import Channel, Current, Position, Torque, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers
@@ -134,10 +135,17 @@ def test_json_booleans_are_numbers(tmp_path):
     assert table.column("on").tolist() == [1.0, 0.0, 1.0]
 
 
-def test_sha256(tmp_path):
+def test_sha256(tmp_path, monkeypatch):
     path = write(tmp_path, "\n".join(lines()))
     assert sha256(path) == hashlib.sha256(path.read_bytes()).hexdigest()
     assert read(tmp_path)[0].sha256 == sha256(path)
+
+    def denied(*_args, **_kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(type(path), "open", denied)
+    with pytest.raises(BadInput, match="permission"):
+        sha256(path)
 
 
 def test_patterns_and_names(tmp_path):
