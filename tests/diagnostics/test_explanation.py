@@ -23,10 +23,10 @@ def right():
     return model()
 
 
-def of_table(change):
+def of_table(change, **more):
     made = table().copy()
     change(made)
-    return Model(axis(), recording(made))
+    return Model(axis(**more), recording(made))
 
 
 def test_a_right_model_lacks_nothing(right):
@@ -58,6 +58,8 @@ def test_a_late_torque_is_a_delay_with_its_key():
     assert first.kind == "delay"
     assert first.setting == "mechanism.delay = true"
     assert not others
+    # and a joint that has it lacks nothing
+    assert not of_table(late, delay=True).explain().findings
 
 
 def test_the_same_seed_gives_the_same_answer(right):

@@ -94,6 +94,12 @@ def test_only_a_known_mass_lifts_the_scale(knee):
     assert kinds == {"excitation", "known mass", "longer"}
 
 
+def test_a_ranking_is_a_table(knee):
+    assert len(knee.frame) == len(knee.advices)
+    assert knee.frame["after.sd"].is_monotonic_increasing
+    assert knee.frame.loc[1, "kind"] == "known mass"
+
+
 def test_a_derived_quantity_is_known_as_well_as_what_it_is_made_of(square):
     """alpha = 1/(1 + mu): at one point its sd is alpha^2 that of mu, by the delta method."""
     name, options = "gearbox.load_drive", AdviceOptions(masses=())
