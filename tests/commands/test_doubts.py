@@ -18,6 +18,7 @@ from bayesfric.model import Model
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.summary.doubts import _accelerates, doubts_before, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary
+from bayesfric.results.verdict import verdict
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
@@ -208,6 +209,21 @@ def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
         off = PRESETS["servo-pendulum"].values[name] - row["reported"]["value"]
         assert abs(off) < 3.0 * row["reported"]["sd"]
         assert row["reported"]["sd"] > row["sd"]
+
+
+@pytest.mark.parametrize(
+    ("told", "outcome"),
+    [
+        ({}, "good"),
+        ({"asked": None}, "unchecked"),
+        ({"lacking": True}, "usable"),
+        ({"lacking": True, "doubts": 1}, "doubtful"),
+        ({"doubts": 1, "converged": False}, "not converged"),
+    ],
+)
+def test_the_worst_of_what_is_known_is_the_outcome(told, outcome):
+    plain = {"converged": True, "doubts": 0, "doubtful": 0, "asked": 30, "explained": 0.99}
+    assert verdict(**(plain | told)).outcome == outcome
 
 
 @pytest.mark.parametrize("severity", ["doubt", "note"])
