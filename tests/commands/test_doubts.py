@@ -18,6 +18,7 @@ from bayesfric.model import Model
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.summary.doubts import _accelerates, doubts_before, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary
+from bayesfric.report.words import doubt_text
 from bayesfric.results.verdict import verdict
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
@@ -191,6 +192,18 @@ def test_what_loses_energy_is_not_negative(name, doubted):
     totals = Estimate("least-squares", (value,), 0.1, 100, "")
     found = doubts_before(totals, [])
     assert found == ([{"kind": "negative", "values": {name: -1.0}}] if doubted else [])
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ({}, "delay = true in [mechanism]"),
+        ({"what": "push", "span": [3.0, 3.4]}, "exclude = [[3.0, 3.4]]"),
+        ({"physical": False}, "of the wrong sign"),
+    ],
+)
+def test_what_is_missing_is_said_with_what_to_write(more, says):
+    assert says in doubt_text(MISSING | more)
 
 
 def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
