@@ -18,6 +18,13 @@ VALUES = {
 }
 
 
+def recording_of(frame, **more):
+    """Give the recording of a table that a simulation makes."""
+    return bf.Recording.from_arrays(
+        *(frame[name].to_numpy() for name in ("time", "position", "torque")), **more
+    )
+
+
 def swing(time, lines):
     """Give position, speed and acceleration of a sum of sines, pairs of Hz and rad."""
     q, qd, qdd = np.zeros((3, time.size))

@@ -42,8 +42,8 @@ LONG = {
     "": """
         face own_term""",
     "commands": """
-        advise again alerts bad_input bad_output compare complete delay doubts estimate
-        estimate_odd explain fit identify init_from little_explained own_offsets
+        advise again alerts bad_input bad_output compare doubts estimate
+        explain fit identify init_from little_explained own_offsets
         pool report resume simulate_check_init validation voltage""",
     "diagnostics": """
         explanation self_check""",
@@ -54,7 +54,7 @@ LONG = {
     "fleet": """
         population""",
     "hostile": """
-        findings random runs special_files""",
+        findings odd runs special_files""",
     "identifiability": """
         advise""",
     "inference": """
@@ -149,6 +149,19 @@ def real_data():
     return DATA
 
 
+def made_observation(name, time, motion, torque, taken, period, inputs, **more):
+    """Return exact motion (position, speed, acceleration) and torque, as they are compared."""
+    q, qd, qdd = motion
+    given = {
+        "name": name, "q": q, "qd": qd, "qdd": qdd, "torque": torque, "compared": torque,
+        "filter": taken, "time": taken.apply(time), "measured": taken.apply(torque),
+        "speed": taken.apply(qd), "period": period, "stamps": time, "inputs": inputs,
+        "segment_of": np.zeros(taken.n_outputs, dtype=np.int64), "steps": (), "warnings": (),
+        "settings": {},
+    }  # fmt: skip
+    return Observation(**(given | more))
+
+
 @pytest.fixture(scope="session")
 def make_observation():
     """Exact motion and torque of known parameters, noise added: no encoder, no filter error."""
@@ -175,38 +188,13 @@ def make_observation():
             q += amplitude * a * np.sin(w * time + phase)
             qd += amplitude * a * w * np.cos(w * time + phase)
             qdd -= amplitude * a * w**2 * np.sin(w * time + phase)
-        torque = inverse_torque(
-            chain,
-            chain.vector(values),
-            q,
-            qd,
-            qdd,
-            inputs=Inputs(added_mass, radius, name),
-            time=time,
-        )
+        inputs, vector = Inputs(added_mass, radius, name), chain.vector(values)
+        torque = inverse_torque(chain, vector, q, qd, qdd, inputs=inputs, time=time)
         torque = torque + sigma * rng.standard_normal(n)
         taken = lay_windows(
             parallel_taps(factor, None, 1 / period), ((0, n),), factor, np.ones(n, dtype=bool)
         )
-        return Observation(
-            name=name,
-            q=q,
-            qd=qd,
-            qdd=qdd,
-            torque=torque,
-            compared=torque,
-            filter=taken,
-            time=taken.apply(time),
-            measured=taken.apply(torque),
-            speed=taken.apply(qd),
-            period=factor * period,
-            segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
-            stamps=time,
-            inputs=Inputs(added_mass, radius, name),
-            steps=(),
-            warnings=(),
-            settings={},
-        )
+        return made_observation(name, time, (q, qd, qdd), torque, taken, factor * period, inputs)
 
     return make
 

@@ -8,6 +8,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.errors import BadInput
+from tests.axis import recording_of
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -31,20 +32,16 @@ TRUE = {
 }
 
 
+SIMULATION = {
+    "duration": 10, "rate": 500, "excitation": "multisine", "amplitude": 1.5,
+    "torque_noise": 0.02, "encoder_counts": 0,
+}  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def recording():
-    made = JOINT.with_term(COGGING).simulate(
-        TRUE,
-        duration=10,
-        rate=500,
-        excitation="multisine",
-        amplitude=1.5,
-        torque_noise=0.02,
-        encoder_counts=0,
-        seed=3,
-    )
-    columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
-    return bf.Recording.from_arrays(*columns, name="bench")
+    made = JOINT.with_term(COGGING).simulate(TRUE, **SIMULATION, seed=3)
+    return recording_of(made, name="bench")
 
 
 @pytest.fixture(scope="module")
@@ -117,19 +114,10 @@ def test_its_run_is_fitted_again_only_with_it(run, model):
 def test_a_term_of_time_at_the_load():
     """The model's torque is the one that the term is simulated with."""
     drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
-    made = JOINT.with_term(drift).simulate(
-        {name: value for name, value in TRUE.items() if name != "motor.cogging"}
-        | {"load.drift": 0.3},
-        duration=10,
-        rate=500,
-        excitation="multisine",
-        amplitude=1.5,
-        torque_noise=0.02,
-        encoder_counts=0,
-        seed=4,
-    )
-    one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
-    row = bf.Model(JOINT.with_term(drift), one).estimate("input-error").loc["load.drift"]
+    true = {name: value for name, value in TRUE.items() if name != "motor.cogging"}
+    made = JOINT.with_term(drift).simulate(true | {"load.drift": 0.3}, **SIMULATION, seed=4)
+    model = bf.Model(JOINT.with_term(drift), recording_of(made))
+    row = model.estimate("input-error").loc["load.drift"]
     assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]
 
 

@@ -19,24 +19,44 @@ def places(bench):
     return bench
 
 
-LONG = "a" * 300
+RUNS = (
+    ("plain", ["plain: is a file; name a folder with -o"]),
+    ("full", ["full: is not empty; name another folder", "--force"]),
+    (".", [".: is not empty"]),
+    ("broken", ["broken: is a link to nowhere"]),
+)
+FILES = (
+    ("init", "c.toml", ["c.toml: exists already; name another file"]),
+    ("init", "full", ["full: is a folder; name a file"]),
+    ("init", "", ["is a folder"]),
+    ("simulate", "x", ["x: is not named .csv"]),
+    ("simulate", "x.txt", ["x.txt: is not named .csv"]),
+    ("simulate", "full.csv", ["is a folder; name a file"]),
+    ("simulate", "new.csv", ["new.truth.json: is a folder"]),
+    ("simulate", "measured.csv", ["measured.csv: exists already", "may be a measurement"]),
+)
+COMMANDS = {
+    "fit": (["fit", "c.toml"], ""),
+    "demo": (["demo"], ""),
+    "init": (["init", "motor-axis", "--json"], ".toml"),
+    "simulate": (["simulate", "c.toml"], ".csv"),
+}
 
 
 @pytest.mark.parametrize(
-    ("output", "parts"),
-    cases(
-        ("a-file", "plain", ["plain: is a file; name a folder with -o"]),
-        ("below-a-file", "plain/run", ["plain/run: cannot be written (Not a directory)"]),
-        ("full", "full", ["full: is not empty; name another folder", "--force"]),
-        ("here", ".", [".: is not empty"]),
-        ("proc", "/proc/run", ["/proc/run: cannot be written"]),
-        ("long", LONG, ["too long"]),
-        ("broken-link", "broken", ["broken: is a link to nowhere"]),
-    ),
-)
-@pytest.mark.parametrize("command", [("fit", "c.toml"), ("demo",)])
-def test_run_directory(places, command, output, parts):
-    has(places.refused(*command, "-o", output), *parts)
+    ("command", "output", "parts"),
+    [
+        *((command, *row) for command in ("fit", "demo") for row in RUNS),
+        *FILES,
+        *((command, f"{place}{end}", said) for command, (_, end) in COMMANDS.items()
+          for place, said in (
+              ("plain/x", ["plain/x", "cannot be written (Not a directory)"]),
+              ("/proc/x", ["/proc/x", "cannot be written"]),
+              ("a" * 300, ["too long"]))),
+    ],
+)  # fmt: skip
+def test_output(places, command, output, parts):
+    has(places.refused(*COMMANDS[command][0], "-o", output), *parts)
 
 
 def test_force_does_not_replace_a_file(places):
@@ -47,21 +67,6 @@ def test_force_does_not_replace_a_file(places):
 def test_bad_output_is_told_before_anything_is_read(places):
     (places.folder / "run.csv").unlink()
     has(places.refused("fit", "c.toml", "-o", "full", "--json"), "full: is not empty")
-
-
-@pytest.mark.parametrize(
-    ("output", "parts"),
-    cases(
-        ("exists", "c.toml", ["c.toml: exists already; name another file"]),
-        ("a-folder", "full", ["full: is a folder; name a file"]),
-        ("below-a-file", "plain/c.toml", ["plain/c.toml: cannot be written (Not a directory)"]),
-        ("proc", "/proc/c.toml", ["/proc/c.toml: cannot be written"]),
-        ("long", LONG, ["too long"]),
-        ("empty", "", ["is a folder"]),
-    ),
-)
-def test_init_output(places, output, parts):
-    has(places.refused("init", "motor-axis", "-o", output, "--json"), *parts)
 
 
 def test_folders_that_are_missing_are_made(bench):
@@ -94,23 +99,6 @@ def test_init_preset(bench):
     has(bench.refused("init", "motor-axi"), "no such preset; did you mean 'motor-axis'?")
 
 
-@pytest.mark.parametrize(
-    ("output", "parts"),
-    cases(
-        ("no-suffix", "x", ["x: is not named .csv"]),
-        ("suffix", "x.txt", ["x.txt: is not named .csv"]),
-        ("below-a-file", "plain/x.csv", ["plain/x.csv: cannot be written (Not a directory)"]),
-        ("proc", "/proc/x.csv", ["/proc/x.csv: cannot be written"]),
-        ("long", f"{LONG}.csv", ["too long"]),
-        ("a-folder", "full.csv", ["is a folder; name a file"]),
-        ("truth-a-folder", "new.csv", ["new.truth.json: is a folder"]),
-        ("a-measurement", "measured.csv", ["measured.csv: exists already", "may be a measurement"]),
-    ),
-)
-def test_simulate_output(places, output, parts):
-    has(places.refused("simulate", "c.toml", "-o", output), *parts)
-
-
 def test_simulate_replaces_its_own(bench):
     bench.config(CONFIG + "\n[simulation]\nduration = 0.2\n")
     for seed in ("1", "2"):
@@ -127,17 +115,9 @@ def test_simulate_replaces_its_own(bench):
             "amplitud = 1",
             ["simulation.amplitud: unknown key; did you mean 'amplitude'?"],
         ),
-        (
-            "negative",
-            "amplitude = -1",
-            ["simulation.amplitude: got -1; it should be greater than 0"],
-        ),
-        (
-            "true",
-            "amplitude = true",
-            ["simulation.amplitude: got true; it should be a valid number"],
-        ),
-        ("unit", 'duration = "10 s"', ["duration: got '10 s'; it should be a valid number"]),
+        ("negative", "amplitude = -1", ["simulation.amplitude: got -1"]),
+        ("true", "amplitude = true", ["simulation.amplitude: got true"]),
+        ("unit", 'duration = "10 s"', ["duration: got '10 s'"]),
         ("short", "duration = 0.001", ["simulation.duration: makes fewer than 10 samples"]),
         ("endless", "duration = 1e5\nrate = 1e6", ["simulation.duration: makes 1e+11 samples"]),
         ("no-chirp", 'excitation = "chirp"\nfrequencies = []', ["frequencies: is empty"]),
@@ -145,11 +125,7 @@ def test_simulate_replaces_its_own(bench):
         ("mass", "added_mass = 1", ["simulation.added_mass: has no radius"]),
         ("name", 'parameters = {"moter.inertia" = 1}', ["no such parameter", "'motor.inertia'?"]),
         ("value", 'parameters = {"motor.inertia" = -1}', ["-1 is no possible value"]),
-        (
-            "no-number",
-            'parameters = {"motor.inertia" = "a"}',
-            ["got 'a'; it should be a valid number"],
-        ),
+        ("no-number", 'parameters = {"motor.inertia" = "a"}', ["got 'a'"]),
         ("weightless", 'parameters = {"motor.inertia" = 0}', ["c.toml: simulation", "no inertia"]),
     ),
 )
@@ -178,7 +154,3 @@ def test_slip_on_the_command_line(bench, arguments, parts):
     has(done.err, "Usage: bayesfric", *parts)
     assert "Traceback" not in done.err
     assert bench.held() == before
-
-
-def test_bad_output_in_a_process_of_its_own(places):
-    has(places.refused("fit", "c.toml", "-o", "full", run=places.run_apart), "full: is not empty")

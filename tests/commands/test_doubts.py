@@ -16,33 +16,13 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.model import Model
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.summary.doubts import (
-    _accelerates,
-    doubts_before,
-    find_doubts,
-    put_doubts,
-)
+from bayesfric.report.summary.doubts import _accelerates, doubts_before, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary
 from bayesfric.report.words import doubt_text
+from bayesfric.results.verdict import verdict
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
 from tests.conftest import REPOSITORY
-
-JOINT = """\
-[mechanism]
-preset = "{preset}"
-
-[[recordings]]
-file = "run.csv"
-time = {{ column = "t", unit = "s" }}
-position = {{ column = "q", unit = "rad" }}
-torque = {{ column = "tau", unit = "N m" }}
-
-[sampling]
-min_ess = 500
-{more}
-"""
-
 
 MISSING = {
     **{"kind": "missing", "what": "delay", "shape": "", "share": 0.034, "p": 1 / 61, "rivals": []},
@@ -66,11 +46,11 @@ def fitted(tmp_path):
     """Write a recording, check and fit it; nobody looks at figures and pages here."""
 
     def run(t, q, torque, preset="motor-axis", more="", checked=True):
-        np.savetxt(
-            tmp_path / "run.csv", np.c_[t, q, torque], "%.9g", ",", header="t,q,tau", comments=""
-        )
+        header, rows = "time,position,torque", np.c_[t, q, torque]
+        np.savetxt(tmp_path / "small.csv", rows, "%.9g", ",", header=header, comments="")
         path = tmp_path / "joint.toml"
-        path.write_text(JOINT.format(preset=preset, more=more), encoding="utf-8")
+        text = SMALL.replace("motor-axis", preset) + f"[sampling]\nmin_ess = 500\n{more}\n"
+        path.write_text(text, encoding="utf-8")
         model = Model.from_config(path)
         told = check(model).text().splitlines() if checked else []
         return model.fit().summary.as_dict(), told
@@ -136,9 +116,7 @@ def test_a_controllers_law_is_not_learned_as_friction(fitted):
 @pytest.mark.usefixtures("unexplained")
 def test_a_torque_of_the_wrong_sign_is_said(fitted):
     t = 0.005 * np.arange(3000)
-    q = np.sin(3 * t) + 0.4 * np.sin(7.1 * t)
-    v = 3 * np.cos(3 * t) + 0.4 * 7.1 * np.cos(7.1 * t)
-    a = -9 * np.sin(3 * t) - 0.4 * 7.1**2 * np.sin(7.1 * t)
+    q, v, a = swing(t, [(0.477, 1.0), (1.13, 0.4)])
     noise = np.random.default_rng(1).normal(0, 0.01, t.size)
     summary, told = fitted(t, q, -(0.1 * a + 0.3 * v + 0.2 * np.sign(v)) + noise)
     (doubt,) = [one for one in summary["doubts"] if one["kind"] == "negative"]
@@ -164,9 +142,7 @@ def test_what_a_model_does_not_explain_determines_nothing(fitted):
 
 def test_an_honest_recording_raises_no_doubt(fitted):
     t = 0.005 * np.arange(4000)
-    q = np.sin(2 * t) + 0.3 * np.sin(5.3 * t)
-    v = 2 * np.cos(2 * t) + 0.3 * 5.3 * np.cos(5.3 * t)
-    a = -4 * np.sin(2 * t) - 0.3 * 5.3**2 * np.sin(5.3 * t)
+    q, v, a = swing(t, [(0.318, 1.0), (0.844, 0.3)])
     # noise twice as large as the signal: little is explained, and that is all right
     noise = np.random.default_rng(4).normal(0, 2.0, t.size)
     summary, told = fitted(t, q, 0.1 * a + 0.3 * v + 0.2 * np.sign(v) + noise)
@@ -219,35 +195,15 @@ def test_what_loses_energy_is_not_negative(name, doubted):
 
 
 @pytest.mark.parametrize(
-    ("doubt", "says"),
+    ("more", "says"),
     [
-        (
-            {"kind": "unexplained", "share": 0.217, "quantity": "motor torque"},
-            "only 22 % of",
-        ),
-        ({"kind": "feedback", "law": "sign of speed", "recordings": ["a", "b"]}, "(a, b)"),
-        ({"kind": "negative", "values": {"total.viscous": -0.31}}, "total.viscous (-0.31)"),
-        (MISSING, "(3.4 % rms): delay = true in [mechanism]"),
-        (MISSING | {"physical": False}, "of the wrong sign"),
-        (MISSING | {"hint": ""}, "look at the time stamps"),
-        (MISSING | {"what": "push", "span": [3.0, 3.4]}, "exclude = [[3.0, 3.4]]"),
-        ({"kind": "velocity", "recording": "a", "factor": 57.3}, "57.3 times that"),
-        ({"kind": "velocity", "recording": "a", "factor": 0.0}, "is not its position's: check"),
-        ({"kind": "acceleration", "ratio": 5.6, "parameters": ["motor.inertia"]}, "motor.inertia"),
+        ({}, "delay = true in [mechanism]"),
+        ({"what": "push", "span": [3.0, 3.4]}, "exclude = [[3.0, 3.4]]"),
+        ({"physical": False}, "of the wrong sign"),
     ],
 )
-def test_every_kind_is_worded_with_its_numbers(doubt, says):
-    words = doubt_text(doubt)
-    assert says in words
-    assert "\n" not in words
-    assert not words.endswith(".")
-
-
-def test_no_doubt_changes_nothing():
-    summary = summary_of({"a.b": row(1.0, 0.9, 1.1)})
-    summary = put_doubts(summary, find_doubts(_Fit(), summary))
-    assert summary.as_dict()["doubts"] == []
-    assert summary.sampler.status == "reliable"
+def test_what_is_missing_is_said_with_what_to_write(more, says):
+    assert says in doubt_text(MISSING | more)
 
 
 def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
@@ -266,6 +222,21 @@ def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
         off = PRESETS["servo-pendulum"].values[name] - row["reported"]["value"]
         assert abs(off) < 3.0 * row["reported"]["sd"]
         assert row["reported"]["sd"] > row["sd"]
+
+
+@pytest.mark.parametrize(
+    ("told", "outcome"),
+    [
+        ({}, "good"),
+        ({"asked": None}, "unchecked"),
+        ({"lacking": True}, "usable"),
+        ({"lacking": True, "doubts": 1}, "doubtful"),
+        ({"doubts": 1, "converged": False}, "not converged"),
+    ],
+)
+def test_the_worst_of_what_is_known_is_the_outcome(told, outcome):
+    plain = {"converged": True, "doubts": 0, "doubtful": 0, "asked": 30, "explained": 0.99}
+    assert verdict(**(plain | told)).outcome == outcome
 
 
 @pytest.mark.parametrize("severity", ["doubt", "note"])

@@ -147,17 +147,6 @@ def test_one_seed_gives_one_posterior(done, folder, again):
         np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
-def test_another_seed_gives_other_draws_of_the_same(done, folder, again, tmp_path):
-    summary, found = again(seed=8)
-    assert summary["sampler"]["seed"] == 8
-    assert read_archive(tmp_path / "again" / "posterior.nc").attrs["seed"] == "8"
-    first = draws(folder / "run")
-    for name, row in json.loads(done.stdout)["parameters"].items():
-        key = f"posterior {name}"
-        assert not np.array_equal(found[key].ravel()[:9], first[key].ravel()[:9])
-        assert abs(row["mean"] - summary["parameters"][name]["mean"]) < 0.2 * row["sd"], name
-
-
 @pytest.mark.usefixtures("no_figures", "unexplained")
 def test_seed_of_the_command_line_comes_first(bench, folder):
     config = folder / "small.toml"
@@ -192,12 +181,8 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     told = "\n".join(fit_text(written, verbose=True))
     for problem in written["sampler"]["problems"]:
         assert problem in told
-    assert {path.name for path in (bench.folder / "run").iterdir()} >= {
-        "posterior.nc",
-        "summary.json",
-        "summary.csv",
-        "config.toml",
-    }
+    kept = {path.name for path in (bench.folder / "run").iterdir()}
+    assert kept >= {"posterior.nc", "summary.json", "summary.csv", "config.toml"}
 
 
 @pytest.mark.usefixtures("no_figures", "unexplained")
@@ -209,24 +194,6 @@ def test_force_keeps_the_old_run(bench, folder):
     assert (bench.folder / "run.old1" / "summary.json").read_bytes() == first
     second = bench.summary()
     assert second["sampler"]["seed"] == 9
-
-
-def test_text_for_people_names_every_parameter_with_its_unit(done):
-    summary = json.loads(done.stdout)
-    text = "\n".join(fit_text(summary))
-    for name, row in summary["parameters"].items():
-        reported = row["reported"]
-        if name.startswith("noise."):
-            continue
-        line = next(line for line in text.split("\n") if line.split()[:1] == [name])
-        assert row["unit"] in line
-        if reported["bound"] is not None:
-            assert f"{reported['bound']:.3g}" in line
-            continue
-        told = [float(x) for x in re.findall(r"-?\d[\d.]*(?:e[+-]?\d+)?", line)]
-        # two digits of the sd set the last of all
-        for value in (reported["value"], *reported["interval"]):
-            assert min(abs(value - x) for x in told) <= 0.051 * reported["sd"], (name, value)
 
 
 def recording_called(name, folder, bench):
@@ -248,7 +215,10 @@ def test_recordings_may_have_odd_names(bench, folder, name):
 @pytest.mark.parametrize("name", ["chain", "draw", "a/b", "offset"])
 def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
     """Either is fine; a traceback after all the sampling is not."""
-    assert recording_called(name, folder, bench).code in (2, 3)
+    ended = recording_called(name, folder, bench)
+    assert ended.code in (2, 3)
+    assert (bench.folder / "run").exists() == (ended.code == 3)
+    assert "Traceback" not in ended.err
 
 
 # -- the demo

@@ -63,17 +63,6 @@ def test_the_packaged_knee_alone_leaves_the_scale_open(knee):
         assert row["expected_sd"] > 0
 
 
-def test_text_says_first_what_cannot_be_told_and_what_to_do(knee):
-    _, lines = knee
-    first = lines[:6]
-    has(first[0], "cannot tell 1 thing at all")
-    has(first[2], "can all be multiplied by one factor", "load.inertia")
-    has(first[3], "Why:")
-    has(" ".join(first[4:]), "To lift it:", "known added mass")
-    (line,) = [one for one in lines if one.startswith("  load.first_moment ")]
-    has(line, " - ", "none", "prior")
-
-
 def test_the_known_mass_determines_everything(bench):
     """0.8 N m alone and 1.12 N m with 2 kg at 0.35 m, 10 s each, torque noise 0.02 N m."""
     found = bench.told("identify", FOLDER / "knee-loaded.toml")
@@ -86,20 +75,6 @@ def test_the_known_mass_determines_everything(bench):
     assert relative(found["combinations"]["gearbox.alpha_back"]) < 0.025
     assert relative(found["parameters"]["load.first_moment"]) < 0.025
     assert {row["verdict"] for row in found["parameters"].values()} == {"data"}
-
-
-def test_a_sine_never_shows_back_driving(bench):
-    text = (FOLDER / "knee.toml").read_text()
-    text = text.replace("knee.csv", "sine.csv")
-    # nearer to a reversal than so low a low-pass lets see, the load drives for some milliseconds
-    text += '\n[processing]\nlowpass = "100 Hz"\n'
-    # a data sheet's rotor: without it the sine leaves so much open that joints of which the load
-    # drives the gearbox now and then fit as well, and rounding decides where the estimate is
-    text += '[priors]\n"motor.inertia" = { distribution = "norm", loc = 3.56e-4, scale = 4e-6 }\n'
-    bench.simulated(text.replace('excitation = "square"', 'excitation = "sine"'), "sine")
-    ended = bench.run("identify", "c.toml")
-    assert ended.code == 0, ended.err
-    has(ended.out, "Back-driving of gearbox is never seen", "gearbox.load_back rests on its prior")
 
 
 def test_what_is_determined_is_said_to_be(bench):
@@ -120,13 +95,6 @@ def test_the_likelihood_of_the_position(bench):
     for name, value in truth.items():
         row = found["parameters"][name]
         assert abs(row["value"] - value) < 5 * row["data_sd"]
-
-
-def test_bad_input_is_one_line(bench):
-    bench.config(AXIS.replace("motor-axis", "motor-axes"))
-    has(bench.refused("identify", "c.toml"), "motor-axes")
-    bench.config(AXIS)
-    has(bench.refused("identify", "c.toml"), "small.csv")
 
 
 def test_ur10e_with_two_load_losses_and_a_free_gravity_moment(bench, real_data):

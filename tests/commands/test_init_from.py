@@ -9,8 +9,7 @@ import pytest
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import read_config
 from bayesfric.recordings.recognition import named, recognise
-from bayesfric.recordings.tables import Table, read_table
-from bayesfric.recordings.tables.reader import TableOptions
+from bayesfric.recordings.tables import Table
 from tests.recordings import logs
 
 from .bench import cases, has
@@ -244,14 +243,6 @@ def test_real_logs(bench, real_data, file, columns, units):
     assert bench.run("check", bench.folder / "made.toml").code == 2
     if units is not None:
         passes(bench, text, **units)
-
-
-def test_a_reader_tells_units_that_messages_define(tmp_path):
-    logs.write_ros2(tmp_path / "bag", logs.joint_states(*logs.numbers()))
-    read = read_table(tmp_path / "bag", TableOptions())
-    told = dict(zip(read.names, read.units, strict=True))
-    assert told["header.stamp"] == told["received"] == "s"
-    assert told["effort[knee]"] == "N m"
 
 
 def test_an_axis_that_slides_is_offered(bench):

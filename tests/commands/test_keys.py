@@ -70,32 +70,6 @@ def test_every_key_has_a_meaning_and_every_number_a_unit_or_none(kind):
             assert unit_told(field), f"{place}: declare in_unit(...), empty for none"
 
 
-def test_keys_are_told_with_type_default_unit_and_meaning():
-    """The keys of the issue's stumbles, and one of each depth, with what is said of them."""
-    rows = {
-        (place, key.name): key
-        for kind in KINDS
-        for table in key_tables(kind)
-        for place in table.places
-        for key in table.keys
-    }
-    for name in ("start", "stop", "exclude", "header", "name", "valid", "where", "skip_rows"):
-        assert rows["[[recordings]]", name].meaning
-    assert (rows["[[recordings]]", "start"].unit, rows["[[recordings]]", "exclude"].unit) == (
-        "s",
-        "s",
-    )
-    rate = rows["[[recordings]]", "rate"]
-    assert (rate.type, rate.unit, rate.default) == ("number more than 0 or text", "Hz", "")
-    assert rows["[[recordings]]", "position"].default == "required"
-    order = rows["[processing]", "order"]
-    assert (order.type, order.default) == ("whole number at least 1 and at most 12", "4")
-    assert rows["[mechanism.elements.NAME]", "viscous"].type == 'true or false or `"by-direction"`'
-    assert rows["[mechanism.load]", "gravity"].default == "9.80665"
-    assert rows["[[advice.masses]]", "mass"].unit == "kg"
-    assert rows["[references.NAME]", "source"].type == "text"
-
-
 def models_in(annotation):
     """Models that an annotation names, and those that they name in turn."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

@@ -7,7 +7,6 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.report.summary.doubts import other_units
-from bayesfric.report.words import doubt_text
 from tests.recordings.samples import has
 
 T = 0.002 * np.arange(10000)
@@ -111,28 +110,3 @@ def test_a_measured_pendulum_in_a_wrong_unit(real_data, unit, named):
         assert (best["is"], best["taken"]) == ("rad", "deg")
         assert best["share"] > 0.8 > 2 * doubts[0]["share"]
     assert not any("delay = true" in one for one in found.warnings)
-
-
-@pytest.mark.usefixtures("unexplained")
-def test_a_share_is_told_before_a_fit_and_after():
-    found = bf.check(pendulum(preset="motor-axis"))
-    assert any("explains only" in one for one in found.warnings)
-    has(doubt_text({"kind": "unexplained", "share": 0.4}), "explains only 40 % of the torque")
-
-
-@pytest.mark.usefixtures("unexplained")
-@pytest.mark.parametrize("measured", [False, True])
-def test_check_says_of_what_a_noise_is_and_in_which_unit(measured):
-    q = np.sin(T)
-    q = 0.003 * np.round(q / 0.003)
-    torque = 0.1 * np.sin(T) + 0.01 * np.random.default_rng(0).standard_normal(T.size)
-    velocity = {"velocity": np.cos(T) + 0.1 * np.random.default_rng(1).standard_normal(T.size)}
-    recording = bf.Recording.from_arrays(T, q, torque, name="a", **(velocity if measured else {}))
-    text = bf.check(bf.Model(bf.Joint.preset("motor-axis"), recording)).text(verbose=True)
-    noise = next(line for line in text.splitlines() if "noise of a sample" in line)
-    has(noise, "of the speed" if measured else "of the position")
-    assert noise.endswith(" rad/s" if measured else " rad")
-    (rms,) = (line for line in text.splitlines() if line.endswith("rms left"))
-    assert rms.split()[1:3] == ["N", "m"]
-    (zone,) = (line for line in text.splitlines() if "dead zone" in line)
-    has(zone, "rad/s, as at rest")

@@ -65,18 +65,3 @@ def test_memory_is_found_and_widens_what_white_noise_claims(bench):
     has(
         "\n".join(fit_text(summary, verbose=True)), "Noise: AR(1)", "chosen by BIC", "pass as white"
     )
-
-
-@pytest.mark.slow
-def test_white_noise_stays_white(bench):
-    rng = np.random.default_rng(7)
-    with_noise(bench, lambda n: 0.01 * rng.standard_normal(n))
-    summary = fitted(bench)
-    assert summary["noise"]["model"] == "white"
-    # of white noise it is uniform: one seed in twenty is called coloured at 0.05
-    assert summary["noise"]["innovation_whiteness"]["p_value"] > 1e-3
-
-
-def test_an_order_belongs_to_autoregressive_noise(bench):
-    bench.edit('scale = "shared"', 'scale = "shared"\nmodel = "white"\norder = 2')
-    has(bench.refused("check", "c.toml"), "noise.order", "white")

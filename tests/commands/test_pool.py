@@ -51,19 +51,6 @@ def test_it_prints_what_python_returns(bench):
     assert "Shared by all recordings" in text
 
 
-def test_a_configuration_that_names_nothing_that_varies_is_refused(bench):
-    bench.simulated(
-        JOINT
-        + SIMULATION.replace("viscous_positive", "viscous").replace(
-            '"motor.viscous_negative" = 0.3\n', ""
-        )
-    )
-    bench.config(JOINT + recorded())
-    told = bench.run("pool", "c.toml")
-    assert told.code == 2
-    assert "pooling.vary" in told.err
-
-
 def test_fit_refuses_what_varies(bench):
     days(bench)
     told = bench.run("fit", "c.toml", "-o", "run")

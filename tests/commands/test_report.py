@@ -71,6 +71,9 @@ def test_places_without_a_run(runs, place, said):
             for cut in (0, 1, 40, 900, -3)
         ),
         ("[]", "holds no table"),
+        ("null", "holds no table"),
+        ("[" * 100_000, "is not valid JSON"),
+        ('{"parameters": {"a": 3}}', "parameters.a"),
         ("{}", "parameters"),
         ('{"parameters": {}, "derived": []}', "derived"),
         ('{"parameters": {"a.b": {"unit": "N"}}}', "a.b"),

@@ -4,7 +4,6 @@ import errno
 import itertools
 import json
 import os
-import random
 import re
 import shutil
 import signal
@@ -15,11 +14,9 @@ import time
 import numpy as np
 import pytest
 
-from bayesfric.commands import unfinished as module
 from bayesfric.commands.fit import fit
 from bayesfric.commands.unfinished import alone_in
 from bayesfric.errors import BadInput, Interrupted
-from bayesfric.inference.archive import read_archive
 from bayesfric.inference.sampling import checkpoint
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
@@ -98,7 +95,7 @@ def same(folder, whole):
     assert not [path.name for path in folder.iterdir() if path.name.startswith(".")]
 
 
-def stopped(folder, at):
+def stopped(folder, at, **options):
     """Interrupt by an exception from the ``at``-th call of the progress callback."""
     left = itertools.count(1)
 
@@ -107,7 +104,11 @@ def stopped(folder, at):
             raise Stop
 
     with pytest.raises(Stop):
-        fit(read_config(folder / "few.toml"), folder / "run", progress=progress)
+        fit(read_config(folder / "few.toml"), folder / "run", progress=progress, **options)
+
+
+def resumed(folder):
+    return fit(read_config(folder / "few.toml"), folder / "run", resume=True)
 
 
 def blocks(whole):
@@ -125,7 +126,7 @@ def test_interrupted_after_a_block_and_resumed(here, whole, every):
     for k in blocks(whole)[::every]:
         stopped(here.folder, k)
         assert (here.folder / HIDDEN / "posterior.json").is_file()
-        fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
+        resumed(here.folder)
         same(here.folder, whole)
         shutil.rmtree(here.folder / "run")
 
@@ -171,25 +172,9 @@ def test_what_is_refused(here, whole):
     path.write_bytes(good[:3000])
     has(refused(here, "--resume"), "posterior.steps: cannot be resumed (")
     path.write_bytes(good)
-    fit(read_config(config), here.folder / "run", resume=True)
+    resumed(here.folder)
     same(here.folder, whole)
     has(refused(here, "--resume"), "run: is finished; leave --resume out")
-
-
-def test_other_code_is_refused(here, whole, monkeypatch):
-    stopped(here.folder, blocks(whole)[6])
-    from bayesfric.inference.prior.priors import JointPrior
-
-    original = JointPrior.log_density
-    monkeypatch.setattr(JointPrior, "log_density", lambda self, x: original(self, x) + 1e-3)
-    message = refused(here, "--resume")
-    has(message, "log-probability (walker ", "the code", "start afresh with --force")
-
-
-def test_other_libraries_are_refused(here, whole, monkeypatch):
-    stopped(here.folder, blocks(whole)[2])
-    monkeypatch.setattr(module, "version", lambda name: "0.9" if name == "emcee" else "1.0")
-    has(refused(here, "--resume"), "version.", " was ", " now; undo that")
 
 
 def test_force_keeps_the_old_checkpoint(here, whole):
@@ -205,19 +190,7 @@ def test_force_keeps_the_old_checkpoint(here, whole):
 @pytest.mark.slow
 def test_force_that_is_interrupted_still_keeps_the_old_run(here, whole):
     assert here.run("fit", "few.toml", "-o", "run", "--seed", "9").code == 3
-    left = itertools.count(1)
-
-    def progress(_):
-        if next(left) == blocks(whole)[5]:
-            raise Stop
-
-    with pytest.raises(Stop):
-        fit(
-            read_config(here.folder / "few.toml"),
-            here.folder / "run",
-            force=True,
-            progress=progress,
-        )
+    stopped(here.folder, blocks(whole)[5], force=True)
     assert here.run("fit", "few.toml", "-o", "run", "--resume").code == 3
     same(here.folder, whole)
     first = json.loads((here.folder / "run.old1" / "summary.json").read_text(encoding="utf-8"))
@@ -266,17 +239,9 @@ def test_a_killed_process_leaves_no_lock(tmp_path):
 
 def begun(folder, *arguments):
     """Start ``bayesfric fit`` in a process of its own."""
+    words = ["tests.commands.slow_likelihood", "fit", "few.toml", "-o", "run", *arguments]
     return subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "tests.commands.slow_likelihood",
-            "fit",
-            "few.toml",
-            "-o",
-            "run",
-            *arguments,
-        ],
+        [sys.executable, "-m", *words],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
         stdout=subprocess.PIPE,
@@ -329,7 +294,7 @@ def test_signals_in_processes_of_their_own(here, whole, numbers):
         )
         assert now > before
         before, options = now, ("--resume",)
-    fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
+    resumed(here.folder)
     same(here.folder, whole)
 
 
@@ -415,7 +380,7 @@ def test_the_second_ctrl_c_does_not_wait(here, whole, monkeypatch):
     }
     monkeypatch.undo()
     monkeypatch.chdir(here.folder)
-    fit(read_config(here.folder / "few.toml"), here.folder / "run", resume=True)
+    resumed(here.folder)
     same(here.folder, whole)
 
 
@@ -493,31 +458,3 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
 
 
 # -- killed
-
-
-@pytest.mark.slow
-def test_killed_at_fifty_random_moments(here, whole):
-    """The command line itself; five kills on the way to every result."""
-    moments = random.Random(2005)
-    kills = 0
-    while kills < 50:
-        for _ in range(5):
-            options = ["--resume"] if steps(here.folder) else []
-            before = steps(here.folder)
-            process = begun(here.folder, *options)
-            wait_for(lambda before=before: steps(here.folder) > before, process)
-            time.sleep(moments.uniform(0.0, 0.3))
-            if process.poll() is not None:
-                break
-            process.kill()
-            process.communicate()
-            kills += 1
-        if not (here.folder / "run").exists():
-            options = ["--resume"] if steps(here.folder) else []
-            assert here.run("fit", "few.toml", "-o", "run", *options).code == 3
-        assert read_archive(here.folder / "run" / "posterior.nc").attrs["seed"] == "3"
-        shutil.rmtree(here.folder / HIDDEN, ignore_errors=True)
-        for path in here.folder.glob(".run.*.partial"):
-            shutil.rmtree(path)
-        same(here.folder, whole)
-        shutil.rmtree(here.folder / "run")

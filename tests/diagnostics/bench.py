@@ -6,6 +6,7 @@ import numpy as np
 
 import bayesfric as bf
 from bayesfric.model import Model
+from tests.axis import recording_of
 
 TRUTH = {
     "motor.inertia": 2e-5,
@@ -44,11 +45,8 @@ def table():
     return axis().simulate(TRUTH, **options)[::10]
 
 
-def recording(side="motor"):
-    made = table()
-    return bf.Recording.from_arrays(
-        *(made[key].to_numpy() for key in ("time", "position", "torque")), side=side
-    )
+def recording(made=None):
+    return recording_of(table() if made is None else made, side="motor")
 
 
 def model(recordings=None, processing=None, joint=None, **tables):

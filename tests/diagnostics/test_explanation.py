@@ -8,13 +8,13 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
 from bayesfric.diagnostics.explanation import finding, setting_of
-from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.scans import TONE, Scan
 from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.model import Model
 from bayesfric.templates import placed
+from tests.axis import recording_of
 from tests.diagnostics.bench import axis, model, recording, table
 
 
@@ -23,11 +23,10 @@ def right():
     return model()
 
 
-def of_table(change):
+def of_table(change, **more):
     made = table().copy()
     change(made)
-    columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
-    return Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
+    return Model(axis(**more), recording(made))
 
 
 def test_a_right_model_lacks_nothing(right):
@@ -59,6 +58,8 @@ def test_a_late_torque_is_a_delay_with_its_key():
     assert first.kind == "delay"
     assert first.setting == "mechanism.delay = true"
     assert not others
+    # and a joint that has it lacks nothing
+    assert not of_table(late, delay=True).explain().findings
 
 
 def test_the_same_seed_gives_the_same_answer(right):
@@ -82,10 +83,7 @@ def test_a_joint_without_inertia_is_not_asked():
 
 
 def test_few_outputs_are_not_asked():
-    made = table()[:400]
-    columns = (made[key].to_numpy() for key in ("time", "position", "torque"))
-    few = Model(axis(), bf.Recording.from_arrays(*columns, side="motor"))
-    assert few.explain().reason == "few"
+    assert Model(axis(), recording(table()[:400])).explain().reason == "few"
 
 
 @pytest.mark.parametrize("preset", ["rabbit-knee", "motor-axis", "servo-pendulum"])
@@ -160,12 +158,6 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
     assert np.mean(np.square(np.concatenate(twins))[:, :2], axis=0) == pytest.approx(1.0, abs=0.15)
 
 
-def test_a_finding_lists_what_it_moves_most_first():
-    one = Finding("delay", "doubt", 5.0, 0.02, moves={"b": -4.0, "a": 1.7})
-    assert one.parameters == ("b", "a")
-    assert replace(one, moves={}).parameters == ()
-
-
 @pytest.mark.parametrize("times", [0.8, 1.0, 1.3])
 def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     """SIMULATED. What passes it on with losses below zero is a factor of all torque."""
@@ -177,8 +169,8 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
             {}, rate=250, duration=8.0, excitation="multisine", torque_noise=0.01, amplitude=1.0,
             seed=seed + 1, **more,
         )  # fmt: skip
-        t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
-        recordings.append(bf.Recording.from_arrays(t, q, times * torque, name=f"{seed}", **more))
+        made["torque"] *= times
+        recordings.append(recording_of(made, name=f"{seed}", **more))
     found = Model(replace(full, gain=False), recordings).explain().findings
     assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)
 

@@ -12,11 +12,10 @@ from bayesfric.diagnostics.policy import TWINS
 from bayesfric.diagnostics.self_check import self_check
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.model import Model
-from bayesfric.problem.config import Tables
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.self_check_part import self_check_part
 from bayesfric.report.terminal import fit_text
-from tests.diagnostics.bench import CENTRAL, TRUTH, model, table
+from tests.diagnostics.bench import CENTRAL, TRUTH, model, recording
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +66,6 @@ def test_exact_derivatives_have_next_to_no_bias(exact):
     assert "found again" in line
 
 
-def test_it_takes_seconds_of_its_own(exact):
-    check, sampler = exact.summary.self_check, exact.summary.sampler
-    assert check.seconds > 0.0
-    assert check.cpu_seconds > 0.0
-    assert sampler.seconds > 0.0
-
-
 def test_the_same_seed_gives_the_same_numbers_whatever_the_threads(exact):
     before = get_num_threads()
     set_num_threads(1)
@@ -110,11 +102,9 @@ def test_a_joint_that_cannot_be_simulated_says_why():
         bf.Element("gearbox", load_loss="two", ratio=50.0),
     ]
     joint = bf.Joint(elements, bf.Load(inertia=True, first_moment=True))
-    made = table()
-    arrays = (made[key].to_numpy() for key in ("time", "position", "torque"))
     found = Model(
         joint,
-        bf.Recording.from_arrays(*arrays, side="motor"),
+        recording(),
         priors=irreversible,
         sampling={"min_ess": 200, "ensembles": 2, "walkers": 24, "max_steps": 500},
     ).fit(seed=1)
@@ -126,7 +116,3 @@ def test_a_joint_that_cannot_be_simulated_says_why():
 
 def test_none_is_made_where_none_is_wanted():
     assert model(recordings=0).fit(seed=1).summary.self_check is None
-
-
-def test_it_is_a_table_of_the_configuration():
-    assert "self_check" in Tables.model_fields

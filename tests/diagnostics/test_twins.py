@@ -59,13 +59,6 @@ def test_a_replay_is_read_in_the_steps_of_the_recording(made):
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
-def test_a_signal_without_steps_has_none():
-    rng = np.random.default_rng(1)
-    assert finest_step(rng.standard_normal(1000)) < 1e-9
-    assert finest_step(np.zeros(1000)) == 0.0
-    assert finest_step(np.round(rng.standard_normal(1000), 4)) == pytest.approx(1e-4)
-
-
 def test_a_replay_is_treated_as_the_recording_was(made):
     told = made.observations[0].settings
     for seen in replayed(made, draws_about(VALUES)):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import bayesfric as bf
@@ -13,7 +12,7 @@ from bayesfric.estimates.least_squares import least_squares
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
-from tests.axis import AXIS, VALUES
+from tests.axis import AXIS, VALUES, recording_of
 
 RATE, FINE = 500.0, 20
 LATE = replace(AXIS, offset=True, delay=True)
@@ -84,8 +83,7 @@ def test_load_losses_do_not_bend_the_delay_that_recordings_are_timed_by(late):
     frame = joint.simulate(
         values, rate=200, excitation="multisine", amplitude=120.0, seed=1, duration=30
     )
-    columns = (frame[name].to_numpy() for name in ("time", "position", "torque"))
-    model = bf.Model(joint, bf.Recording.from_arrays(*columns, name="one"))
+    model = bf.Model(joint, recording_of(frame, name="one"))
     row = model.estimate("input-error").loc["drive.delay"]
     sd = max(row["sd"], row["sd_robust"])
     assert abs(model.observations[0].settings["delay"] - late) < 5.0 * sd
@@ -131,7 +129,5 @@ def test_a_simulated_recording_is_late_by_its_true_delay():
     frame = LATE.simulate(
         VALUES | {"drive.delay": 0.0015}, rate=1000, excitation="multisine", amplitude=3.0, seed=2
     )
-    assert isinstance(frame, pd.DataFrame)
-    columns = (frame[name].to_numpy() for name in ("time", "position", "torque"))
-    late = by_totals(bf.Model(AXIS, bf.Recording.from_arrays(*columns, name="one")))
+    late = by_totals(bf.Model(AXIS, recording_of(frame, name="one")))
     assert late == pytest.approx(0.0015, rel=0.1)

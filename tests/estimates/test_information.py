@@ -102,21 +102,6 @@ def test_long_run_variance_is_that_of_the_closed_form(rho):
     assert np.mean(found) / expected - 1.0 == pytest.approx(bias, abs=error + 0.25 * abs(bias))
 
 
-def test_gaps_count_as_nothing_between():
-    """Half the samples gone in one stretch: the same variance a sample."""
-    n, rho, repeats = 20_000, 0.7, 20
-    rng = np.random.default_rng(4)
-    where = np.concatenate([np.arange(n // 4), np.arange(3 * n // 4, n)])
-    whole, holed = [], []
-    for _ in range(repeats):
-        series = autoregression(rng, n, rho)
-        whole.append(long_run_variance(series, np.arange(n)) / n)
-        holed.append(long_run_variance(series[where], where) / where.size)
-    width = 1.3221 * (4 * rho**2 / (1 - rho) ** 4 * n) ** 0.2
-    error = 5 * np.sqrt(2 * width / n / repeats) * (1.0 + np.sqrt(2.0))
-    assert np.mean(holed) / np.mean(whole) == pytest.approx(1.0, abs=error)
-
-
 def test_neighbours_across_a_gap_are_no_neighbours():
     """Samples far apart are uncorrelated, whatever stands next to them in memory."""
     rng = np.random.default_rng(5)
@@ -178,13 +163,6 @@ def test_null_directions_have_no_sd_and_what_is_across_them_has():
     assert information.sds(np.array([1.0, 0.0, 0.0])) == pytest.approx(
         seen.sds(np.array([1.0, 0.0])), rel=1e-9
     )
-
-
-def test_what_does_not_show_at_all_has_no_sd():
-    jacobian = np.stack([np.ones(50), np.zeros(50)], axis=1)
-    information = Information(jacobian, np.random.default_rng(1).standard_normal(50), np.ones(2))
-    assert information.sds(np.array([0.0, 1.0])) == (np.inf, np.inf)
-    assert np.isfinite(information.sds(np.array([1.0, 0.0]))[0])
 
 
 def test_fewer_rows_than_parameters_leave_directions_open():

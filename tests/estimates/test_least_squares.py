@@ -86,11 +86,10 @@ def test_what_one_direction_of_motion_cannot_tell_is_left_open(make_observation)
 
 
 def test_fewer_outputs_than_totals_are_refused(make_observation):
-    chain = AXIS.chain()
-    o = make_observation(chain, AXIS.values)
+    o = make_observation(AXIS.chain(), AXIS.values)
     few = type(o)(**{**vars(o), "measured": o.measured[:3]})
     with pytest.raises(BadInput, match="cannot determine"):
-        least_squares(chain, [few])
+        least_squares(AXIS.chain(), [few])
 
 
 @pytest.mark.parametrize("preset", PRESETS)

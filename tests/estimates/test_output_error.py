@@ -1,7 +1,6 @@
 """Output error, section 4.3: exact recovery, honest standard deviations."""
 
 import dataclasses
-import re
 import time
 
 import numpy as np
@@ -156,13 +155,6 @@ def test_a_told_value_settles_what_the_scaling_leaves_open():
     assert found["load.first_moment"].value == pytest.approx(0.42, rel=1e-4)
     # nothing but the told value knows the scale
     assert found["load.first_moment"].sd == pytest.approx(0.021, rel=0.01)
-
-
-def test_what_it_did_is_in_the_notes():
-    chain, values, torque, q = simulated("motor-axis")
-    found = fitted(chain, start(chain, values), [prepare(np.round(q, 4), torque)])
-    assert re.search(r"in 10 segments of 0\.[12]\d* s", found.notes[0])
-    assert "resolution 1.0e-04 rad" in found.notes[1]
 
 
 @pytest.mark.parametrize("times", [1.0, 2.0])

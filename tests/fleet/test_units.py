@@ -9,7 +9,7 @@ from bayesfric.fleet.fleet_units import find_units, read_units
 from bayesfric.fleet.plan import read_plan
 
 from ..commands.bench import has
-from .made import TEMPLATE, write_fleet
+from .made import FLEET, TEMPLATE, write_fleet
 
 
 @contextmanager
@@ -97,27 +97,16 @@ def test_the_template_is_filled(tmp_path):
     [
         ('"{seed}"', '"{sead}"', ("sampling.seed", "{sead}", "did you mean 'seed'?")),
         ("min_ess = 300", "min_es = 300", ("unit.toml: sampling.min_es", "unknown key")),
-    ],
-)
-def test_a_template_that_fits_no_unit_is_refused(tmp_path, old, new, said):
-    path = write_fleet(tmp_path)
-    assert old in TEMPLATE
-    (tmp_path / "unit.toml").write_text(TEMPLATE.replace(old, new))
-    with refused(*said):
-        read_plan(path)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
         ('over = "km"', 'over = "kn"', ("units.over", "use one of")),
         ('table = "units.csv"', "", ("units", "got neither")),
         ('table = "units.csv"', 'tabel = "units.csv"', ("units.tabel", "unknown key")),
         ('"unit.toml"', '"unix.toml"', ("unix.toml", "there is no such file")),
     ],
 )
-def test_a_bad_plan_is_told_in_a_line(tmp_path, old, new, said):
+def test_a_bad_plan_or_template_is_told_in_a_line(tmp_path, old, new, said):
     path = write_fleet(tmp_path)
-    path.write_text(path.read_text().replace(old, new))
+    assert old in TEMPLATE + FLEET
+    (tmp_path / "unit.toml").write_text(TEMPLATE.replace(old, new))
+    path.write_text(FLEET.replace(old, new))
     with refused(*said):
         read_plan(path)

@@ -119,10 +119,10 @@ def _bag(form, n):
         return path.read_bytes()
 
 
-def content(form, n=N):
-    """Bytes of the good recording in one of FORMATS."""
-    data = columns(n)
-    rows = np.stack(list(data.values()), axis=1).tolist()
+def content(form, n=N, data=None):
+    """Bytes of the good recording, or of other columns, in one of FORMATS."""
+    given, data = data is not None, columns(n) if data is None else data
+    rows = [] if given else np.stack(list(data.values()), axis=1).tolist()
     out = io.BytesIO()
     match form:
         case "csv" | "tsv":

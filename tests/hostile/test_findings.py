@@ -10,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from scipy.io import savemat
 
 from bayesfric.recordings.units import quantity
 from tests.commands.bench import cases, has
@@ -232,27 +231,18 @@ def test_mat_of_many_empty_cells(tmp_path):
 
 
 def test_mat_cell_is_not_shown_as_an_object_at_an_address(tmp_path):
-    out = io.BytesIO()
-    savemat(out, {**good.columns(), "q": np.array([{"a": 1.0}, {"a": 2.0}], dtype=object)})
-    refused(tmp_path, out.getvalue(), "mat", parts=["'q'", "row 1", "holds a table"])
+    cells = np.array([{"a": 1.0}, {"a": 2.0}], dtype=object)
+    recording = good.content("deflated.mat", data=good.columns() | {"q": cells})
+    refused(tmp_path, recording, "mat", parts=["'q'", "row 1", "holds a table"])
 
 
 def test_mat_complex_cell_loses_no_part_silently(tmp_path):
-    out = io.BytesIO()
-    data = good.columns()
-    cells = np.empty(len(data["q"]), dtype=object)
-    cells[:] = [complex(x, 1.0) for x in data["q"]]
-    savemat(out, {**data, "q": cells})
-    refused(tmp_path, out.getvalue(), "mat", parts=["'q'", "row 1", "not a number"])
+    cells = np.array([complex(x, 1.0) for x in good.columns()["q"]], dtype=object)
+    recording = good.content("deflated.mat", data=good.columns() | {"q": cells})
+    refused(tmp_path, recording, "mat", parts=["'q'", "row 1", "not a number"])
 
 
 # -- Parquet
-
-
-def parquet(**changes):
-    out = io.BytesIO()
-    pq.write_table(pa.table({**good.columns(), **changes}), out)
-    return out.getvalue()
 
 
 N = good.N
@@ -269,11 +259,17 @@ N = good.N
         ("table", pa.array([{"q": 1.0}] * N), ["'q'", "struct", "not numbers"]),
         ("map", pa.array([[(1, 1.0)]] * N, pa.map_(pa.int8(), pa.float64())), ["'q'", "map"]),
         ("null", pa.nulls(N), ["'q'", "row 1", "is empty"]),
+        ("gap", pa.array([1.0, None] * (N // 2)), ["'q'", "row 2", "is empty"]),
         ("bytes", pa.array([b"\xff"] * N), ["'q'", "binary, not numbers"]),
     ),
 )
 def test_parquet(tmp_path, column, parts):
-    refused(tmp_path, parquet(q=column), "parquet", parts=["run.parquet", *parts])
+    refused(
+        tmp_path,
+        good.content("parquet", data=good.columns() | {"q": column}),
+        "parquet",
+        parts=["run.parquet", *parts],
+    )
 
 
 def test_parquet_name_that_also_selects_a_field(tmp_path):

@@ -183,17 +183,9 @@ def test_what_cannot_move_is_dropped_and_said_so(square):
     assert reasons.pop("longer") == "the torque limit"
     assert set(reasons.values()) == {"the joint hardly moves"}
     # one line for each reason, however many there are; everything is in the other form
-    lines = page(
-        "advise.txt", found=found, written=None, torque_unit="N m", position_unit="rad"
-    )  # fmt: skip
-    told = lines[lines.index("Left out (--json describes each)") + 1 :]
-    still = [one for one, reason in found.dropped if str(reason) != "the torque limit"]
-    assert len(still) > 8
-    (line,) = [x for x in told if "the joint hardly moves" in x]
-    assert line.startswith(f"  the joint hardly moves ({len(still)}): {still[0].form}, ")
-    assert f"and {len({one.form for one in still}) - 4} more" in line
-    assert len(told) == 2
-    assert len(found.as_json()["dropped"]) == len(found.dropped)
+    lines = page("advise.txt", found=found, written=None, torque_unit="N m", position_unit="rad")
+    assert len(lines[lines.index("Left out (--json describes each)") + 1 :]) == 2
+    assert len(found.as_json()["dropped"]) == len(found.dropped) > 8
 
 
 def test_a_flat_improper_prior_leaves_no_sd_without_a_mass(square):
@@ -235,16 +227,7 @@ def test_a_played_recording_is_prepared_like_a_real_one(square):
     np.testing.assert_array_equal(again.measured, square.measured)
 
 
-def test_nothing_depends_on_chance(square):
-    options = AdviceOptions(masses=())
-    target, point, local = problem(square)
-    first, second = (ranking(target, point, local, options, "load.inertia") for _ in range(2))
-    assert [one.after for one in first.advices] == [one.after for one in second.advices]
-
-
 def test_bad_names_and_limits_are_refused(square):
-    with pytest.raises(BadInput, match=r"did you mean 'load\.inertia'"):
-        ranked("load.inerta", square)
     with pytest.raises(BadInput, match=r"is fixed at 0\.206"):
         ranked("load.inertia", square, texts={"load.inertia": 0.206})
     fixed = {name: KNEE.values[name] for name in ("gearbox.load_drive", "gearbox.load_back")}
@@ -267,20 +250,6 @@ def test_only_what_has_gone_round_has_no_stops(square):
     assert limits.angles == (far.q.min(), far.q.max())
     wider = AdviceOptions(angle_limits=(-9.0, 9.0))
     assert limits_of(wider, slide, [far], slide.vector(AXIS.values)).angles == (-9.0, 9.0)
-
-
-def test_the_text_says_what_sds_and_default_limits_rest_on(knee):
-    told = {"written": None, "path": "a.csv", "torque_unit": "N m", "position_unit": "rad"}
-    text = "\n".join(page("advise.txt", found=knee, **told))
-    assert "hold only if the model is right" in text
-    assert text.index("hold only") < text.index("Best: ")
-    assert knee.as_json()["assumption"] == str(knee.assumption)
-    assert "rad (all that was recorded; angle_limits widens it)" in text
-    low, high = knee.limits.recorded_angles
-    for one in knee.advices:
-        assert low <= one.angles[0] < one.angles[1] <= high
-    given = replace(knee, limits=replace(knee.limits, angles=(-1.0, 1.0)))
-    assert "widens it" not in "\n".join(page("advise.txt", found=given, **told))
 
 
 def test_limits_left_out_come_from_the_recordings(square):

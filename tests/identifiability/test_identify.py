@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import bayesfric as bf
 from bayesfric.identifiability.at_estimate import estimate_point
 from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
@@ -21,8 +22,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.observation import Observation
-from tests.conftest import made_recording
+from tests.conftest import made_observation, made_recording
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
 CHAIN = KNEE.chain()
@@ -45,29 +45,13 @@ SINE = excitation.sine(TIME, PEAK, 1.0)
 
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     """Motion and torque as they are: filtering would blur what the square wave's edges are."""
-    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=Inputs(added_mass, radius))
+    inputs = Inputs(added_mass, radius, name)
+    motion = simulate(CHAIN, VALUES, torque, PERIOD, inputs=inputs)
     taken = lay_windows(
         parallel_taps(1, None, 1.0 / PERIOD), ((0, N),), 1, np.abs(motion.qd) > 0.01
     )
-    return Observation(
-        name=name,
-        q=motion.q,
-        qd=motion.qd,
-        qdd=motion.qdd,
-        torque=torque,
-        compared=torque,
-        filter=taken,
-        time=taken.apply(motion.time),
-        measured=taken.apply(torque),
-        speed=taken.apply(motion.qd),
-        period=PERIOD,
-        segment_of=np.zeros(taken.n_outputs, dtype=np.int64),
-        stamps=motion.time,
-        inputs=Inputs(added_mass, radius, name),
-        steps=(),
-        warnings=(),
-        settings={},
-    )
+    moved = motion.q, motion.qd, motion.qdd
+    return made_observation(name, motion.time, moved, torque, taken, PERIOD, inputs)
 
 
 def problem(*observations, texts=None):
@@ -294,3 +278,25 @@ def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_obs
     assert row.value / row.data_sd == pytest.approx(sds, rel=1e-6)
     assert row.verdict == "data"
     assert not any("offset" in one.exponents for one in found.directions)
+
+
+# -- limits
+
+
+def test_a_limit_is_not_called_determined():
+    """Without a load loss in the recording its alphas stand at one: what fit calls the bounds'."""
+    pendulum = bf.Joint.preset("servo-pendulum")
+    values = {"gearbox.load": 0.0, "motor.coulomb": 0.1}
+    made = pendulum.simulate(values, rate=200, duration=10.0, excitation="multisine",
+                             amplitude=1.0, torque_noise=0.05, seed=3)  # fmt: skip
+    t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
+    # an efficiency above one, which is none, is asked for: the loss is held at zero
+    lifted = torque - 0.02 * np.abs(torque) * np.sign(np.gradient(q, t))
+    found = bf.Model(pendulum, bf.Recording.from_arrays(t, q, lifted)).identification()
+    (loss,) = (p for p in found.parameters if p.name == "gearbox.load")
+    assert loss.on_bound == "lower"
+    named = {one.name: one for one in found.combinations}
+    assert named["gearbox.alpha_drive"].on_bound == "lower"
+    determined = [one.name for one in found.determined]
+    assert "total_drive.gravity_size" in determined
+    assert not any("alpha" in name or "efficiency" in name for name in determined)

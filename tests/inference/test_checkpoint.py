@@ -47,16 +47,8 @@ def same(found, expected):
         np.testing.assert_array_equal(
             getattr(found.diagnostics, name), getattr(expected.diagnostics, name)
         )
-    for name in (
-        "status",
-        "problems",
-        "warmup",
-        "steps",
-        "thin",
-        "not_finite",
-        "not_finite_share",
-        "warnings",
-    ):
+    said = ("status", "problems", "warmup", "steps", "thin", "not_finite", "not_finite_share")
+    for name in (*said, "warnings"):
         assert getattr(found.diagnostics, name) == getattr(expected.diagnostics, name), name
 
 
@@ -204,67 +196,72 @@ def refused(folder, *parts, **options):
     assert before == {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_another_configuration_is_named(stopped):
-    facts = {**FACTS, "configuration": {"priors": {"x": [0.0, 2.0]}}}
-    refused(stopped, "configuration.priors.x.2 was 1.0 and is 2.0 now", facts=facts)
-    facts = {**FACTS, "configuration": {"priors": {}}}
-    refused(stopped, "configuration.priors.x was [0.0, 1.0] and is not there now", facts=facts)
-    facts = {**FACTS, "version": {"bayesfric": "9"}}
-    refused(stopped, "version.bayesfric was 0 and is 9 now", facts=facts)
+@pytest.mark.parametrize(
+    ("facts", "part"),
+    [
+        ({"configuration": {"priors": {"x": [0.0, 2.0]}}}, "priors.x.2 was 1.0 and is 2.0 now"),
+        ({"configuration": {"priors": {}}}, "priors.x was [0.0, 1.0] and is not there now"),
+        ({"version": {"bayesfric": "9"}}, "version.bayesfric was 0 and is 9 now"),
+    ],
+)
+def test_other_facts_are_named(stopped, facts, part):
+    refused(stopped, part, facts={**FACTS, **facts})
 
 
-def test_another_density_is_refused(stopped):
+def test_another_density_or_shape_is_refused(stopped):
     refused(stopped, "log-probability (walker", "the code", target=TwoValleys(scale=1.0 + 1e-6))
-
-
-def test_another_shape_is_refused(stopped):
     more = SETTINGS.model_copy(update={"walkers": 14})
     refused(stopped, "walkers was 24 and is 28 now", settings=more)
 
 
-@pytest.mark.parametrize("name", ["steps.json", "steps.steps"])
-@pytest.mark.parametrize("left", [0.0, 0.01, 0.3, 0.9])
-def test_truncated_files_are_refused(stopped, name, left):
-    path = stopped / name
-    raw = path.read_bytes()
-    path.write_bytes(raw[: int(left * len(raw))])
-    refused(stopped, f"{name}: cannot be resumed (")
+def of_more_steps(more):
+    """Write a manifest of so many steps more, with its own checksum."""
+
+    def change(folder):
+        content = {k: v for k, v in manifest(folder).items() if k not in ("format", "own_checksum")}
+        steps = content["steps"] + more
+        (folder / "steps.json").write_text(Manifest(**content | {"steps": steps}).text())
+
+    return change
+
+
+def edited(edit):
+    return lambda folder: (folder / "steps.json").write_text(json.dumps(edit(manifest(folder))))
+
+
+def cut(name, share):
+    def change(folder):
+        raw = (folder / name).read_bytes()
+        (folder / name).write_bytes(raw[: int(share * len(raw))])
+
+    return change
+
+
+def flipped(folder):
+    raw = bytearray((folder / "steps.steps").read_bytes())
+    raw[1234] ^= 4
+    (folder / "steps.steps").write_bytes(raw)
 
 
 @pytest.mark.parametrize(
-    ("edit", "part"),
+    ("damage", "part"),
     [
-        (lambda m: m | {"format": 1}, "checkpoint format was 1 and is 3 now"),
-        (lambda m: m | {"format": None}, "checkpoint format was null"),
-        (lambda m: m | {"steps": 5}, "it is not what was written"),
-        (lambda m: {k: v for k, v in m.items() if k != "seconds"}, "it is not what was written"),
-        (lambda m: [m], "steps.json: cannot be resumed"),
+        *((cut(name, share), f"{name}: cannot be resumed (")
+          for name in ("steps.json", "steps.steps") for share in (0.0, 0.01, 0.3, 0.9)),
+        (edited(lambda m: m | {"format": 1}), "checkpoint format was 1 and is 3 now"),
+        (edited(lambda m: m | {"format": None}), "checkpoint format was null"),
+        (edited(lambda m: m | {"steps": 5}), "it is not what was written"),
+        (edited(lambda m: {k: v for k, v in m.items() if k != "seconds"}), "not what was written"),
+        (edited(lambda m: [m]), "steps.json: cannot be resumed"),
+        (of_more_steps(5), "holds fewer than"),
+        (of_more_steps(-1), "not those that"),
+        (flipped, "its steps are not those"),
+        (lambda folder: (folder / "steps.steps").unlink(), "cannot be resumed (No such file"),
     ],
-)
-def test_a_foreign_manifest_is_refused(stopped, edit, part):
-    (stopped / "steps.json").write_text(json.dumps(edit(manifest(stopped))), encoding="utf-8")
+)  # fmt: skip
+def test_damaged_files_are_refused(stopped, damage, part):
+    damage(stopped)
     refused(stopped, part)
-
-
-@pytest.mark.parametrize(("more", "part"), [(5, "holds fewer than"), (-1, "not those that")])
-def test_a_manifest_of_other_steps_is_refused(stopped, more, part):
-    found = manifest(stopped)
-    content = {k: v for k, v in found.items() if k not in ("format", "own_checksum")}
-    other = Manifest(**content | {"steps": found["steps"] + more})
-    (stopped / "steps.json").write_text(other.text(), encoding="utf-8")
-    refused(stopped, part)
-
-
-def test_a_flipped_bit_is_refused(stopped):
-    raw = bytearray((stopped / "steps.steps").read_bytes())
-    raw[1234] ^= 4
-    (stopped / "steps.steps").write_bytes(raw)
-    refused(stopped, "its steps are not those")
-
-
-def test_a_missing_file_is_refused(stopped):
-    (stopped / "steps.steps").unlink()
-    refused(stopped, "steps.steps: cannot be resumed (No such file")
 
 
 # -- when the disk fails

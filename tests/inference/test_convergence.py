@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import lfilter
 
 from bayesfric.inference.sampling.convergence import (
-    autocorrelation,
     autocorrelation_time,
     effective_sample_size,
     nested_rhat,
@@ -46,11 +45,6 @@ def test_a_stuck_parameter_has_no_finite_tau():
     assert effective_sample_size(draws, tau)[1] == 0.0
 
 
-def test_autocorrelation_of_an_autoregression():
-    acf = autocorrelation(ar1(0.8, (50, 5000)))
-    np.testing.assert_allclose(acf[:6], 0.8 ** np.arange(6), atol=0.02)
-
-
 def test_nested_rhat_is_one_where_ensembles_agree():
     draws = np.random.default_rng(1).normal(size=(4, 30, 500, 3))
     rhat = nested_rhat(draws)
@@ -74,16 +68,11 @@ def test_nested_rhat_of_constants():
     assert np.isinf(rhat[1])
 
 
-def two_modes(walkers, steps, seed=3):
-    """Walkers that never leave the mode they started in: no sampler's honest output."""
-    rng = np.random.default_rng(seed)
-    modes = rng.choice([-6.0, 6.0], size=(4, walkers, 1))
-    return (modes + rng.normal(size=(4, walkers, steps)))[..., None]
-
-
 def test_walkers_stuck_in_different_modes_are_worth_few_draws():
     """Each walker alone looks independent; around the common mean none of them ever turns."""
-    draws = two_modes(36, 800)
+    rng = np.random.default_rng(3)
+    modes = rng.choice([-6.0, 6.0], size=(4, 36, 1))
+    draws = (modes + rng.normal(size=(4, 36, 800)))[..., None]
     tau = autocorrelation_time(draws)
     assert tau[0] > 800 / 4
     assert effective_sample_size(draws, tau)[0] < 4 * 36 * 4

@@ -90,14 +90,7 @@ def recording(**extra):
     """Simulate, by the inverse model, a swing of the joint, with terms that ``AXIS`` lacks."""
     time = np.arange(0.0, 30.0, 0.005)
     q, qd, qdd = swing(time, LINES)
-    torque = (
-        VALUES["motor.inertia"] * qdd
-        + VALUES["motor.viscous"] * qd
-        + VALUES["motor.coulomb"] * np.sign(qd)
-        + 9.81 * VALUES["load.first_moment"] * np.sin(q)
-        + VALUES["offset"]
-        + extra.get("cubic", 0.0) * qd**3
-    )
+    torque = AXIS.torque(VALUES, q, qd, qdd) + extra.get("cubic", 0.0) * qd**3
     noise = 0.02 * np.random.default_rng(extra.get("seed", 0)).standard_normal(time.size)
     return bf.Recording.from_arrays(time, q, torque + noise)
 

@@ -13,6 +13,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
+from tests.inference.test_coordinates import numeric_log_determinant
 
 KNEE = PRESETS["rabbit-knee"]
 MOTOR, GEARBOX, JOINT = KNEE.chain().elements
@@ -68,18 +69,6 @@ def rows_of(chain, priors, n, seed):
     for i, name in enumerate(chain.names):
         rows[:, i] = rng.uniform(0.01, 0.9, n) if "gearbox.load" in name else rows[:, i]
     return rows[:, [i for i, name in enumerate(chain.names) if not priors[name].fixed]]
-
-
-def numeric_log_determinant(mapped, u):
-    jacobian = np.empty((u.size, u.size))
-    for i in range(u.size):
-        h = 1e-6 * max(abs(u[i]), 1e-3)
-        beside = np.stack([u, u])
-        beside[0, i] += h
-        beside[1, i] -= h
-        high, low = mapped(beside)[0]
-        jacobian[:, i] = (high - low) / (2 * h)
-    return np.linalg.slogdet(jacobian)[1]
 
 
 KNOWN = (

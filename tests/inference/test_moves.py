@@ -136,19 +136,3 @@ def test_ensembles_in_one_sampler_are_each_sampled_exactly_and_never_meet(name):
         n = one[..., 0].size / autocorrelation_time(one[None])
         assert (np.abs(one.mean(axis=(0, 1))) < 5.0 / np.sqrt(n)).all()
         assert (np.abs(one.var(axis=(0, 1)) - 1.0) < 5.0 * np.sqrt(2.0 / n)).all()
-
-
-def test_emcees_snooker_move_is_biased_which_is_why_it_is_not_used():
-    d = 12
-    starts = np.random.default_rng(5).normal(size=(60, d))
-    chain = run(
-        lambda x: -0.5 * (x**2).sum(axis=1), starts, [(emcee.moves.DESnookerMove(), 1.0)], 1500
-    )
-    assert chain[:, :, 500:].var() < 0.8  # 1 would be right; a fixed emcee makes this fail
-
-
-def test_emcees_gaussian_move_hands_all_walkers_one_step():
-    move = emcee.moves.GaussianMove(np.eye(2) + 0.1)
-    x = np.random.default_rng(6).normal(size=(10, 2))
-    proposed, _ = move.get_proposal(x, np.random.RandomState(7))
-    assert np.ptp(proposed - x, axis=0).max() < 1e-12

@@ -79,11 +79,6 @@ def test_one_seed_one_result_another_seed_another(axis_target, axis_fit):
         assert abs(a.mean() - b.mean()) < 5.0 * a.std() * np.sqrt(2.0 / n)
 
 
-def test_ensembles_use_different_random_streams(axis_fit):
-    first = axis_fit.posterior.draws[:, :, 0, 0]
-    assert np.unique(first).size > 0.9 * first.size
-
-
 def test_a_prior_far_narrower_than_the_data_is_the_posterior(make_observation):
     chain = AXIS.chain()
     observation = make_observation(chain, AXIS.values, sigma=0.05, n=300)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.errors import BadInput
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.inverse import inverse_torque
@@ -122,17 +121,3 @@ def test_coordinates_do_not_change_the_posterior(knee):
         density = target(u) - target.to_parameters(u)[1]
         expected = target.log_prior(parameters) + target.log_likelihood(parameters)
         np.testing.assert_allclose(density, expected, rtol=1e-10)
-
-
-@pytest.mark.parametrize(
-    ("texts", "word"),
-    [
-        ({"motor.inertai": 1.0}, "motor.inertia"),
-        ({"noise.sigma": 0.1}, "range"),
-        (dict(KNEE.values.items()), "free"),
-    ],
-)
-def test_priors_that_cannot_be_are_refused(knee, texts, word):
-    chain, observations = knee
-    with pytest.raises(BadInput, match=word):
-        read_priors(chain, texts, observations)

@@ -1,7 +1,11 @@
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from bayesfric.mechanism import excitation
+from bayesfric.mechanism.experiment import Simulation, record
+from bayesfric.mechanism.presets import PRESETS
 
 TIME = np.arange(4001) * 1e-3
 
@@ -18,6 +22,15 @@ def test_square_switches_where_rounding_could_move_a_sample(frequency):
     np.testing.assert_array_equal(
         excitation.square(samples * 1e-3, 1.0, frequency), np.where(exact == 0, 1.0, -1.0)
     )
+
+
+@pytest.mark.parametrize("name", get_args(Simulation.model_fields["excitation"].annotation))
+def test_every_excitation_moves_a_joint(name):
+    """And takes no torque far beyond what was asked for."""
+    chain = PRESETS["motor-axis"].chain()
+    columns, motion, _ = record(chain, Simulation(excitation=name, duration=1.0, torque_noise=0.0))
+    assert np.ptp(motion.q) > 0.01
+    assert 0.0 < np.abs(columns["torque"]).max() < 3.0 * Simulation().amplitude
 
 
 def test_signals_add():

@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
-from bayesfric.mechanism import kernels
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.inputs import Inputs
-from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
+from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
 
 
 def interrupted(period, seconds):
@@ -35,9 +32,9 @@ def convergence(chain, vector, torque, period, steps, **options):
 
 def test_error_falls_with_the_fourth_power_of_the_step():
     chain = KNEE.chain()
-    runs, last, ratios = convergence(
-        chain, chain.vector(KNEE.values), interrupted(5e-3, 5.0), 5e-3, (1, 2, 4, 8)
-    )
+    torque = interrupted(5e-3, 5.0)
+    vector, steps = chain.vector(KNEE.values), (1, 2, 4, 8)
+    runs, last, ratios = convergence(chain, vector, torque, 5e-3, steps)
     assert last.reversals >= 7
     # kinks: more events than stops and breakaways can explain
     starts = np.sum(np.diff(last.sticking.astype(int)) == -1)
@@ -51,16 +48,9 @@ def test_error_falls_with_the_fourth_power_of_the_step():
 
 def test_error_falls_with_the_fourth_power_of_the_step_everything():
     chain = everything()
-    torque = interrupted(2e-3, 3.0) * 0.8
-    _, last, ratios = convergence(
-        chain,
-        chain.vector(EVERYTHING),
-        torque,
-        2e-3,
-        (4, 8, 16),
-        inputs=Inputs(1.0, 0.4),
-        q0=0.3,
-    )
+    torque, options = interrupted(2e-3, 3.0) * 0.8, {"inputs": Inputs(1.0, 0.4), "q0": 0.3}
+    vector, steps = chain.vector(EVERYTHING), (4, 8, 16)
+    _, last, ratios = convergence(chain, vector, torque, 2e-3, steps, **options)
     assert last.reversals >= 3
     assert np.sum(last.sticking) > 100
     assert 12 < ratios.mean() < 20, ratios
@@ -86,71 +76,6 @@ def simulate_many(chain, values, torque, period, q0=0.0, qd0=0.0, **options):
     return simulate_segments(chain, values, torque, period, [(0, len(torque))], *states, **options)[
         0
     ]
-
-
-def scipy_motion(chain, vector, torque, period):
-    """Integrate by DOP853, with the acceleration from root finding on the inverse model."""
-    elements, load = (table[0] for table in chain.tables(vector[np.newaxis])[:2])
-    total = load[kernels.LOAD_INERTIA] + sum(
-        e[kernels.INERTIA] * np.prod([x[kernels.RATIO] for x in elements[k:]]) ** 2
-        for k, e in enumerate(elements)
-    )
-
-    def input_torque(q, qd, qdd, sign):
-        gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
-        return carried_to_motor(elements, load[kernels.LOAD_INERTIA] * qdd + gravity, sign, qd, qdd)
-
-    def acceleration(q, qd, tau, sign):
-        reach = 1e4 / total
-        return brentq(lambda a: input_torque(q, qd, a, sign) - tau, -reach, reach, xtol=1e-13)
-
-    tau = load[kernels.GAIN] * torque - load[kernels.OFFSET]
-    state, sign, out = np.zeros(2), 0.0, [np.zeros(2)]
-    for i in range(torque.size - 1):
-        t, rate = 0.0, (tau[i + 1] - tau[i]) / period
-
-        def applied(x, i=i, rate=rate):
-            return tau[i] + rate * x
-
-        while t < period:
-            if state[1] == 0.0:
-                low, high = (input_torque(state[0], 0.0, 0.0, s) for s in (-1.0, 1.0))
-                now, then = applied(t), applied(period)
-                if low <= now <= high:
-                    if low <= then <= high:
-                        break
-                    sign = 1.0 if then > high else -1.0
-                    t = ((high if sign > 0 else low) - tau[i]) / rate
-                else:
-                    sign = 1.0 if now > high else -1.0
-
-            def field(x, y, sign=sign, applied=applied):
-                return [y[1], acceleration(y[0], y[1], applied(x), sign)]
-
-            def stop(x, y, sign=sign):
-                return y[1] * sign + (1e-30 if x == 0.0 else 0.0)
-
-            stop.terminal, stop.direction = True, -1
-            solved = solve_ivp(
-                field, (t, period), state, "DOP853", events=stop, rtol=1e-11, atol=1e-13
-            )
-            t, state = solved.t[-1], solved.y[:, -1].copy()
-            if solved.status == 1:
-                state[1] = 0.0
-        out.append(state.copy())
-    return np.array(out).T
-
-
-def test_agrees_with_scipy_integrator():
-    chain = KNEE.chain()
-    vector = chain.vector(KNEE.values)
-    period = 2e-2
-    torque = current_loop(square(np.arange(31) * period, 0.8, 2.5), period, 5e-3)
-    motion = simulate(chain, vector, torque, period, tolerance=1e-11)
-    assert motion.reversals >= 2
-    q, qd = scipy_motion(chain, vector, torque, period)
-    np.testing.assert_allclose(motion.q, q, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(motion.qd, qd, rtol=0, atol=1e-8)
 
 
 # --- many vectors, and refusals -------------------------------------------------------
@@ -213,12 +138,6 @@ def test_refusals():
             simulate(chain, vector, **{"torque": torque, "period": 1e-3, **kwargs})
     with pytest.raises(ValueError, match="runs away"):
         simulate(axis(), [1e-3], np.full(1001, 10.0), 1.0)
-    with pytest.raises(ValueError, match="finite"):
-        simulate_many(chain, [vector * np.nan], torque, 1e-3)
-    with pytest.raises(ValueError, match="shape"):
-        simulate_many(chain, vector, torque, 1e-3)
-    with pytest.raises(ValueError, match="substeps"):
-        simulate_many(chain, [vector], torque, 1e-3, substeps=0)
     with pytest.raises(ValueError, match="greater than zero"):
         simulate(Joint(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
 
@@ -232,3 +151,64 @@ def test_single_sample_and_sliding_load():
     )
     moved = simulate(slide, [1.0], np.ones(11), 0.1, inputs=Inputs(1.0, 5.0))
     np.testing.assert_allclose(moved.q[-1], 0.25, rtol=1e-13)
+
+
+# -- simulations that start anew in every segment
+
+
+CHAIN = KNEE.chain()
+VALUES = CHAIN.vector(KNEE.values)
+TIME = np.arange(600) * 1e-3
+TORQUE = 0.8 * np.sign(np.sin(2 * np.pi * 4.0 * TIME + 0.1))
+
+
+def test_each_segment_is_a_simulation_of_its_own():
+    segments = [(10, 200), (200, 330), (400, 600)]
+    q0, qd0 = np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.0, -2.0])
+    out = simulate_segments(CHAIN, VALUES[None], TORQUE, 1e-3, segments, q0, qd0, substeps=4)[0]
+    for (a, b), q, qd in zip(segments, q0, qd0, strict=True):
+        alone = simulate(CHAIN, VALUES, TORQUE[a:b], 1e-3, q0=q, qd0=qd, substeps=4)
+        assert np.array_equal(out[0, a:b], alone.q)
+    outside = np.ones(600, dtype=bool)
+    for a, b in segments:
+        outside[a:b] = False
+    assert np.isnan(out[0, outside]).all()
+    assert outside.sum() == 80
+
+
+def test_restarts_at_the_states_of_one_motion_are_that_motion():
+    whole = simulate(CHAIN, VALUES, TORQUE, 1e-3, substeps=4)
+    starts = np.arange(0, 600, 100)
+    segments = np.stack([starts, starts + 100], axis=1)
+    out = simulate_segments(
+        CHAIN, VALUES[None], TORQUE, 1e-3, segments, whole.q[starts], whole.qd[starts], substeps=4
+    )[0]
+    # decided afresh at a sample, a step is at most rounded differently
+    assert np.max(np.abs(out[0] - whole.q)) < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"segments": [(5, 5)]}, "not empty"),
+        ({"segments": [0, 5]}, r"\(K, 2\)"),
+        ({"segments": [(0, 601)]}, "within"),
+        ({"segments": [(-1, 5)]}, "within"),
+        ({"values": VALUES}, "shape"),
+        ({"values": VALUES[None] * np.nan}, "finite"),
+        ({"q0": [np.nan]}, "finite"),
+        ({"qd0": [np.inf]}, "finite"),
+        ({"substeps": 0}, "substeps"),
+    ],
+)
+def test_bad_input_is_refused(changed, message):
+    given = {
+        "values": VALUES[None],
+        "torque": TORQUE,
+        "period": 1e-3,
+        "segments": [(0, 600)],
+        "q0": [0.0],
+        "qd0": [0.0],
+    } | changed
+    with pytest.raises(ValueError, match=message):
+        simulate_segments(CHAIN, **given)

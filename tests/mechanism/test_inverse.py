@@ -34,24 +34,11 @@ def thetas(chain, v):
     lambda_2 = (1 / alpha_1 - 1 / alpha_2) / 2
     plus = (v["joint.coulomb_positive"] + v["joint.coulomb_negative"]) / (2 * n)
     minus = (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2 * n)
-    leg = np.array(
-        [
-            v["load.inertia"] / n**2,
-            v["joint.viscous"] / n**2,
-            plus,
-            minus,
-            g * v["load.first_moment"] / n,
-        ]
-    )
-    motor = np.array(
-        [
-            v["motor.inertia"],
-            v["motor.viscous"],
-            (v["motor.coulomb_positive"] + v["motor.coulomb_negative"]) / 2,
-            (v["motor.coulomb_positive"] - v["motor.coulomb_negative"]) / 2,
-            0.0,
-        ]
-    )
+    first, second = v["load.inertia"] / n**2, v["joint.viscous"] / n**2
+    leg = np.array([first, second, plus, minus, g * v["load.first_moment"] / n])
+    positive, negative = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
+    constant = (positive + negative) / 2, (positive - negative) / 2
+    motor = np.array([v["motor.inertia"], v["motor.viscous"], *constant, 0.0])
     return motor + lambda_1 * leg, lambda_2 * leg
 
 
@@ -66,15 +53,9 @@ def by_eq_13(chain, x, q, qd, qdd):
     return psi @ theta_1 + np.sign(qd) * np.abs(psi @ theta_2)
 
 
-def test_the_knee_is_eq_13():
-    chain, x = table_3()
-    torque = inverse_torque(chain, x, *motion())
-    assert np.abs(torque - by_eq_13(chain, x, *motion())).max() < 1e-12
-
-
 @settings(max_examples=50, deadline=None)
 @given(st.lists(positive, min_size=11, max_size=11), st.floats(0.0, 0.99))
-def test_the_knee_is_eq_13_for_any_parameters(values, back):
+def test_the_knee_is_eq_13(values, back):
     chain, _ = table_3()
     x = np.array(values)
     x[chain.names.index("gearbox.load_back")] = back
@@ -156,72 +137,11 @@ def test_the_prismatic_joint_of_section_2_3():
     assert 1.0 / (1.0 + mu) > 1.0 - mu
 
 
-def full_chain():
-    """Every term there is, at different shafts."""
-    terms = {"inertia": True, "viscous": True, "quadratic": True, "stribeck": True}
-    return Joint(
-        elements=(
-            Element("motor", coulomb="by-direction", **terms),
-            Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one", **terms),
-            Element("gear", ratio=20.0, load_loss="two", **terms),
-            Element("bearing", coulomb="symmetric", viscous=True),
-        ),
-        load=Load(inertia=True, first_moment=True, gravity_angle=True),
-        offset=True,
-        gain=True,
-    )
-
-
-def by_hand(chain, v, q, qd, qdd, mass, radius):
-    """Section 2.2 with eq. (2), element by element, one sample, in plain Python."""
-    g = chain.load.gravity
-    torque = (v["load.inertia"] + mass * radius**2) * qdd
-    torque += g * (v["load.first_moment"] + mass * radius) * np.sin(q + v["load.gravity_angle"])
-    speed, acceleration = qd, qdd
-    for e in reversed(chain.elements):
-        torque, speed, acceleration = torque / e.ratio, speed * e.ratio, acceleration * e.ratio
-        s = np.sign(speed)
-        side = "positive" if s > 0 else "negative"
-        constant = v.get(f"{e.name}.coulomb", v.get(f"{e.name}.coulomb_{side}", 0.0))
-        way = "drive" if torque * speed > 0 else "back"
-        mu = v.get(f"{e.name}.load", v.get(f"{e.name}.load_{way}", 0.0))
-        rise = 1.0
-        if e.has("stribeck_ratio"):
-            rise += v[f"{e.name}.stribeck_ratio"] * np.exp(
-                -((speed / v[f"{e.name}.stribeck_velocity"]) ** 2)
-            )
-        friction = (constant + mu * abs(torque)) * rise * s
-        friction += v.get(f"{e.name}.viscous", 0.0) * speed
-        friction += v.get(f"{e.name}.quadratic", 0.0) * speed * abs(speed)
-        torque = torque + v.get(f"{e.name}.inertia", 0.0) * acceleration + friction
-    return (torque + v["offset"]) / v["drive.gain"]
-
-
-def test_every_term_at_every_shaft_against_plain_python():
-    chain = full_chain()
-    rng = np.random.default_rng(3)
-    v = {p.name: float(rng.uniform(0.05, 0.9)) for p in chain.parameters}
-    q, qd, qdd = motion(60, seed=4)
-    torque = inverse_torque(chain, chain.vector(v), q, qd, qdd, inputs=Inputs(1.5, 0.3))
-    expected = [by_hand(chain, v, *sample, 1.5, 0.3) for sample in zip(q, qd, qdd, strict=True)]
-    np.testing.assert_allclose(torque, expected, rtol=1e-12, atol=0)
-
-
 def test_no_direction_no_dry_friction_at_rest():
     chain, x = table_3()
     v = dict(zip(chain.names, x, strict=True))
     torque = float(inverse_torque(chain, x, [0.3], [0.0], [0.0])[0])
     assert torque == pytest.approx(9.80665 * v["load.first_moment"] * np.sin(0.3) / 50.0)
-
-
-def test_many_vectors_at_once_are_each_vector_alone():
-    chain, x = table_3()
-    rng = np.random.default_rng(5)
-    many = x * rng.uniform(0.8, 1.2, (7, x.size))
-    q, qd, qdd = motion(100)
-    together = inverse_torque(chain, many, q, qd, qdd)
-    alone = np.stack([inverse_torque(chain, one, q, qd, qdd) for one in many])
-    np.testing.assert_array_equal(together, alone)
 
 
 def test_a_known_added_mass_is_that_much_more_load():

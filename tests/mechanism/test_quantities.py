@@ -248,6 +248,15 @@ def test_every_option_has_a_meaning_and_every_choice_brings_something():
                 assert kind(**name, **{option: choice}).choices == {option: choice}
 
 
+def test_a_ripple_of_what_slides_is_told_in_metres():
+    """Its column takes the position as it is: 2513 cycles in 2π m are 400 a metre."""
+    slides = Joint([Element("motor", cogging=(2513,), motion="linear")], load=Load(motion="linear"))
+    (sine, _) = (p for p in slides.parameters if "cogging" in p.name)
+    assert sine.meaning == "force with the sine of 2513 cycles in 2π m"
+    state = State(1.0 / 1600.0, 0.0, 0.0, 0.0, 0.0)
+    assert sine.row.column(state) == pytest.approx(1.0, abs=1e-4)
+
+
 def test_every_row_is_known_to_the_kernels_or_has_a_column():
     known = {*kernels.ELEMENT_SLOTS, *kernels.LOAD_SLOTS}
     for q in QUANTITIES.values():

@@ -94,26 +94,9 @@ def test_scalings_are_a_group_and_the_middle_stays_the_middle(seed, factor):
 
 
 def test_motor_offset_and_angle_do_not_take_part():
-    chain = FULL
-    (scaling,) = scalings(chain)
-    assert set(scaling.names) == {
-        "gearbox.load_drive",
-        "gearbox.load_back",
-        "bearing.coulomb",
-        "bearing.quadratic",
-        "load.inertia",
-        "load.first_moment",
-    }
-
-
-def test_several_factors_give_several_vectors():
-    chain = KNEE.chain()
-    (scaling,) = scalings(chain)
-    values = chain.vector(KNEE.values)
-    many = scaling.scaled(values, [0.8, 1.0, 1.2])
-    assert many.shape == (3, values.size)
-    np.testing.assert_allclose(many[1], values, rtol=1e-15, atol=1e-16)
-    np.testing.assert_allclose(many[2], scaling.scaled(values, 1.2), rtol=1e-15)
+    (scaling,) = scalings(FULL)
+    behind = {"bearing.coulomb", "bearing.quadratic", "load.inertia", "load.first_moment"}
+    assert set(scaling.names) == {"gearbox.load_drive", "gearbox.load_back"} | behind
 
 
 def test_an_irreversible_gearbox_has_no_lower_end():

@@ -18,13 +18,7 @@ VISCOUS = [0.085, 0.118, 0.101, 0.094]
 def recording(number, viscous):
     time = np.arange(0.0, 6.0, 0.005)
     q, qd, qdd = swing(time, [(0.31 + 0.04 * number, 0.9), (0.9, 0.4), (1.9, 0.12)])
-    torque = (
-        VALUES["motor.inertia"] * qdd
-        + viscous * qd
-        + VALUES["motor.coulomb"] * np.sign(qd)
-        + 9.80665 * VALUES["load.first_moment"] * np.sin(q)
-        + VALUES["offset"]
-    )
+    torque = AXIS.torque(VALUES | {"motor.viscous": viscous}, q, qd, qdd)
     noise = 0.1 * np.random.default_rng(number).standard_normal(time.size)
     return bf.Recording.from_arrays(time, q, torque + noise, name=f"day {number}")
 
@@ -116,11 +110,6 @@ def test_what_cannot_be_pooled_is_refused(given, said):
     with pytest.raises(bf.errors.BadInput, match=r"pooling|likelihood|recordings") as error:
         model(**given).pool()
     assert said in str(error.value)
-
-
-def test_a_fit_does_not_drop_what_varies():
-    with pytest.raises(bf.errors.BadInput, match="bayesfric pool"):
-        model().fit()
 
 
 def test_only_recordings_are_varied_over():

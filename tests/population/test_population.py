@@ -129,27 +129,3 @@ def test_one_run_is_no_population(runs):
 def test_draws_that_do_not_differ_are_no_likelihood():
     with pytest.raises(ValueError, match="do not differ"):
         likelihood(np.ones(100))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [5, 20])
-def test_intervals_of_fleets_hold_what_they_say(number):
-    """Mean, spread and next run of 200 fleets, each run a posterior of its own width and error."""
-    rng = np.random.default_rng(6)
-    held = np.zeros(3)
-    for fleet in range(200):
-        sds = rng.uniform(0.3, 1.0, number)
-        true = 2.0 + rng.standard_normal(number)
-        runs = [
-            likelihood(t + s * rng.standard_normal() + s * rng.standard_normal(1000))
-            for t, s in zip(true, sds, strict=True)
-        ]
-        found = population(runs, seed=fleet)
-        following = 2.0 + rng.standard_normal()
-        held += [
-            found.mean.low < 2.0 < found.mean.high,
-            found.spread.low < 1.0 < found.spread.high,
-            found.following.low < following < found.following.high,
-        ]
-    # four binomial sds of 200 fleets
-    assert np.abs(held / 200 - 0.9).max() < 4 * np.sqrt(0.09 / 200)

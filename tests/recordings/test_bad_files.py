@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import Position
-from bayesfric.recordings.tables import read_table, sha256
+from bayesfric.recordings import Position, Processing, Torque
+from bayesfric.recordings.tables import read_table
 
 from .samples import has, lines, numbered, read, refused, source, swing, write
 
@@ -21,18 +21,10 @@ def with_cell(folder, row, column, cell, **kwargs):
 @pytest.mark.parametrize(
     ("cell", "shown"),
     [
-        ("oops", "'oops'"),
-        ("", "empty"),
-        ("nan", "nan"),
-        ("NaN", "NaN"),
-        ("inf", "inf"),
-        ("-Infinity", "inf"),
-        ("NA", "'NA'"),
-        ("0x1F", "'0x1F'"),
-        ("1_0", "'1_0'"),
-        ("1e999", "inf"),
+        ("oops", "'oops'"), ("", "empty"), ("nan", "nan"), ("NaN", "NaN"), ("-Infinity", "inf"),
+        ("NA", "'NA'"), ("0x1F", "'0x1F'"), ("1_0", "'1_0'"), ("1e999", "inf"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("row", [1, 17, 200])
 def test_bad_cell_names_file_column_row_and_line(tmp_path, cell, shown, row):
     with_cell(tmp_path, row, 1, cell)
@@ -63,12 +55,6 @@ def test_ragged_row(tmp_path, row, cells, used):
     text[row] = cells
     write(tmp_path, "\n".join(text))
     has(refused(tmp_path, used), "run.csv", f"line {row + 1}")
-
-
-def test_cut_off_in_the_last_row(tmp_path):
-    text = "\n".join(lines())
-    write(tmp_path, text[: text.rindex(",")])
-    has(refused(tmp_path), "row 200 (line 201)", "2 cells")
 
 
 def test_missing_column_names_the_nearest_and_the_others(tmp_path):
@@ -105,38 +91,12 @@ VELOCITY = {"column": 9, "unit": "rad/s"}
         (PLAIN, source(skip_rows=500), ["500"]),
         (COMMAS, source(), ["decimal comma"]),
         (PLAIN.replace("\n", '\n"', 9), source(), []),  # an open quote
+        *((empty, source(), ["empty"]) for empty in ("", "\n\n", "\ufeff", "  ")),
     ],
 )
 def test_text_that_is_no_such_table(tmp_path, text, used, parts):
     write(tmp_path, text)
     has(refused(tmp_path, used), "run.csv", *parts)
-
-
-@pytest.mark.parametrize("text", ["", "\n\n", "\ufeff", "  "])
-def test_empty_file(tmp_path, text):
-    write(tmp_path, text)
-    has(refused(tmp_path), "run.csv", "empty")
-
-
-def test_no_permission(tmp_path, monkeypatch):
-    path = write(tmp_path, "\n".join(lines()))
-
-    def denied(*_args, **_kwargs):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(type(path), "open", denied)
-    has(refused(tmp_path), "run.csv", "permission")
-    with pytest.raises(BadInput, match="permission"):
-        sha256(path)
-
-
-def test_no_match_of_a_pattern(tmp_path):
-    has(refused(tmp_path, source("runs/*.csv")), "runs/*.csv", "no file")
-
-
-def test_unknown_suffix(tmp_path):
-    write(tmp_path, "\n".join(lines()), "run.xyz")
-    has(refused(tmp_path, source("run.xyz")), "run.xyz", "'.xyz'", "format")
 
 
 @pytest.mark.parametrize(
@@ -158,8 +118,66 @@ def test_another_encoding(tmp_path, encoding, lost, parts):
 
 
 @pytest.mark.parametrize("name", ["1", "2", "n1"])
-def test_hand_edited_recorder_file(data, name):
-    path = data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / f"{name}.csv"
+def test_hand_edited_recorder_file(real_data, name):
+    path = real_data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / f"{name}.csv"
     with pytest.raises(BadInput, match=r"line 15.*was") as caught:
         read_table(path, source()).column(3)
     assert f"{name}.csv" in caught.value.where
+
+
+# -- time stamps, signals and units that make no sense
+
+
+ROWS = lines()
+
+
+def constant(column):
+    cells = [line.split(",") for line in ROWS[1:]]
+    return [ROWS[0], *(",".join([*row[:column], "0.5", *row[column + 1 :]]) for row in cells)]
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ([*ROWS[:17], ROWS[18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)", "back in"]),
+        ([*ROWS[:18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)", "repeats"]),
+        (constant(1), ["'q'", "position", "0.5"]),
+        (constant(2), ["'tau'", "torque", "0.5"]),
+        (lines(30), ["30 samples", "min_samples = 50"]),
+        ([line for i, line in enumerate(ROWS) if i == 0 or i % 40 < 30], ["gap", "min_samples"]),
+    ],
+    ids=["unsorted", "repeated", "constant position", "constant torque", "short", "gaps"],
+)
+def test_samples(tmp_path, text, parts):
+    write(tmp_path, "\n".join(text))
+    has(refused(tmp_path), "run.csv", *parts)
+
+
+def torque(unit="N m", **keys):
+    return source(torque=Torque(column="tau", unit=unit, **keys))
+
+
+@pytest.mark.parametrize(
+    ("used", "more", "parts"),
+    [
+        (source(start=50), {}, ["run.csv", "start = 50 s"]),
+        (source(), {"ratio": 101.0}, ["run.csv", "'q'", "101", 'side = "motor"']),
+        (torque(twos_complement=16), {}, ["'tau'", "row 1 (line 2)", "16 bits"]),
+        (source(), {"processing": Processing(dead_zone="1 mm/s")}, ["dead_zone", "rad/s"]),
+    ],
+)
+def test_meaning(tmp_path, used, more, parts):
+    write(tmp_path, "\n".join(ROWS))
+    has(refused(tmp_path, used, **more), *parts)
+
+
+def test_two_files_with_one_name(tmp_path):
+    for name in ("a.csv", "b.csv"):
+        write(tmp_path, "\n".join(ROWS), name)
+    has(refused(tmp_path, source("*.csv", name="x")), "name", "2 files")
+
+
+@pytest.mark.parametrize("unit", ["%", "N", "V", "rad", "bananas", "", "9**9**9", "N m +/- 1"])
+def test_wrong_unit_of_the_torque(tmp_path, unit):
+    write(tmp_path, "\n".join(ROWS))
+    has(refused(tmp_path, torque(unit)), "run.csv", "'tau'", "unit of torque", "N m")

@@ -57,16 +57,6 @@ def refusal(act):
 # -- ROS
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
-@pytest.mark.parametrize("form", ["mcap", "db3"])
-def test_a_folder_whose_bag_is_cut_off(tmp_path, form, share):
-    plugin = logs.StoragePlugin.MCAP if form == "mcap" else logs.StoragePlugin.SQLITE3
-    (path,) = bag(tmp_path, plugin).glob(f"*.{form}")
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    has(refused(tmp_path, used("bag")), "bag")
-
-
 @pytest.mark.parametrize("form", ["mcap", "db3", "bag"])
 def test_another_file_under_the_suffix_of_a_bag(tmp_path, form):
     path = tmp_path / f"x.{form}"

@@ -59,13 +59,6 @@ def test_cutoff_at_nyquist_is_refused(cutoff):
         lay_windows(parallel_taps(1, cutoff, FS), [(0, 100)], 1, np.ones(100, dtype=bool))
 
 
-@given(*[st.floats(-5, 5)] * 3, st.floats(1e-3, 1.0))
-def test_central_difference_of_a_quadratic_is_exact(a, b, c, dt):
-    t = dt * np.arange(20)
-    slope = derivative(a * t**2 + b * t + c, [(0, 20)], dt)
-    np.testing.assert_allclose(slope, 2 * a * t + b, atol=1e-9 / dt)
-
-
 @pytest.mark.parametrize("reach", [1, 2, 4, 7, 16])
 def test_a_differentiator_is_exact_for_polynomials_of_its_degree(reach):
     t = np.linspace(-1, 1, 60)
@@ -87,30 +80,17 @@ def test_differentiation_has_the_right_gain_in_the_pass_band(share):
     for frequency in (0.1 * cutoff, 0.5 * cutoff, cutoff):
         w = 2 * np.pi * frequency
         wave = np.sin(w * t)
-        for reach_used, worst in ((reach, 2.5e-4), (1, None)):
-            twice = derivative(
-                derivative(wave, [(0, 3000)], 1 / FS, reach_used), [(0, 3000)], 1 / FS, reach_used
-            )
-            gain = -(twice @ wave) / (wave @ wave) / w**2
-            if worst is None:
-                # (sin wT / wT)^2, what 0.1.0 did; ends of 3000 samples count for little
-                assert gain == pytest.approx(np.sinc(2 * frequency / FS) ** 2, abs=5e-3)
-            else:
-                middle = slice(50, -50)
-                error = np.abs(twice[middle] + w**2 * wave[middle]).max() / w**2
-                assert error < worst
+        twice = wave
+        for _ in range(2):
+            twice = derivative(twice, [(0, 3000)], 1 / FS, reach)
+        middle = slice(50, -50)
+        assert np.abs(twice[middle] + w**2 * wave[middle]).max() / w**2 < 2.5e-4
 
 
 def test_ends_are_differentiated_by_what_is_there():
     t = np.arange(40) / FS
     slope = derivative(3 * t**2 + t, [(0, 40)], 1 / FS, 8)
     np.testing.assert_allclose(slope, 6 * t + 1, atol=1e-9)
-
-
-def test_central_difference_by_definition():
-    x = np.random.default_rng(1).normal(size=50)
-    slope = derivative(x, [(0, 50)], 0.02)
-    np.testing.assert_allclose(slope[1:-1], (x[2:] - x[:-2]) / 0.04, rtol=1e-12)
 
 
 @settings(deadline=None)
@@ -154,17 +134,6 @@ def test_parallel_filter(factor, band, edges, seed):
         both = used.apply(np.stack([x, y]).reshape(2, 1, 400))
         assert both.shape == (2, 1, used.n_outputs)
         np.testing.assert_allclose(both[1, 0], used.apply(y), atol=1e-12)
-
-
-def test_no_unusable_sample_loses_no_window():
-    used = lay_windows(parallel_taps(10, None, FS), [(0, 1000)], 10, np.ones(1000, dtype=bool))
-    assert len(used.taps) == 81
-    assert used.starts.tolist() == list(range(0, 920, 10))
-    alone = lay_windows(parallel_taps(1, None, FS), [(3, 9)], 1, np.ones(10, dtype=bool))
-    assert alone.taps.tolist() == [1.0]
-    assert alone.starts.tolist() == [3, 4, 5, 6, 7, 8]
-    narrow = lay_windows(parallel_taps(10, 5.0, FS), [(0, 4000)], 10, np.ones(4000, dtype=bool))
-    assert len(narrow.taps) == 801
 
 
 def test_parallel_filter_halves_at_its_cutoff():

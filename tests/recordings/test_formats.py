@@ -1,6 +1,7 @@
 """The same numbers come out of every format and dialect."""
 
 import hashlib
+import io
 import json
 
 import numpy as np
@@ -8,9 +9,11 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from bayesfric.recordings import Channel, Current, Position, Torque, Voltage, tables, units
+from bayesfric.errors import BadInput
+from bayesfric.recordings import Channel, Current, Position, Torque, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers
+from tests.hostile import good
 
 from .samples import has, lines, numbered, read, refused, source, swing, write
 
@@ -84,47 +87,46 @@ def content():
     return dict(zip(HEADER.split(","), swing(), strict=True))
 
 
-def test_parquet(tmp_path):
-    frame = pd.DataFrame(content() | {"note": ["x"] * 200})
-    frame.to_parquet(tmp_path / "run.parquet")
-    same(read(tmp_path, source("run.parquet"))[0])
-    same(read(tmp_path, numbered("run.parquet"))[0])
+def nested(where, rows=False):
+    table = {key: value.tolist() for key, value in content().items()}
+    inner = pd.DataFrame(table).to_dict("records") if rows else table
+    for key in reversed(where):
+        inner = {"mass": 0.5, key: inner}
+    return json.dumps(inner).encode()
 
 
-@pytest.mark.parametrize("compressed", [False, True])
-@pytest.mark.parametrize("shape", [(-1,), (-1, 1), (1, -1)])
-def test_matlab(tmp_path, compressed, shape):
-    values = {key: value.reshape(shape) for key, value in content().items()}
-    savemat(tmp_path / "run.mat", values, do_compression=compressed)
-    same(read(tmp_path, source("run.mat"))[0])
+def shaped(*shape):
+    return {key: value.reshape(shape) for key, value in content().items()}
 
 
-def test_matlab_struct(tmp_path):
-    savemat(tmp_path / "run.mat", {"log": {"joint": content(), "who": "me"}})
-    same(read(tmp_path, source("run.mat", table="log.joint"))[0])
+def structs():
+    out = io.BytesIO()
+    savemat(out, {"log": {"joint": content(), "who": "me"}})
+    return out.getvalue()
 
 
-@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_npz(tmp_path, save):
-    save(tmp_path / "run.npz", **content())
-    same(read(tmp_path, source("run.npz"))[0])
-
-
-def test_json_columns(tmp_path):
-    values = {key: value.tolist() for key, value in content().items()}
-    (tmp_path / "a.json").write_text(json.dumps(values))
-    (tmp_path / "b.json").write_text(json.dumps({"log": {"joint": values}}))
-    same(read(tmp_path, source("a.json"))[0])
-    same(read(tmp_path, source("b.json", table="log.joint"))[0])
-
-
-def test_json_rows(tmp_path):
-    rows = pd.DataFrame(content()).to_dict("records")
-    (tmp_path / "a.json").write_text(json.dumps(rows))
-    (tmp_path / "b.json").write_text(json.dumps({"mass": 0.5, "entries": rows}))
-    for name in ("a.json", "b.json"):
-        same(read(tmp_path, source(name))[0])
-    same(read(tmp_path, source("b.json", table="entries"))[0])
+@pytest.mark.parametrize(
+    ("form", "table", "data"),
+    [
+        ("parquet", None, good.content("parquet", data=content() | {"note": ["x"] * 200})),
+        *(("mat", None, good.content("deflated.mat", data=shaped(*s)))
+          for s in ((-1,), (-1, 1), (1, -1))),
+        ("mat", "log.joint", structs()),
+        ("npz", None, good.content("npz", data=content())),
+        ("npz", None, good.content("deflated.npz", data=content())),
+        ("json", None, nested([])),
+        ("json", "log.joint", nested(["log", "joint"])),
+        ("json", None, nested([], rows=True)),
+        ("json", None, nested(["entries"], rows=True)),
+        ("json", "entries", nested(["entries"], rows=True)),
+    ],
+)  # fmt: skip
+def test_binary_formats_and_json(tmp_path, form, table, data):
+    (tmp_path / f"run.{form}").write_bytes(data)
+    more = {"table": table} if table else {}
+    same(read(tmp_path, source(f"run.{form}", **more))[0])
+    if form == "parquet":
+        same(read(tmp_path, numbered("run.parquet"))[0])
 
 
 def test_json_booleans_are_numbers(tmp_path):
@@ -133,10 +135,17 @@ def test_json_booleans_are_numbers(tmp_path):
     assert table.column("on").tolist() == [1.0, 0.0, 1.0]
 
 
-def test_sha256(tmp_path):
+def test_sha256(tmp_path, monkeypatch):
     path = write(tmp_path, "\n".join(lines()))
     assert sha256(path) == hashlib.sha256(path.read_bytes()).hexdigest()
     assert read(tmp_path)[0].sha256 == sha256(path)
+
+    def denied(*_args, **_kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(type(path), "open", denied)
+    with pytest.raises(BadInput, match="permission"):
+        sha256(path)
 
 
 def test_patterns_and_names(tmp_path):
@@ -164,8 +173,8 @@ def test_brackets_in_a_file_name_are_no_pattern(tmp_path):
 # -- real files
 
 
-def test_recorder_preamble_of_a_real_file(data):
-    path = data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / "10.csv"
+def test_recorder_preamble_of_a_real_file(real_data):
+    path = real_data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / "10.csv"
     table = read_table(path, source())
     assert table.names[1:] == ("Velocity actual value averaged", "Torque actual value averaged")
     assert table.column(1)[:2].tolist() == [0.0, 51.2]
@@ -180,40 +189,8 @@ def test_recorder_preamble_of_a_real_file(data):
     assert table.row(0) == "row 1 (line 15)"
 
 
-def test_servo_log_with_twos_complement(data):
-    path = data / "xl330-pendulum" / "2026-01-15_10h30m10.json"
-    used = source(
-        path.name,
-        time=Channel(column="timestamp", unit="s"),
-        position=Position(column="position", unit="rad"),
-        torque=None,
-        voltage=Voltage(
-            column="load",
-            unit="V/885",
-            twos_complement=16,
-            times="input_volts",
-            torque_constant="0.354 N m/A",
-            resistance="3.4 ohm",
-        ),
-    )
-    recording = read(path.parent, used)[0]
-    entries = json.loads(path.read_text())["entries"]
-    load = np.array([e["load"] for e in entries])
-    assert load.max() > 60000
-    volts = np.where(load > 32767, load - 65536, load) / 885
-    volts = volts * np.array([e["input_volts"] for e in entries])
-    stamps = np.array([e["timestamp"] for e in entries])
-    on_grid = np.interp(recording.time, stamps - stamps[0], volts)
-    speed = np.gradient(recording.position, recording.period)
-    expected = 0.354 / 3.4 * (on_grid - 0.354 * speed)
-    # the two speeds differ in their filters only
-    assert np.sqrt(np.mean((recording.torque - expected) ** 2)) < 0.05 * np.std(expected)
-    assert "PCHIP" in " ".join(recording.steps)
-    assert any("885" in warning for warning in recording.warnings)
-
-
-def test_robot_log_by_column_numbers(data):
-    raw = np.loadtxt(data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
+def test_robot_log_by_column_numbers(real_data):
+    raw = np.loadtxt(real_data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
     used = source(
         "joint_2.csv",
         time=Channel(column=1, unit="s"),
@@ -224,7 +201,7 @@ def test_robot_log_by_column_numbers(data):
         start=8,
         stop="60 s",
     )
-    recording = read(data / "ur10e-joint2", used, ratio=101.0)[0]
+    recording = read(real_data / "ur10e-joint2", used, ratio=101.0)[0]
     stamps = raw[:, 0] - raw[0, 0]
     assert 8 <= recording.time[0] < 8.05
     assert 59.9 < recording.time[-1] <= 60

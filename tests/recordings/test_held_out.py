@@ -93,12 +93,6 @@ def refused(runs, processing=PROCESSING, **options):
     return str(caught.value)
 
 
-def test_an_unknown_name_names_the_nearest():
-    message = refused([recording("run-a"), recording("other")], recordings=("run-b",))
-    assert message.startswith("validation.recordings: no recording is called 'run-b'")
-    assert "did you mean 'run-a'?" in message
-
-
 def test_everything_held_out():
     assert "every recording" in refused([recording("a")], recordings=("a",))
     assert "leaves nothing of recording 'run'" in refused([recording()], hold_out=0.995)

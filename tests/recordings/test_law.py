@@ -1,6 +1,7 @@
 """Position targets: what a drive's controller makes of them is the torque."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import bayesfric as bf
@@ -54,8 +55,6 @@ def test_a_voltage_from_targets_is_that_voltage(supply):
     aimed = {"column": "goal", "unit": "rad", "kp": "2.5 V/rad", "limit": "0.4 V", **MOTOR}
     if supply:
         aimed |= {"kp": "2.5 1/rad", "limit": "0.4", "times": "supply", "times_unit": "V"}
-    import pandas as pd
-
     frame = pd.DataFrame(table)
     by_target = measured(bf.Recording.from_dataframe(frame, target=aimed, **channels))
     by_voltage = measured(bf.Recording.from_dataframe(frame, voltage="u", **MOTOR, **channels))

@@ -9,14 +9,8 @@ from hypothesis import strategies as st
 
 from bayesfric.errors import BadInput
 from bayesfric.recordings import (
-    Channel,
-    Position,
     Processing,
-    Recording,
-    Source,
-    Torque,
     observe,
-    read_recordings,
 )
 from tests.conftest import made_recording
 
@@ -192,32 +186,6 @@ def test_no_outputs_left_names_the_setting(changes, options, key):
     with pytest.raises(BadInput, match=key) as caught:
         observe(recording(**changes), Processing(**options))
     assert "swing" in caught.value.where
-
-
-def test_published_estimates_of_a_real_axis(data):
-    """Janot, Gautier, Brunot 2019 (nonlinearbenchmark.org): 95.1, 203.5, 20.39, -3.16."""
-    source = Source(
-        file="DATA_EMPS.mat",
-        time=Channel(column="t", unit="s"),
-        position=Position(column="qm", unit="m"),
-        torque=Torque(column="vir", unit="V", constant="35.15065188 N/V"),
-    )
-    processing = Processing(lowpass="100 Hz", decimate=10, dead_zone=0)
-    found = read_recordings(
-        Recording(source, data / "emps"),
-        ratio=1,
-        motion="linear",
-        motor_motion="linear",
-        processing=processing,
-    )
-    (step,) = (x for x in found[0].steps if x.startswith("force: the signal in V times 35.15"))
-    assert "back-EMF" in step
-    seen = observe(found[0], processing)
-    assert seen.settings["signal_constant"] == "35.15065188 N/V"
-    design = np.array([seen.qdd, seen.qd, np.sign(seen.qd), np.ones_like(seen.q)])
-    estimate = np.linalg.lstsq(seen.filter.apply(design).T, seen.measured, rcond=None)[0]
-    difference = np.abs(estimate - [95.12, 203.4, 20.40, -3.17])
-    assert np.all(difference < [0.1, 0.3, 0.05, 0.02]), estimate
 
 
 def test_a_glitch_in_an_excluded_span_stays_in_it():

@@ -3,7 +3,7 @@
 import csv
 import re
 import tomllib
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,21 +24,14 @@ def recipes():
     return {one["recordings"][0]["file"]: one["recordings"][0] for one in found}
 
 
-@dataclass
-class Simulated:
-    time: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    torque: np.ndarray
-
-
 @pytest.fixture(scope="module")
 def simulated():
     joint = bf.Joint.preset("motor-axis")
     frame = joint.simulate(duration=4, seed=1)
     q = frame["position"].to_numpy()
     t = frame["time"].to_numpy()
-    return Simulated(t, q, np.gradient(q, t), frame["torque"].to_numpy())
+    torque = frame["torque"].to_numpy()
+    return SimpleNamespace(time=t, position=q, velocity=np.gradient(q, t), torque=torque)
 
 
 def ur(path, s):

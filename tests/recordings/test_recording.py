@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from bayesfric.errors import BadInput
-from bayesfric.recordings import Channel, Recording, Source, Torque
+from bayesfric.recordings import Channel, Processing, Recording, Source, Torque
 
 from .samples import has, lines, measured, source, swing, write
 
@@ -23,6 +23,17 @@ def refused(make):
     with pytest.raises(BadInput) as caught:
         measured(make())
     return str(caught.value)
+
+
+def test_quantities_with_units():
+    used = source(start="500 ms", stop=8, added_mass="2 kg", radius="35 cm", exclude=[["1 s", 2]])
+    assert (used.start, used.stop) == (0.5, 8.0)
+    assert (used.added_mass, used.radius) == pytest.approx((2.0, 0.35))
+    assert used.exclude == ((1.0, 2.0),)
+    assert source(time=None, rate="1 kHz").rate == 1000.0
+    processing = Processing(lowpass="0.1 kHz", band="20 Hz", trim="100 ms", dead_zone="1 deg/s")
+    assert (processing.lowpass, processing.band, processing.trim) == (100.0, 20.0, 0.1)
+    assert Processing(lowpass="off").lowpass == 0.0
 
 
 def test_what_is_left_out_is_told_with_its_keys():
@@ -136,10 +147,6 @@ def test_a_table_in_memory_is_kept_as_a_file(tmp_path):
 )
 def test_refused_as_a_file_is(make, parts):
     has(refused(make), *parts)
-
-
-def test_the_number_names_what_has_no_name():
-    assert measured(Recording.from_arrays(T, Q, TAU), number=3).name == "recording-3"
 
 
 def test_si_is_for_numbers_as_they_are(tmp_path):

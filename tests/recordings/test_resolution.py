@@ -103,22 +103,6 @@ def test_a_short_recording_keeps_enough_outputs():
     assert seen.measured.size >= 50
 
 
-@pytest.mark.parametrize(
-    ("noise", "processing", "by", "words"),
-    [
-        (0.0, {}, "sampling", "sampling rate"),
-        (1e-3, {}, "position", "position does not resolve"),
-        (0.0, {"band": 4.0}, "asked", "as set"),
-    ],
-)
-def test_the_band_and_what_ended_it_are_told_in_one_line(noise, processing, by, words):
-    seen = observe(swing(noise=noise), Processing(**processing))
-    (told,) = [step for step in seen.steps if step.startswith("band: ")]
-    assert seen.settings["band_by"] == by
-    assert f"{seen.settings['band']:.3g} Hz" in told
-    assert words in told
-
-
 def test_an_acceleration_that_is_noise_is_warned_of():
     noisy, fine = swing(noise=3e-3), swing(noise=1e-5)
     wide = Processing(lowpass=50.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings import Position, Recording, Torque
+from bayesfric.recordings import Recording, Torque
 
 from .samples import measured, source, write
 
@@ -43,14 +43,3 @@ def test_an_instant_is_left_as_it_is(tmp_path):
 
 def test_that_a_command_is_held_goes_to_what_simulates(tmp_path):
     assert read(tmp_path, None, np.cos(W * T), held=True).hold == "zero"
-
-
-@pytest.mark.parametrize("key", ["sampled", "held"])
-def test_another_word_is_refused(key):
-    with pytest.raises(ValueError, match=key):
-        Torque(column="tau", unit="N m", **{key: "sometimes"})
-
-
-def test_only_what_drives_the_joint_has_it():
-    with pytest.raises(ValueError, match="sampled"):
-        Position(column="q", unit="rad", sampled="start")

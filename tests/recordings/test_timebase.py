@@ -86,21 +86,15 @@ def test_never_resampling_warns(tmp_path):
     assert any("irregular" in warning for warning in recording.warnings)
 
 
-@pytest.mark.parametrize("unit", ["ns", "h"])
-def test_strange_periods_warn(tmp_path, unit):
-    save(tmp_path, *swing())
+@pytest.mark.parametrize(("times", "unit"), [(1, "ns"), (1, "h"), (1e3, "s"), (1e6, "s")])
+def test_strange_periods_warn(tmp_path, times, unit):
+    """Such a recording is read, however slow it is taken to be."""
+    t, q, tau = swing()
+    save(tmp_path, times * t, q, tau)
     recording = read(tmp_path, from_npz(time=Channel(column="t", unit=unit)))[0]
     assert any("unit of time" in warning for warning in recording.warnings)
-
-
-@pytest.mark.parametrize("times", [1e3, 1e6])
-def test_stamps_taken_for_seconds_are_told_from_their_period(tmp_path, times):
-    """Such a recording is read, however slow it is taken to be."""
-    t, q, tau = swing(200)
-    save(tmp_path, times * t, q, tau)
-    recording = read(tmp_path, from_npz(time=Channel(column="t", unit="s")))[0]
-    assert any("unit of time" in warning for warning in recording.warnings)
-    assert observe(recording, Processing()).measured.size > 0
+    if times > 1:
+        assert observe(recording, Processing()).measured.size > 0
 
 
 def test_start_stop_and_exclude_count_from_the_first_stamp(tmp_path):
@@ -174,22 +168,6 @@ def test_twos_complement_and_further_column(tmp_path):
     np.testing.assert_allclose(found, -0.5 * signed / 885 * np.linspace(7, 8, 200))
 
 
-def test_saturation_warns(tmp_path):
-    t, q, tau = swing(1000)
-    step = 2 * np.pi / 64
-    save(tmp_path, t, np.round(q / step) * step, np.clip(tau, -0.2, 0.2))
-    warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
-    assert "torque: stays at ±0.2 (raw)" in warnings
-    save(tmp_path, t, q, np.clip(tau, -0.1, 0.2))
-    warnings = " ".join(read(tmp_path, from_npz())[0].warnings)
-    assert "torque: stays at 0.2 (raw)" in warnings
-    assert "torque: stays at -0.1 (raw)" in warnings
-    save(tmp_path, t, q, tau)
-    (plain,) = read(tmp_path, from_npz())
-    assert not plain.warnings
-    assert not [said for said in plain.steps if "in steps of" in said]
-
-
 def test_the_same_encoder_is_told_alike_however_long_a_recording_is(tmp_path):
     step = 2 * np.pi / 2156
     for count in (300, 3000):  # the same motion once and ten times, and coarse in neither
@@ -199,17 +177,3 @@ def test_the_same_encoder_is_told_alike_however_long_a_recording_is(tmp_path):
         (found,) = read(tmp_path, from_npz())
         assert "position: read in steps of 0.00291 rad at the joint" in found.steps
         assert not found.warnings
-
-
-def test_logs_of_one_measured_encoder_are_told_alike(data):
-    told = set()
-    for file in ("sac", "es500", "es1kg", "ilqr", "ddp", "dircol"):
-        wanted = source(
-            str(data / "dfki-pendulum" / f"{file}.csv"),
-            time=Channel(column="time", unit="s"),
-            position=Position(column="position", unit="rad"),
-            torque=Torque(column="torque", unit="N m"),
-        )
-        (found,) = read(data, wanted)
-        told.add(next(said for said in found.steps if "in steps of" in said))
-    assert told == {"position: read in steps of 0.00291 rad at the joint"}

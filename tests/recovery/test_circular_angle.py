@@ -12,53 +12,29 @@ from bayesfric.problem.config import parse_config
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.summary.record import Summary
-from tests.commands.bench import without_figures
+from tests.axis import swing
+from tests.commands.bench import recorded, without_figures
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
 SERVO = PRESETS["servo-pendulum"]
 ANGLE = "load.gravity_angle"
-CONFIG = """
-[mechanism]
-preset = "servo-pendulum"
-{mechanism}
-[[recordings]]
-file = "arm.csv"
-time = {{ column = "t", unit = "s" }}
-position = {{ column = "q", unit = "rad" }}
-torque = {{ column = "tau", unit = "N m" }}
-[sampling]
-min_ess = 400
-[estimation]
-starts = 2
-[priors]
-{prior}
-"""
 
 
 def arm(folder, angle, prior="", mechanism=""):
     """Write a recording of one and the same swing, its zero of position elsewhere."""
     t = np.arange(1500) * 0.008
-    q, qd, qdd = np.zeros((3, t.size))
-    for f, a in ((0.3, 0.8), (0.9, 0.4), (2.1, 0.1)):
-        w = 2 * np.pi * f
-        q += a * np.sin(w * t)
-        qd += a * w * np.cos(w * t)
-        qdd -= a * w**2 * np.sin(w * t)
+    q, qd, qdd = swing(t, ((0.3, 0.8), (0.9, 0.4), (2.1, 0.1)))
     chain = SERVO.chain()
     values = chain.vector(SERVO.values | {ANGLE: 0.0})
     torque = inverse_torque(chain, values, q, qd, qdd)
     torque += 0.05 * np.random.default_rng(3).standard_normal(t.size)
-    np.savetxt(
-        folder / "arm.csv",
-        np.stack([t, q - angle, torque], axis=1),
-        delimiter=",",
-        header="t,q,tau",
-        comments="",
-        fmt="%.9f",
-    )
-    text = CONFIG.format(prior=f'"{ANGLE}" = {prior}' if prior else "", mechanism=mechanism)
-    return parse_config(text, folder / "arm.toml")
+    rows = np.stack([t, q - angle, torque], axis=1)
+    header = "time,position,torque"
+    np.savetxt(folder / "arm.csv", rows, "%.9f", ",", header=header, comments="")
+    text = f'[mechanism]\npreset = "servo-pendulum"\n{mechanism}\n{recorded("arm")}'
+    text += "[sampling]\nmin_ess = 400\n[estimation]\nstarts = 2\n[priors]\n"
+    return parse_config(text + (f'"{ANGLE}" = {prior}' if prior else ""), folder / "arm.toml")
 
 
 def fitted(folder, angle):

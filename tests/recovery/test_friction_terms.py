@@ -5,7 +5,8 @@ and a noisy torque, read back from a file and processed with the defaults: the
 whole way of a user's data.
 """
 
-from pathlib import Path
+import json
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -27,267 +28,132 @@ position = {{ column = "position", unit = "rad"{side} }}
 torque = {{ column = "torque", unit = "N m" }}
 """
 
-# Each case: mechanism, simulation, and the terms whose absence must show. The knee has its
-# known load fixed, as a CAD value would: without it leg and alpha have no scale (the paper).
+
+@dataclass(frozen=True)
+class Case:
+    """A mechanism to simulate, and the terms whose absence must show."""
+
+    preset: str
+    missed: tuple
+    elements: str = ""
+    truth: dict = field(default_factory=dict)
+    priors: str = ""
+    side: str = ""
+    simulation: dict = field(default_factory=dict)
+
+    def text(self):
+        usual = {"excitation": "multisine", "encoder_counts": 2**20, "torque_noise": 0.01}
+        simulation = usual | {"seed": 13} | self.simulation | {"parameters": self.truth}
+        written = "\n".join(f"{key} = {_toml(value)}" for key, value in simulation.items())
+        return (
+            f'[mechanism]\npreset = "{self.preset}"\n{self.elements}'
+            f"{COLUMNS.format(side=self.side)}\n[priors]\n{self.priors}\n"
+            f"[simulation]\n{written}\n[sampling]\nmin_ess = 600\n"
+        )
+
+
+def _toml(value):
+    if isinstance(value, dict):
+        return "{" + ", ".join(f'"{name}" = {x}' for name, x in value.items()) + "}"
+    return json.dumps(value)
+
+
+SERVO = {"amplitude": 0.35, "frequencies": [0.2, 0.5, 0.9, 1.7], "torque_noise": 0.005}
+# The knee has its known load fixed, as a CAD value would: without it leg and alpha have no scale
+# (the paper).
 CASES = {
-    "rabbit-knee": (
-        '[mechanism]\npreset = "rabbit-knee"\n',
-        ', side = "motor"',
-        """
-[priors]
-"load.first_moment" = 0.42
-[simulation]
-excitation = "square-multisine"
-amplitude = 0.8
-torque_noise = 0.015
-encoder_counts = 1048576
-seed = 11
-""",
-        ["motor.viscous", "joint.viscous", "gearbox.load_drive", "gearbox.load_back"],
+    "rabbit-knee": Case(
+        "rabbit-knee",
+        ("motor.viscous", "joint.viscous", "gearbox.load_drive", "gearbox.load_back"),
+        priors='"load.first_moment" = 0.42',
+        side=', side = "motor"',
+        simulation={"excitation": "square-multisine", "amplitude": 0.8, "torque_noise": 0.015,
+                    "seed": 11},
     ),
-    "motor-axis": (
-        '[mechanism]\npreset = "motor-axis"\n',
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 1.0
-torque_noise = 0.01
-encoder_counts = 1048576
-seed = 13
-""",
-        ["motor.viscous", "motor.coulomb", "offset"],
+    "motor-axis": Case(
+        "motor-axis",
+        ("motor.viscous", "motor.coulomb", "offset"),
+        simulation={"amplitude": 1.0},
     ),
-    "axis with viscous loss by direction": (
-        """
-[mechanism]
-preset = "motor-axis"
-[mechanism.elements.motor]
-viscous = "by-direction"
-""",
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 1.0
-torque_noise = 0.01
-encoder_counts = 1048576
-seed = 13
-[simulation.parameters]
-"motor.viscous_positive" = 0.04
-"motor.viscous_negative" = 0.06
-""",
-        ["motor.viscous_positive", "motor.viscous_negative", "motor.coulomb", "offset"],
+    "axis with viscous loss by direction": Case(
+        "motor-axis",
+        ("motor.viscous_positive", "motor.viscous_negative", "motor.coulomb", "offset"),
+        'elements.motor.viscous = "by-direction"',
+        truth={"motor.viscous_positive": 0.04, "motor.viscous_negative": 0.06},
+        simulation={"amplitude": 1.0},
     ),
-    "servo-pendulum": (
-        '[mechanism]\npreset = "servo-pendulum"\n',
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 0.35
-frequencies = [0.2, 0.5, 0.9, 1.7]
-torque_noise = 0.005
-encoder_counts = 1048576
-seed = 13
-""",
-        ["motor.viscous", "motor.coulomb", "gearbox.load"],
+    "servo-pendulum": Case(
+        "servo-pendulum",
+        ("motor.viscous", "motor.coulomb", "gearbox.load"),
+        simulation=SERVO,
     ),
-}
+}  # fmt: skip
 # Sampled with every sample, half a minute of CPU each.
 SLOW = {
-    "axis with every term": (
-        """
-[mechanism]
-preset = "motor-axis"
-[mechanism.elements.motor]
-coulomb = "by-direction"
-quadratic = true
-stribeck = true
-""",
-        "",
-        """
-[priors]
-offset = 0.0
-[simulation]
-excitation = "multisine"
-amplitude = 1.2
-torque_noise = 0.01
-encoder_counts = 1048576
-duration = 6
-seed = 14
-[simulation.parameters]
-"offset" = 0.0
-"motor.coulomb_positive" = 0.2
-"motor.coulomb_negative" = 0.26
-"motor.quadratic" = 0.004
-"motor.stribeck_ratio" = 0.5
-"motor.stribeck_velocity" = 1.0
-""",
-        ["motor.viscous", "motor.quadratic", "motor.stribeck_ratio"],
+    "axis with every term": Case(
+        "motor-axis",
+        ("motor.viscous", "motor.quadratic", "motor.stribeck_ratio"),
+        'elements.motor = { coulomb = "by-direction", quadratic = true, stribeck = true }',
+        truth={"offset": 0.0, "motor.coulomb_positive": 0.2, "motor.coulomb_negative": 0.26,
+               "motor.quadratic": 0.004, "motor.stribeck_ratio": 0.5,
+               "motor.stribeck_velocity": 1.0},
+        priors="offset = 0.0",
+        simulation={"amplitude": 1.2, "duration": 6, "seed": 14},
     ),
-    "axis with a power of speed, springs and what repeats": (
-        """
-[mechanism]
-preset = "motor-axis"
-[mechanism.elements.motor]
-power = true
-cogging = [7]
-periodic_friction = [3]
-[mechanism.load]
-spring = "stiffening"
-""",
-        "",
-        """
-[priors]
-"motor.power_exponent" = 0.5
-[simulation]
-excitation = "multisine"
-amplitude = 1.2
-frequencies = [0.2, 0.5, 0.9, 1.7, 3.1]
-torque_noise = 0.01
-encoder_counts = 1048576
-duration = 10
-seed = 15
-[simulation.parameters]
-"motor.power" = 0.05
-"motor.power_exponent" = 0.5
-"motor.cogging_sin_7" = 0.02
-"motor.cogging_cos_7" = -0.01
-"motor.periodic_friction_sin_3" = 0.015
-"motor.periodic_friction_cos_3" = 0.01
-"load.spring" = 0.15
-"load.spring_cubic" = -0.002
-""",
-        [
-            "motor.power",
-            "load.spring",
-            "load.spring_cubic",
-            "motor.cogging_sin_7",
-            "motor.periodic_friction_sin_3",
-        ],
+    "axis with a power of speed, springs and what repeats": Case(
+        "motor-axis",
+        ("motor.power", "load.spring", "load.spring_cubic", "motor.cogging_sin_7",
+         "motor.periodic_friction_sin_3"),
+        "elements.motor = { power = true, cogging = [7], periodic_friction = [3] }\n"
+        'load.spring = "stiffening"',
+        truth={"motor.power": 0.05, "motor.power_exponent": 0.5, "motor.cogging_sin_7": 0.02,
+               "motor.cogging_cos_7": -0.01, "motor.periodic_friction_sin_3": 0.015,
+               "motor.periodic_friction_cos_3": 0.01, "load.spring": 0.15,
+               "load.spring_cubic": -0.002},
+        priors='"motor.power_exponent" = 0.5',
+        simulation={"amplitude": 1.2, "frequencies": [0.2, 0.5, 0.9, 1.7, 3.1], "duration": 10,
+                    "seed": 15},
     ),
-    "servo with load loss by direction and with the square of the load": (
-        """
-[mechanism]
-preset = "servo-pendulum"
-[mechanism.elements.gearbox]
-load_direction = true
-load_square = true
-""",
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 0.35
-frequencies = [0.2, 0.5, 0.9, 1.7]
-torque_noise = 0.005
-encoder_counts = 1048576
-seed = 13
-[simulation.parameters]
-"gearbox.load_difference" = 0.02
-"gearbox.load_square" = 0.1
-""",
-        ["gearbox.load_difference", "gearbox.load_square"],
+    "servo with load loss by direction and with the square of the load": Case(
+        "servo-pendulum",
+        ("gearbox.load_difference", "gearbox.load_square"),
+        "elements.gearbox = { load_direction = true, load_square = true }",
+        truth={"gearbox.load_difference": 0.02, "gearbox.load_square": 0.1},
+        simulation=SERVO,
     ),
-    "servo with load loss that grows with speed": (
-        """
-[mechanism]
-preset = "servo-pendulum"
-[mechanism.elements.gearbox]
-load_speed = true
-""",
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 0.35
-frequencies = [0.2, 0.5, 0.9, 1.7]
-torque_noise = 0.005
-encoder_counts = 1048576
-seed = 13
-[simulation.parameters]
-"gearbox.load_speed" = 0.05
-""",
-        ["gearbox.load_speed"],
+    "servo with load loss that grows with speed": Case(
+        "servo-pendulum",
+        ("gearbox.load_speed",),
+        "elements.gearbox.load_speed = true",
+        truth={"gearbox.load_speed": 0.05},
+        simulation=SERVO,
     ),
-    "axis that warms up": (
-        """
-[mechanism]
-preset = "motor-axis"
-[mechanism.elements.motor]
-warming = "both"
-""",
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 1.0
-torque_noise = 0.01
-encoder_counts = 1048576
-seed = 13
-duration = 12
-[simulation.parameters]
-"motor.viscous_warming" = -0.02
-"motor.coulomb_warming" = -0.05
-"motor.warming_time" = 3.0
-""",
-        ["motor.viscous_warming", "motor.coulomb_warming"],
+    "axis that warms up": Case(
+        "motor-axis",
+        ("motor.viscous_warming", "motor.coulomb_warming"),
+        'elements.motor.warming = "both"',
+        truth={"motor.viscous_warming": -0.02, "motor.coulomb_warming": -0.05,
+               "motor.warming_time": 3.0},
+        simulation={"amplitude": 1.0, "duration": 12},
     ),
-    "axis with Stribeck rises of constant and load loss apart": (
-        """
-[mechanism]
-preset = "motor-axis"
-[mechanism.elements.motor]
-load_loss = "one"
-stribeck = "apart"
-[mechanism.load]
-first_moment = true
-""",
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 1.2
-frequencies = [0.2, 0.5, 0.9, 1.7]
-torque_noise = 0.01
-encoder_counts = 1048576
-duration = 10
-seed = 14
-[simulation.parameters]
-"motor.load" = 0.15
-"motor.stribeck_constant" = 1.5
-"motor.stribeck_load" = 2.5
-"motor.stribeck_velocity" = 1.0
-"load.first_moment" = 0.08
-""",
-        ["motor.stribeck_constant", "motor.stribeck_load"],
+    "axis with Stribeck rises of constant and load loss apart": Case(
+        "motor-axis",
+        ("motor.stribeck_constant", "motor.stribeck_load"),
+        'elements.motor = { load_loss = "one", stribeck = "apart" }\nload.first_moment = true',
+        truth={"motor.load": 0.15, "motor.stribeck_constant": 1.5, "motor.stribeck_load": 2.5,
+               "motor.stribeck_velocity": 1.0, "load.first_moment": 0.08},
+        simulation={"amplitude": 1.2, "frequencies": [0.2, 0.5, 0.9, 1.7], "duration": 10,
+                    "seed": 14},
     ),
-    "axis whose loss falls towards standstill with a free exponent": (
-        """
-[mechanism]
-preset = "motor-axis"
-[mechanism.elements.motor]
-stribeck = "either"
-stribeck_exponent = true
-""",
-        "",
-        """
-[simulation]
-excitation = "multisine"
-amplitude = 1.0
-torque_noise = 0.01
-encoder_counts = 1048576
-duration = 10
-seed = 14
-[simulation.parameters]
-"motor.stribeck_change" = -0.5
-"motor.stribeck_velocity" = 1.0
-"motor.stribeck_exponent" = 1.5
-""",
-        ["motor.stribeck_change"],
+    "axis whose loss falls towards standstill with a free exponent": Case(
+        "motor-axis",
+        ("motor.stribeck_change",),
+        'elements.motor = { stribeck = "either", stribeck_exponent = true }',
+        truth={"motor.stribeck_change": -0.5, "motor.stribeck_velocity": 1.0,
+               "motor.stribeck_exponent": 1.5},
+        simulation={"amplitude": 1.0, "duration": 10, "seed": 14},
     ),
-}
+}  # fmt: skip
 
 
 @pytest.fixture(
@@ -295,13 +161,12 @@ seed = 14
     params=[*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)],
 )
 def case(request, tmp_path_factory):
-    mechanism, side, rest, terms = (CASES | SLOW)[request.param]
+    made = (CASES | SLOW)[request.param]
     folder = tmp_path_factory.mktemp("recovery")
-    text = mechanism + COLUMNS.format(side=side) + rest + "\n[sampling]\nmin_ess = 600\n"
-    config = parse_config(text, Path(folder) / "case.toml")
+    config = parse_config(made.text(), folder / "case.toml")
     truth = simulate(config, folder / "recording.csv")
     problem = Model.from_config(config)
-    return problem, fit(problem.white_target(), config.tables.sampling), truth, terms
+    return problem, fit(problem.white_target(), config.tables.sampling), truth, made.missed
 
 
 def test_every_term_is_found_again(case):

@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.fit import fit
-from bayesfric.commands.simulate import simulate
 from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
+from tests.commands.bench import SMALL, simulated
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-CONFIG = """\
-[mechanism]
-preset = "motor-axis"
-
-[[recordings]]
-file = "axis.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-
+CONFIG = f"""{SMALL}
 [likelihood]
 method = "output-error"
 
@@ -45,10 +36,8 @@ TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "of
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("axis")
-    (folder / "axis.toml").write_text(CONFIG, encoding="utf-8")
-    config = read_config(folder / "axis.toml")
-    simulate(config, folder / "axis.csv")
-    return folder / "run", fit(config, folder / "run")
+    simulated(folder / "axis.toml", CONFIG)
+    return folder / "run", fit(read_config(folder / "axis.toml"), folder / "run")
 
 
 def test_the_truth_and_both_noises_are_found(run):
@@ -100,10 +89,8 @@ def test_an_axis_that_hardly_sticks_can_be_linearised(run):
 
 def test_an_axis_that_often_sticks_is_refused_before_sampling(tmp_path):
     """No linearisation describes an axis between sticking and moving."""
-    text = CONFIG.replace("amplitude = 3.0", "amplitude = 1.0")
-    (tmp_path / "axis.toml").write_text(text, encoding="utf-8")
+    simulated(tmp_path / "axis.toml", CONFIG.replace("amplitude = 3.0", "amplitude = 1.0"))
     config = read_config(tmp_path / "axis.toml")
-    simulate(config, tmp_path / "axis.csv")
     told = []
     with pytest.raises(BadInput, match="cannot be linearised") as caught:
         fit(config, tmp_path / "run", progress=lambda p: told.append(p.phase))

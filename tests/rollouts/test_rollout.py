@@ -19,8 +19,18 @@ from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rollout_part import rollout_part
 from bayesfric.result import result_of
-from bayesfric.rollouts.rollout import Recorded, _over, _rolled, moving_share, rollout
-from tests.commands.bench import Bench, without_figures
+from bayesfric.results.roll_out import LEVEL
+from bayesfric.rollouts.rollout import (
+    Recorded,
+    Series,
+    _over,
+    _rolled,
+    memory,
+    moving_share,
+    played,
+    rollout,
+)
+from tests.commands.bench import Bench, has, without_figures
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -313,40 +323,26 @@ def test_a_fit_by_targets_is_that_by_the_torque(made, joint):
             assert abs(by_target[name].value - row.mean) < 5.0 * row.sd, name
 
 
-def test_another_mechanism_is_refused(bench, made):
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (["run", "other.toml"], ["other.toml: mechanism: is not the run's"]),
+        (["."], ["summary.json"]),
+        (["run", "nowhere.toml"], ["nowhere.toml"]),
+        (["gone"], ["one.csv"]),
+        (["drawless"], ["posterior.nc"]),
+    ],
+)
+def test_what_cannot_be_played_is_refused(bench, made, words, parts):
     folder, _ = made
     text = '[mechanism]\npreset = "servo-pendulum"\n' + table("three")
     (folder / "other.toml").write_text(text)
-    told = bench.run("rollout", "run", "other.toml")
-    assert told.code == 2
-    assert "other.toml: mechanism: is not the run's" in told.err
-
-
-def test_what_is_no_run_is_refused(bench, tmp_path):
-    told = bench.run("rollout", str(tmp_path))
-    assert told.code == 2
-    assert "summary.json" in told.err
-    assert told.err.count("\n") == 1
-
-
-def test_a_configuration_that_is_not_there_is_refused(bench):
-    told = bench.run("rollout", "run", "nowhere.toml")
-    assert told.code == 2
-    assert "nowhere.toml" in told.err
-    assert told.err.count("\n") == 1
-
-
-def test_a_run_whose_recordings_are_gone_is_refused(bench, made, tmp_path):
-    folder, _ = made
-    shutil.copytree(folder / "run", tmp_path / "run")
-    moved = folder / "one.csv"
-    moved.rename(folder / "gone.csv")
-    try:
-        told = bench.run("rollout", str(tmp_path / "run"))
-    finally:
-        (folder / "gone.csv").rename(moved)
-    assert told.code == 2
-    assert "one.csv" in told.err
+    for name in ("gone", "drawless"):
+        shutil.copytree(folder / "run", folder / name, dirs_exist_ok=True)
+    (folder / "drawless" / "posterior.nc").write_bytes(b"no draws")
+    summary = (folder / "run" / "summary.json").read_text().replace("one.csv", "none/one.csv")
+    (folder / "gone" / "summary.json").write_text(summary)
+    has(bench.refused("rollout", *words), *parts)
 
 
 def test_a_run_read_back_has_the_draws_of_its_intervals(made):
@@ -376,10 +372,71 @@ def test_what_was_fixed_is_filled_in(made):
         assert (values[:, k] == 0.5 + k).all()
 
 
-def test_a_run_without_draws_is_refused(bench, made, tmp_path):
-    shutil.copytree(made[0] / "run", tmp_path / "run")
-    (tmp_path / "run" / "posterior.nc").write_bytes(b"no draws")
-    told = bench.run("rollout", str(tmp_path / "run"))
-    assert told.code == 2
-    assert "posterior.nc" in told.err
-    assert told.err.count("\n") == 1
+# -- pieces of residuals, and how much of them moves a joint
+
+
+def remembering(n=20_000, a=0.8, seed=0):
+    """A first-order autoregression with standard deviation one."""
+    rng = np.random.default_rng(seed)
+    x = np.empty(n)
+    x[0] = rng.standard_normal()
+    for k in range(1, n):
+        x[k] = a * x[k - 1] + np.sqrt(1.0 - a**2) * rng.standard_normal()
+    return x
+
+
+def test_memory_of_an_autoregression_is_its_integrated_time():
+    # (1 + a) / (1 - a); its estimate's relative sd is about sqrt(2 (2 W + 1) / N), Sokal
+    assert memory(remembering()) == pytest.approx(9.0, rel=0.25)
+    assert memory(np.random.default_rng(1).standard_normal(20_000)) == pytest.approx(1.0, abs=0.1)
+    assert memory(np.zeros(30)) == 1.0
+
+
+def test_pieces_keep_size_and_neighbours():
+    x = remembering()
+    rng = np.random.default_rng(2)
+    drawn = played([Series(x, 0.02)], 40, 2000, 0.02, rng)
+    # 80,000 outputs of which every nine are one: sd of a variance sqrt(2 * 9 / 80000) = 0.015
+    assert drawn.var() == pytest.approx(1.0, abs=0.06)
+    lag = np.mean(drawn[:, 1:] * drawn[:, :-1]) / drawn.var()
+    # one pair in ninety is torn apart
+    assert lag == pytest.approx(0.8, abs=0.03)
+
+
+def test_between_outputs_it_goes_straight():
+    rng = np.random.default_rng(3)
+    drawn = played([Series(remembering(300), 0.05)], 1, 1001, 0.005, rng)[0]
+    every = drawn[::10]
+    assert drawn == pytest.approx(np.interp(np.arange(1001), np.arange(0, 1001, 10), every))
+
+
+def test_the_same_seed_gives_the_same_bytes():
+    series = [Series(remembering(400), 0.02), Series(remembering(90, seed=4), 0.01)]
+    drawn = [played(series, 3, 500, 0.01, np.random.default_rng(5)).tobytes() for _ in range(2)]
+    assert drawn[0] == drawn[1]
+
+
+def test_the_share_that_moves_the_joint_is_found():
+    """Errors that are half of what the whole torque would make; parameters known or not."""
+    rng = np.random.default_rng(6)
+    for known in (0.0, 0.3):
+        alone = known * rng.standard_normal((4000, 300))
+        moved = alone + rng.standard_normal((4000, 300))
+        measured = np.concatenate([
+            np.sqrt(known**2 + 0.25) * rng.standard_normal(300) for _ in range(1)
+        ])  # fmt: skip
+        # the 90 % point of 300 normals: sd of the quantile 0.09 of a sd, twice that allowed
+        assert moving_share(measured, alone, moved, 0.0) == pytest.approx(0.5, abs=0.1)
+
+
+def test_noise_that_moves_nothing_counts_for_nothing():
+    rng = np.random.default_rng(7)
+    alone = rng.standard_normal((200, 300))
+    moved = alone + rng.standard_normal((200, 300))
+    assert moving_share(0.5 * rng.standard_normal(300), alone, moved, 0.0) == 0.0
+
+
+def test_nothing_can_be_told_of_what_does_not_move():
+    nothing = np.full((5, 8), np.nan)
+    assert moving_share(np.zeros(8), nothing, nothing, 0.0) == 1.0
+    assert LEVEL == 0.9

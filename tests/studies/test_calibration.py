@@ -1,31 +1,22 @@
 """Calibration: what its committed result claims, and a smaller form of it run again."""
 
 import importlib
-import json
-import sys
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from tests.conftest import REPOSITORY
+from .bench import committed, scripts
 
-FOLDER = REPOSITORY / "studies" / "calibration"
 CONTROLS = ("control: white noise on AR(1) data", "control: snooker move")
 
 
 @pytest.fixture(scope="module")
 def result():
-    return json.loads((FOLDER / "result.json").read_text(encoding="utf-8"))
+    return committed("calibration/result.json")
 
 
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("calibrate")
-    finally:
-        sys.path.remove(str(FOLDER))
+study = scripts("calibrate", folders=["calibration"])
 
 
 @pytest.mark.parametrize("case", ["white", "AR(1)", "AR(2)", "output error"])

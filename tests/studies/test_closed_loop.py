@@ -1,29 +1,18 @@
 """A joint in closed loop: what the committed result claims, and a smaller form of it run again."""
 
-import importlib
-import json
-import sys
-
 import pytest
 
-from tests.conftest import REPOSITORY
+from .bench import committed, scripts
 
-FOLDER = REPOSITORY / "studies" / "closed_loop"
 # Not reached, and said so in the README: the band holds what the maker's filter has taken away.
 OPEN = "low-pass at 5 Hz"
 
 
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("closed_loop")
-    finally:
-        sys.path.remove(str(FOLDER))
+study = scripts("closed_loop", folders=["closed_loop"])
 
 
 def test_what_is_called_data_is_not_far_from_the_truth():
-    result = json.loads((FOLDER / "result.json").read_text("utf-8"))
+    result = committed("closed_loop/result.json")
     before = result["low-pass at 10 Hz"]["0.1.0"]
     assert before["recordings_with_data_far"] > 90
     assert before["reliable"] == 100

@@ -1,32 +1,19 @@
 """What the regression finds: what the committed result claims, and a few recordings again."""
 
-import importlib
-import json
-import sys
-
 import pytest
 from scipy import stats
 
 from bayesfric.diagnostics.policy import FALSE_ALARMS
-from tests.conftest import REPOSITORY
 
-FOLDER = REPOSITORY / "studies" / "diagnostics"
+from .bench import committed, scripts
 
 
 @pytest.fixture(scope="module")
 def result():
-    return json.loads((FOLDER / "findings.json").read_text(encoding="utf-8"))
+    return committed("diagnostics/findings.json")
 
 
-@pytest.fixture(scope="module")
-def study():
-    added = [str(FOLDER), str(FOLDER.parent / "calibration")]
-    sys.path[:0] = added
-    try:
-        yield importlib.import_module("findings")
-    finally:
-        for path in added:
-            sys.path.remove(path)
+study = scripts("findings", folders=["diagnostics", "calibration"])
 
 
 def asked(rows):

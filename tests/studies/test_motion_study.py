@@ -1,29 +1,17 @@
 """Which motion columns are made of: what the committed result claims, and a few files again."""
 
-import importlib
-import json
-import sys
-
 import numpy as np
 import pytest
 
-from tests.conftest import REPOSITORY
-
-FOLDER = REPOSITORY / "studies" / "calibration"
+from .bench import committed, scripts
 
 
 @pytest.fixture(scope="module")
 def result():
-    return json.loads((FOLDER / "motion.json").read_text(encoding="utf-8"))
+    return committed("calibration/motion.json")
 
 
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("motion")
-    finally:
-        sys.path.remove(str(FOLDER))
+study = scripts("motion", folders=["calibration"])
 
 
 def test_the_refined_motion_is_as_good_as_the_exact_one(result):

@@ -1,29 +1,17 @@
 """What is missing and what is not: what the committed result claims, and a few joints again."""
 
-import importlib
-import json
-import sys
-
 import pytest
 from scipy import stats
 
-from tests.conftest import REPOSITORY
-
-FOLDER = REPOSITORY / "studies" / "diagnostics"
+from .bench import committed, scripts
 
 
 @pytest.fixture(scope="module")
 def result():
-    return json.loads((FOLDER / "random_joints.json").read_text(encoding="utf-8"))["judged"]
+    return committed("diagnostics/random_joints.json")["judged"]
 
 
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("random_joints")
-    finally:
-        sys.path.remove(str(FOLDER))
+study = scripts("random_joints", folders=["diagnostics"])
 
 
 def test_where_nothing_is_missing_little_is_found(result):

@@ -1,47 +1,28 @@
 """What the committed replication study claims, its counting, and a small form of it again."""
 
-import importlib
-import json
-import sys
-
 import numpy as np
 import pytest
 
-from tests.conftest import REPOSITORY
+from .bench import committed, scripts
 
 RIGHT = ("plain", "slow", "geared", "plain, 100 Hz", "plain, 1 kHz", "geared, encoder at the joint")
 
-FOLDER = REPOSITORY / "studies" / "replication"
+replication, lacking, fleets = (
+    scripts(name, folders=["replication"]) for name in ("replication", "lacking", "fleets")
+)
 
 
-@pytest.fixture(scope="module")
-def studies():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield {n: importlib.import_module(n) for n in ("replication", "lacking", "fleets")}
-    finally:
-        sys.path.remove(str(FOLDER))
-
-
-@pytest.fixture(scope="module")
-def committed():
-    def read(name):
-        return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
-
-    return {name: read(name) for name in ("replication", "lacking", "fleets")}
-
-
-def test_measured_pairs_scatter_by_about_one(committed):
-    every = committed["replication"]["cases"]["all"]
+def test_measured_pairs_scatter_by_about_one():
+    every = committed("replication/replication.json")["cases"]["all"]
     assert every["told"]["n"] > 40
     assert 0.7 < every["told"]["rms"] < 1.4
     assert 0.8 < every["told"]["held"] < 0.97
     assert every["auto"]["rms"] > 3.0
 
 
-def test_intervals_hold_where_a_model_lacks_something(studies, committed):
-    cases = committed["lacking"]
-    assert set(cases) == set(studies["lacking"].CASES)
+def test_intervals_hold_where_a_model_lacks_something(lacking):
+    cases = committed("replication/lacking.json")
+    assert set(cases) == set(lacking.CASES)
     right, wrong = ([r for n in names for one in cases[n] for r in one["rows"]] for names in (
         [n for n in cases if n in (*RIGHT, "arm")], [n for n in cases if n not in (*RIGHT, "arm")]
     ))  # fmt: skip
@@ -52,8 +33,8 @@ def test_intervals_hold_where_a_model_lacks_something(studies, committed):
     assert abs(np.mean([row["held"] for row in right]) - 0.9) < 3.0 * np.sqrt(0.09 / len(right))
 
 
-def test_fleets_hold_what_they_say(committed):
-    for name, row in committed["fleets"].items():
+def test_fleets_hold_what_they_say():
+    for name, row in committed("replication/fleets.json").items():
         error = np.sqrt(0.09 / row["fleets"])
         for key in ("mean", "spread", "next", "run"):
             assert row[key] > 0.9 - 3.0 * error, (name, key)
@@ -63,42 +44,35 @@ def test_fleets_hold_what_they_say(committed):
 
 def invented(case, value, sd, **more):
     kinds = "auto", "HAC", "told"
-    row = {
-        "value": dict.fromkeys(kinds, value),
-        "determined": True,
-        "doubted": False,
-        "prior": 100.0,
-    }
-    row |= dict.fromkeys(kinds, sd) | more
+    row = {"value": dict.fromkeys(kinds, value), "prior": 100.0}
+    row |= {"determined": True, "doubted": False} | dict.fromkeys(kinds, sd) | more
     return {"case": case, "rows": {"motor.viscous": row}}
 
 
-def test_differences_are_over_both_sds_and_of_what_both_determine(studies):
-    study = studies["replication"]
+def test_differences_are_over_both_sds_and_of_what_both_determine(replication):
     runs = [invented("a", 1.0, 0.3), invented("a", 2.0, 0.4), invented("a", 5.0, 0.1, prior=0.1)]
-    assert study.differences(runs, "told", doubted=True) == pytest.approx([-2.0])
+    assert replication.differences(runs, "told", doubted=True) == pytest.approx([-2.0])
     runs[1]["rows"]["motor.viscous"]["doubted"] = True
-    assert study.differences(runs, "told", doubted=False) == []
-    judged = study.judged([3.0, -4.0, 0.0, 0.0])
+    assert replication.differences(runs, "told", doubted=False) == []
+    judged = replication.judged([3.0, -4.0, 0.0, 0.0])
     assert judged["rms"] == pytest.approx(2.5)
     assert judged["held"] == 0.5
 
 
-def test_a_regression_has_its_exact_posterior(studies):
+def test_a_regression_has_its_exact_posterior(fleets):
     """Its spread over many is that of the draws: they are flat-prior posteriors."""
-    study = studies["fleets"]
     z = []
     for k in range(300):
-        draws = study.regression(0.1, np.random.default_rng(k))
+        draws = fleets.regression(0.1, np.random.default_rng(k))
         z.append((draws.mean() - 0.1) / draws.std())
     # four standard errors of a sd of 300
     assert np.std(z) == pytest.approx(1.0, abs=4.0 / np.sqrt(600.0))
 
 
 @pytest.mark.slow
-def test_a_model_that_lacks_a_term_again(studies):
-    case = next(name for name in studies["lacking"].CASES if name.startswith("load loss"))
-    rows = [row for k in range(3) for row in studies["lacking"].one((case, k))["rows"]]
+def test_a_model_that_lacks_a_term_again(lacking):
+    case = next(name for name in lacking.CASES if name.startswith("load loss"))
+    rows = [row for k in range(3) for row in lacking.one((case, k))["rows"]]
     held, plain = (np.mean([row[name] for row in rows]) for name in ("held", "plain"))
     assert held > max(plain, 0.8)
     assert np.median([row["wider"] for row in rows]) > 1.5

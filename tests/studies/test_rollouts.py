@@ -1,19 +1,11 @@
 """What the committed studies of roll-outs claim, and a small form of the simulated one again."""
 
-import importlib
-import json
-import sys
-
 import numpy as np
 import pytest
 
-from tests.conftest import REPOSITORY
+from .bench import committed, scripts
 
-STUDIES = REPOSITORY / "studies"
-
-
-def committed(path):
-    return json.loads((STUDIES / path).read_text(encoding="utf-8"))
+study = scripts("rollouts", folders=["rollouts"])
 
 
 def test_bands_of_simulated_joints_hold_another_recording():
@@ -37,12 +29,7 @@ def test_the_measured_servo_moves_as_told():
 
 
 @pytest.mark.slow
-def test_two_joints_again():
-    sys.path.insert(0, str(STUDIES / "rollouts"))
-    try:
-        study = importlib.import_module("rollouts")
-    finally:
-        sys.path.remove(str(STUDIES / "rollouts"))
+def test_two_joints_again(study):
     before = committed("rollouts/rollouts.json")
     for name in ("nothing", "Stribeck rise"):
         again = study.joint_of(name, 0)

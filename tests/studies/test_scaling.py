@@ -1,22 +1,18 @@
 """The study of the scaling: what its committed result claims, and its ridge once more."""
 
-import json
-
 import pytest
 
-from tests.conftest import REPOSITORY
-
-FOLDER = REPOSITORY / "studies" / "scaling"
+from .bench import STUDIES, committed
 
 
 @pytest.fixture(scope="module")
 def result():
-    return json.loads((FOLDER / "result.json").read_text(encoding="utf-8"))
+    return committed("scaling/result.json")
 
 
 def test_it_is_simulated_and_every_case_was_sampled_to_the_end(result):
     assert result["simulated"] is True
-    assert {path.stem for path in FOLDER.glob("*.toml")} == set(result["cases"])
+    assert {path.stem for path in (STUDIES / "scaling").glob("*.toml")} == set(result["cases"])
     assert {case["status"] for case in result["cases"].values()} == {"reliable"}
 
 

@@ -1,30 +1,18 @@
 """The whole path from a file of counts: what its committed result claims, and a few files again."""
 
-import importlib
-import json
-import sys
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from tests.conftest import REPOSITORY
-
-FOLDER = REPOSITORY / "studies" / "calibration"
+from .bench import committed, scripts
 
 
 @pytest.fixture(scope="module")
 def result():
-    return json.loads((FOLDER / "whole_path.json").read_text(encoding="utf-8"))
+    return committed("calibration/whole_path.json")
 
 
-@pytest.fixture(scope="module")
-def study():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield importlib.import_module("whole_path")
-    finally:
-        sys.path.remove(str(FOLDER))
+study = scripts("whole_path", folders=["calibration"])
 
 
 @pytest.mark.parametrize(
