@@ -91,6 +91,8 @@ def rollout(
     else:
         given = [recordings] if isinstance(recordings, Recording) else recordings
         recorded = of_recordings(run, given)
+    for one in recorded:
+        _segments(one)  # what cannot be played is refused before anything is simulated
     seed = run.model.config.tables.sampling.seed if seed is None else seed
     series = unexplained(run)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(13,)))
