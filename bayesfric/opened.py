@@ -32,7 +32,7 @@ LARGEST_TEXT, LARGEST_ARRAY = 2**26, 2**28
 # Bytes that one byte of a compressed array may stand for: even of constants it is 1032 at most.
 _PACKED = 1100
 # Files and folders that a pattern looks at.
-MOST_LOOKED_AT = 300_000
+MOST_LOOKED_AT = 100_000
 # Nothing that is measured is larger.
 LARGEST_NUMBER = 1e100
 # No control characters, which a terminal would obey, and no halves of characters.

@@ -83,7 +83,9 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
             return units_of(pd.read_parquet(path), pattern, str(path), first_row=2)
         text = read_text(path, largest=_LARGEST_TABLE)
         _check_count(text.count("\n") - 1, str(path))
-        delimiter = max(",;\t", key=text.partition("\n")[0].count)
+        head = text.partition("\n")[0]
+        delimiter = max(",;\t", key=head.count)
+        check_names(str(path), [""] * (head.count(delimiter) + 1), "header")
         # no header: pandas would rename the second of two columns of one name
         cells = pd.read_csv(
             io.StringIO(text), sep=delimiter, header=None, dtype=str, keep_default_na=False

@@ -68,7 +68,7 @@ def held(folder):
                 files[name] = {key: np.array(x).tobytes() for key, x in file["posterior"].items()}
         elif path.name == "summary.json":
             told = json.loads(path.read_text())
-            told["sampler"]["seconds"] = told["self_check"] = None
+            told["sampler"]["seconds"] = told["self_check"] = told["source"] = None
             files[name] = told
         elif path.is_file() and path.suffix in (".csv", ".tex", ".parquet", ".toml"):
             files[name] = path.read_bytes()

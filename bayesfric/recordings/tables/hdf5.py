@@ -104,7 +104,7 @@ def _values(file: Any, column: _Column, where: str, matlab: bool) -> NDArray[Any
         values = array_of(dataset, column.field)
     except ValueError as error:
         mend = "save the recording's values alone, one row a sample, in one file"
-        raise BadInput(where, f"is {error}", mend) from None
+        raise BadInput(where, f"holds {error}", mend) from None
     # MATLAB stores arrays transposed, and knows no vectors
     return np.squeeze(values.T if matlab else values)
 
