@@ -177,9 +177,7 @@ def _type(field: Mapping[str, Any], models: Models) -> str:
         return " or ".join(f"`{json.dumps(one)}`" for one in choices)
     if field["type"] == "array":
         least, most = field.get("minItems"), field.get("maxItems")
-        number = f"{least}: " if least else ""
-        if least != most:
-            number = f"{least or 0} to {most or 'any'}: "
+        number = f"{least}: " if least else f"at most {most}: " if most else ""
         return f"list of {number}{_type(field['items'], models)}"
     word = _WORDS[field["type"]]
     if isinstance(more := field.get("additionalProperties"), dict):
