@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import gc
+import io
 import json
 import os
 import shlex
 import sys
 import warnings
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -415,7 +416,10 @@ def _fit(
             summary = run(read, folder, progress=lambda x: show(x), found=tell, **options)
         except Interrupted as stopped:
             raise _Stopped(stopped) from None
-    _print(summary, as_json, ["", f"{folder / 'report.html'}   in all {spent}"])
+    took = f"in all {spent}"
+    if options.get("resume"):
+        took = f"this time {spent}; sampling in all {summary['sampler']['seconds']:.1f} s"
+    _print(summary, as_json, ["", f"{folder / 'report.html'}   {took}"])
     if summary["sampler"]["status"] != "reliable":
         raise typer.Exit(NOT_CONVERGED)
 
@@ -441,13 +445,30 @@ def _model(config: Path) -> Model:
 
 def _print(found: Any, as_json: bool, lines: Any) -> None:
     if as_json:
-        lines = [json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)]
+        ascii_only = not str(sys.stdout.encoding or "utf").lower().startswith("utf")
+        lines = [json.dumps(found, indent=1, ensure_ascii=ascii_only, allow_nan=False)]
     try:
         for line in lines:
             print(line)
         sys.stdout.flush()
     except BrokenPipeError:
         # who reads has read enough, as head does; what is to be made is made all the same
+        _write_no_more()
+
+
+def _machine(error: OSError | MemoryError) -> BadInput:
+    """Say what the machine does not give."""
+    if isinstance(error, MemoryError):
+        mend = "leave some of it out, or work where there is more"
+        return BadInput("memory", "there is not enough for what is asked", mend)
+    if error.filename is None:  # or what is still to be written would fail once more
+        _write_no_more()
+    where, reason = error.filename or "output", error.strerror or str(error)
+    return BadInput(str(where), f"cannot be read or written ({reason})", "see to disk and rights")
+
+
+def _write_no_more() -> None:
+    with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -458,8 +479,14 @@ def main() -> None:
         warnings.simplefilter("ignore")
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)  # before NumPy is there to read it
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # whatever letters it takes, none ends the command
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app(prog_name="bayesfric")
+        try:
+            app(prog_name="bayesfric")
+        except (OSError, MemoryError) as error:
+            raise _machine(error) from None
     except BadInput as error:
         print(f"bayesfric: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)

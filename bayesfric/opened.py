@@ -7,12 +7,15 @@ here is none of these, or it is bad input, in one line.
 
 from __future__ import annotations
 
+import glob
 import json
 import math
+import os
 import re
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +28,11 @@ if TYPE_CHECKING:
     import h5py
 
 # Bytes of a text that a person wrote, or a run that is summed up, and of one array.
-LARGEST_TEXT, LARGEST_ARRAY = 2**26, 2**30
-# Bytes that one byte of a compressed array may stand for, and of a piece that is unpacked at once:
-# real draws and recordings stay far below.
-_PACKED, _PIECE = 1000, 2**28
+LARGEST_TEXT, LARGEST_ARRAY = 2**26, 2**28
+# Bytes that one byte of a compressed array may stand for: even of constants it is 1032 at most.
+_PACKED = 1100
+# Files and folders that a pattern looks at.
+MOST_LOOKED_AT = 100_000
 # Nothing that is measured is larger.
 LARGEST_NUMBER = 1e100
 # No control characters, which a terminal would obey, and no halves of characters.
@@ -60,6 +64,53 @@ def refuse_special(path: Path, mode: int) -> None:
     """Refuse what is no ordinary file: opening a pipe waits for ever, a device never ends."""
     if not stat.S_ISREG(mode):
         raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
+
+
+def matching(pattern: str, folder: Path, where: str) -> dict[Path, tuple[str, ...]]:
+    """Find what a pattern matches as the shell does, and the names that its parts but ** stand for.
+
+    ``where`` names it in messages. ** enters no linked folder, which may hold itself.
+    """
+    anchor = Path(pattern).anchor
+    parts = [part for part in pattern[len(anchor) :].split("/") if part not in ("", ".")]
+    if any("**" in part and part != "**" for part in parts):
+        why = "is no pattern (** stands for whole folders)"
+        raise BadInput(where, why, "write ** between slashes")
+    left = MOST_LOOKED_AT
+
+    def inside(path: Path) -> list[os.DirEntry[str]]:
+        nonlocal left
+        entries = list[os.DirEntry[str]]()
+        with suppress(OSError), os.scandir(path) as found:
+            for entry in found:
+                entries.append(entry)
+                left -= 1
+                if left < 0:
+                    what = f"looks at more than {MOST_LOOKED_AT} files"
+                    raise BadInput(where, what, "name the folders, with fewer * and **")
+        return entries
+
+    found: dict[Path, tuple[str, ...]] = {Path(anchor) if anchor else folder: ()}
+    for part in parts:
+        before, found = found, {}
+        if part == "**":
+            waiting = [*before.items()]
+            while waiting:
+                path, names = waiting.pop()
+                if path not in found:
+                    found[path] = names
+                    deeper = (e.name for e in inside(path) if e.is_dir(follow_symlinks=False))
+                    waiting += [(path / one, names) for one in deeper if one[0] != "."]
+            continue
+        for path, names in before.items():
+            if not glob.has_magic(part):
+                there = [part] if os.path.lexists(path / part) else []
+            else:
+                hidden = part[0] == "."
+                every = (entry.name for entry in inside(path))
+                there = [x for x in every if (hidden or x[0] != ".") and fnmatch(x, part)]
+            found |= {path / one: (*names, one) for one in there}
+    return found
 
 
 def read_bytes(path: Path, mend: str = "check the name", *, largest: int = LARGEST_TEXT) -> bytes:
@@ -118,8 +169,18 @@ def opened_hdf5(path: Path, mend: str = "check the name") -> Iterator[h5py.File]
         raise BadInput(str(path), why, mend) from None
 
 
-def array_of(dataset: h5py.Dataset) -> NDArray[Any]:
-    """Read a dataset whole, of a size that is known before; ``ValueError`` where it is none."""
+def check_size(size: int, what: str = "an array") -> None:
+    """Refuse so many bytes of one array; asked before there is room made for them."""
+    if size > LARGEST_ARRAY:
+        most = f"more than {LARGEST_ARRAY / 2**20:.0f}"
+        raise ValueError(f"{what} of {size / 2**20:.0f} MiB, {most}")
+
+
+def array_of(dataset: h5py.Dataset, field: str | None = None) -> NDArray[Any]:
+    """Read a dataset, or a field of its rows, whole; ``ValueError`` where it is none.
+
+    Its size is known before, and that of the pieces that are unpacked one at a time.
+    """
     import h5py
 
     if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
@@ -127,12 +188,11 @@ def array_of(dataset: h5py.Dataset) -> NDArray[Any]:
     if dataset.external is not None or dataset.is_virtual:
         raise ValueError("an array that lies in another file")
     size = math.prod(dataset.shape) * dataset.dtype.itemsize
-    piece = math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize
-    if size > min(LARGEST_ARRAY, _PACKED * max(dataset.id.get_storage_size(), 2**10)):
-        raise ValueError(f"an array of {size / 2**20:.0f} MiB")
-    if piece > _PIECE:
-        raise ValueError(f"pieces of {piece / 2**20:.0f} MiB")
-    return np.asarray(dataset[()])
+    check_size(size)
+    check_size(math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize, "pieces")
+    if size > _PACKED * max(dataset.id.get_storage_size(), 2**10):
+        raise ValueError(f"an array of {size / 2**20:.0f} MiB that are not there")
+    return np.asarray(dataset[()] if field is None else dataset[field])
 
 
 def _number(text: str) -> float:

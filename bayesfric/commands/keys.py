@@ -176,7 +176,8 @@ def _type(field: Mapping[str, Any], models: Models) -> str:
         choices = field.get("enum") or [field["const"]]
         return " or ".join(f"`{json.dumps(one)}`" for one in choices)
     if field["type"] == "array":
-        number = f"{field['minItems']}: " if field.get("minItems") else ""
+        least, most = field.get("minItems"), field.get("maxItems")
+        number = f"{least}: " if least else f"at most {most}: " if most else ""
         return f"list of {number}{_type(field['items'], models)}"
     word = _WORDS[field["type"]]
     if isinstance(more := field.get("additionalProperties"), dict):

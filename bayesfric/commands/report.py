@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from bayesfric.errors import BadInput
 from bayesfric.progress import Progress, Shown, silent
-from bayesfric.report.files import write_beside
+from bayesfric.report.files import put_into, write_beside
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
@@ -51,11 +50,7 @@ def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> 
     progress(Progress("recordings"))
     fit, summary = fit_of(run)
     texts |= latex_texts(summary, name)
-    figures = run / "figures"
-    with TemporaryDirectory(prefix=".", dir=run) as beside:
-        draw(Path(beside), FinishedRun(fit, summary), IN_PAPER, progress)
-        figures.mkdir(exist_ok=True)
-        files = sorted(Path(beside).iterdir())
-        for file in files:
-            file.replace(figures / file.name)
+    with put_into(run / "figures") as beside:
+        draw(beside, FinishedRun(fit, summary), IN_PAPER, progress)
+        files = sorted(beside.iterdir())
     return [f"figures/{file.name}" for file in files]

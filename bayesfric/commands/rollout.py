@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from bayesfric.commands.report import report
@@ -16,12 +15,11 @@ from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
-from bayesfric.report.files import write_beside
+from bayesfric.report.files import put_into, write_beside
 from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.summary.rollout_part import RollOutPart, rollout_part
 from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
-from bayesfric.results.roll_out import RollOut
 from bayesfric.rollouts.rollout import rollout as played
 
 
@@ -39,9 +37,27 @@ def rollout(
     Arguments as of :func:`bayesfric.rollout`. ``summary.json``, the page and ``figures/rollout``
     are written.
     """
-    found = played(run, config, every=every, draws=draws, seed=seed, progress=progress)
-    told = rollout_part(found)
-    _write(run, found, told)
+    # whatever another version keeps there, stays there
+    summary: dict[str, Any] = read_summary_file(run)
+    caption_file = run / "text" / "captions.md"
+    captions = read_captions(read_text(caption_file)) if caption_file.exists() else {}
+    try:
+        # made first: what cannot be written is not simulated
+        with put_into(run / "figures") as beside:
+            found = played(run, config, every=every, draws=draws, seed=seed, progress=progress)
+            told = rollout_part(found)
+            captions[FIGURE.stem] = FIGURE.caption_of(found)
+            save(rollout_figure(found), beside, FIGURE.stem)
+    except OSError as error:
+        raise BadInput(
+            str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
+        ) from None
+    text = json.dumps(
+        {**summary, "rollout": told.as_dict()}, indent=1, ensure_ascii=False, allow_nan=False
+    )
+    lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
+    write_beside({run / "summary.json": f"{text}\n", caption_file: lines}, replace=True)
+    report(run)
     return told
 
 
@@ -49,26 +65,3 @@ def rollout_text(found: RollOutPart) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     yield from filled("rollout.txt.j2", found=found).splitlines()
     yield from (f"WARNING: {line_of(*one)}" for one in roll_out_alerts(found).items())
-
-
-def _write(run: Path, found: RollOut, told: RollOutPart) -> None:
-    # whatever another version keeps there, stays there
-    summary: dict[str, Any] = {**read_summary_file(run), "rollout": told.as_dict()}
-    caption_file = run / "text" / "captions.md"
-    captions = read_captions(read_text(caption_file)) if caption_file.exists() else {}
-    figures = run / "figures"
-    try:
-        with TemporaryDirectory(dir=figures) as beside:
-            captions[FIGURE.stem] = FIGURE.caption_of(found)
-            save(rollout_figure(found), Path(beside), FIGURE.stem)
-            for file in Path(beside).iterdir():
-                file.replace(figures / file.name)
-        caption_file.parent.mkdir(exist_ok=True)
-    except OSError as error:
-        raise BadInput(
-            str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
-        ) from None
-    text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-    lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
-    write_beside({run / "summary.json": f"{text}\n", caption_file: lines}, replace=True)
-    report(run)

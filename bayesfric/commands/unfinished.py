@@ -79,6 +79,7 @@ class Unfinished:
         """Remove the checkpoints: the run is written."""
         for checkpoint in self.samplings:
             checkpoint.remove()
+        _clear(self.place)
 
 
 @contextmanager
@@ -105,6 +106,8 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
                 what = "was interrupted, and its checkpoint is there"
                 mend = "add --resume to go on, or --force to start afresh"
                 raise BadInput(str(folder), what, mend)
+            if not there:
+                _clear(place)
             run = Unfinished(place, afresh=there and force)
             with asked_to_stop(lambda: any(c.walking for c in run.samplings)) as run.asked:
                 try:
@@ -117,6 +120,8 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
                     raise Interrupted(run.asked.by, saved) from None
                 except OSError:
                     kept = any(place.glob("*.json"))
+                    if not kept:
+                        _clear(place)
                     raise
                 except BaseException:
                     with suppress(OSError):
@@ -129,6 +134,13 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
             mend = "mend that, then go on with --resume from the last checkpoint, which is intact"
         where = str(error.filename or folder)
         raise BadInput(where, f"cannot be written ({reason})", mend) from None
+
+
+def _clear(place: Path) -> None:
+    """Remove what a killed process left that nobody can go on with."""
+    for path in place.iterdir():
+        if path.name != LOCK and path.is_file():
+            path.unlink()
 
 
 def _set_aside(place: Path) -> None:

@@ -28,6 +28,8 @@ _RETRIES, _DEATHS = 2, 5
 # Units handed out at once, and for each thread if that is more: the rest waits here, where it
 # takes no memory of the scheduler's.
 _HANDED_OUT, _PER_THREAD = 256, 4
+# Bytes that a worker may be given: less than what imports take is none.
+_LEAST_MEMORY, _MOST_MEMORY = 2**27, 2**60
 # How long and how often a scheduler is called, s.
 _CONNECT, _TRIALS = 10.0, 2
 # A worker is one thread; what it calls must not start more. And what was freed goes back to the
@@ -102,12 +104,12 @@ def check_engine(options: ClusterOptions) -> None:
         what = "works with Dask distributed, which is not installed"
         raise BadInput("bayesfric fleet", what, "pip install 'bayesfric[fleet]'") from None
     try:
-        enough = parse_bytes(options.memory_limit) > 0
-    except ValueError:
+        enough = _LEAST_MEMORY <= parse_bytes(options.memory_limit) < _MOST_MEMORY
+    except (ValueError, OverflowError):
         enough = False
     if not enough:
         where = f"cluster.memory_limit = {options.memory_limit!r}"
-        raise BadInput(where, "is no size", 'write such as "2 GiB"')
+        raise BadInput(where, "is no size for a worker", 'write such as "2 GiB"')
 
 
 @contextmanager

@@ -177,7 +177,9 @@ class Fleet:
                     course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
                     tasks = course.tasks(folder / UNITS)
                     work_through(tasks, options, course.arrived)
-                    return course.end(folder, began)
+                    found = course.end(folder, began)
+                    (folder / LOCK).unlink(missing_ok=True)
+                    return found
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
@@ -203,7 +205,9 @@ def _check(folder: Path, *, resume: bool) -> None:
     there = (folder / PLAN).is_file()
     if resume and not there:
         raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
-    if not resume and folder.exists() and any(folder.iterdir()):
+    # hidden is what a killed process left before it had begun
+    held = folder.exists() and any(path.name[0] != "." for path in folder.iterdir())
+    if not resume and held:
         mend = "add --resume to do what is missing, or name another with -o" if there else ""
         raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
 

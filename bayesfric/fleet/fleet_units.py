@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import glob
 import io
 import os
 import re
@@ -12,13 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.errors import BadInput, nearest
-from bayesfric.opened import check_ordinary, read_text
+from bayesfric.opened import check_ordinary, matching, read_text
+from bayesfric.recordings.tables.table import check_names
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Value = str | float | int | bool | None
 
+# Units of a fleet, bytes of their table, characters of a text that cells are put into.
+MOST_UNITS, _LARGEST_TABLE, LONGEST_TEXT = 100_000, 2**24, 1_000_000
 # What every file system takes, with room for what is put before and behind.
 _LONGEST = 180
 # A serial number such as 007 is none: it would lose its noughts.
@@ -56,6 +58,9 @@ def put_in(text: str, told: Mapping[str, str], where: str, known: str) -> str:
             raise BadInput(where, f"asks for {{{name}}}, which is empty in {known}", "fill it")
         return told[name]
 
+    length = sum(len(told.get(found[1], "")) for found in PLACEHOLDER.finditer(text))
+    if length > LONGEST_TEXT:
+        raise BadInput(where, f"becomes {length} characters long", "ask for fewer cells")
     return PLACEHOLDER.sub(one, text)
 
 
@@ -72,9 +77,15 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
     size = check_ordinary(path)
     try:
         if path.suffix.lower() in (".parquet", ".pq"):
+            import pyarrow.parquet as pq
+
+            _check_count(pq.read_metadata(path).num_rows, str(path))
             return units_of(pd.read_parquet(path), pattern, str(path), first_row=2)
-        text = read_text(path)
-        delimiter = max(",;\t", key=text.partition("\n")[0].count)
+        text = read_text(path, largest=_LARGEST_TABLE)
+        _check_count(text.count("\n") - 1, str(path))
+        head = text.partition("\n")[0]
+        delimiter = max(",;\t", key=head.count)
+        check_names(str(path), [""] * (head.count(delimiter) + 1), "header")
         # no header: pandas would rename the second of two columns of one name
         cells = pd.read_csv(
             io.StringIO(text), sep=delimiter, header=None, dtype=str, keep_default_na=False
@@ -101,35 +112,46 @@ def find_units(pattern: str, folder: Path, names: str | None, start: str = ".") 
     if not parts or not all(part.isidentifier() and part != "file" for part in parts):
         mend = "write a word in braces for each part, such as logs/{robot}/{day}.csv"
         raise BadInput(where, "has no named parts", mend)
-    wild, regular = _wild_and_regular(pattern)
-    found = sorted(glob.glob(wild, root_dir=folder, recursive=True))  # noqa: PTH207 (root_dir)
-    matched = [(file, m) for file in found if (m := regular.fullmatch(file.replace(os.sep, "/")))]
-    if not matched:
+    # brackets are letters here
+    wild = PLACEHOLDER.sub("?*", pattern).replace("[", "[[]")
+    rows = []
+    for path, names_of in sorted(matching(wild, folder, where).items()):
+        row = _parts_of(pattern, names_of)
+        if row is not None:
+            file = os.path.normpath(os.path.join(start, os.path.relpath(path, folder)))  # noqa: PTH118 (a text)
+            rows.append({**row, "file": file})
+    if not rows:
         raise BadInput(where, f"no file in {folder} matches it", "check the pattern")
     import pandas as pd
 
-    frame = pd.DataFrame([match.groupdict() for _, match in matched])
-    frame["file"] = [os.path.normpath(os.path.join(start, file)) for file, _ in matched]  # noqa: PTH118 (a text)
+    frame = pd.DataFrame(rows)
     names = names or "-".join(f"{{{part}}}" for part in dict.fromkeys(parts))
     return units_of(frame, names, where)
 
 
-def _wild_and_regular(pattern: str) -> tuple[str, re.Pattern[str]]:
-    """Turn a pattern into one for glob and one that names the parts."""
-    wild, regular, seen = "", "", set()
-    for token in re.split(r"(\{[^{}]*\}|\*\*/|\*|\?)", pattern):
-        if token[:1] == "{":
-            name = token[1:-1]
-            wild += "*"
-            regular += f"(?P={name})" if name in seen else f"(?P<{name}>[^/]+?)"
-            seen.add(name)
-        elif token in ("**/", "*", "?"):
-            wild += token
-            regular += {"**/": "(?:.*/)?", "*": "[^/]*", "?": "[^/]"}[token]
-        else:
-            wild += token
-            regular += re.escape(token)
-    return wild, re.compile(regular)
+def _parts_of(pattern: str, found: Sequence[str]) -> dict[str, str] | None:
+    """Name the parts of what matches; ``None`` where one name would stand for two."""
+    parts = (part for part in pattern.split("/") if part not in ("", ".", "**"))
+    told: dict[str, str] = {}
+    for part, name in zip(parts, found, strict=True):
+        tokens = re.split(r"(\{[^{}]*\}|\*|\?)", part)
+        # as short as can be, and so without a second trial: that the whole matches is known
+        known = {"*": "(.*?)", "?": "(.)"}
+        regular = "".join(
+            "(.+?)" if one[:1] == "{" else known.get(one, re.escape(one)) for one in tokens
+        )
+        match = re.fullmatch(regular, name, re.DOTALL)
+        assert match is not None
+        for token, value in zip(tokens[1::2], match.groups(), strict=True):
+            if token[0] == "{" and told.setdefault(token[1:-1], value) != value:
+                return None
+    return told
+
+
+def _check_count(count: int, known: str) -> None:
+    if count > MOST_UNITS:
+        mend = "divide it into several fleets"
+        raise BadInput(known, f"has {count} rows, more than {MOST_UNITS}", mend)
 
 
 def units_of(
@@ -143,10 +165,10 @@ def units_of(
         Naming the row, if a name cannot be that of a folder, or is there twice.
     """
     columns = [str(name).strip() for name in frame.columns]
-    for name in columns:
-        if not name or columns.count(name) > 1:
-            what = f"two columns are called {name!r}" if name else "a column has no name"
-            raise BadInput(known, what, "give each a name of its own")
+    check_names(known, columns, "header")
+    if not all(columns):
+        raise BadInput(known, "a column has no name", "give each a name of its own")
+    _check_count(len(frame), known)
     if pattern is None:
         own = next((name for name in ("unit", "name") if name in columns), None)
         if own is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,10 +11,18 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from bayesfric.errors import BadInput, Unfit, nearest
-from bayesfric.fleet.fleet_units import PLACEHOLDER, Unit, find_units, places_of, put_in, read_units
+from bayesfric.fleet.fleet_units import (
+    LONGEST_TEXT,
+    PLACEHOLDER,
+    Unit,
+    find_units,
+    places_of,
+    put_in,
+    read_units,
+)
 from bayesfric.fleet.results import COLUMNS
 from bayesfric.options import Options
-from bayesfric.problem.config import checked_toml, parse_config, read_toml
+from bayesfric.problem.config import checked_toml, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import document_text
 
 
@@ -109,8 +116,10 @@ class Template:
         BadInput
             Naming the key, if a placeholder has no column, or an empty cell.
         """
+        left = LONGEST_TEXT
 
         def put(value: Any, place: str) -> Any:
+            nonlocal left
             inner = place and f"{place}."
             if isinstance(value, Mapping):
                 return {key: put(x, f"{inner}{key}") for key, x in value.items()}
@@ -119,10 +128,14 @@ class Template:
             if not isinstance(value, str):
                 return value
             text = put_in(value, unit.text, f"{self.path}: {place}", f"unit {unit.name!r}")
+            left -= len(text)
+            if left < 0:
+                what = f"becomes more than {LONGEST_TEXT} characters for unit {unit.name!r}"
+                raise BadInput(str(self.path), what, "ask for fewer cells")
             alone = PLACEHOLDER.fullmatch(value)
             return unit.values[alone[1]] if alone and alone[1] is not None else text
 
-        return document_text(put(self.document, ""))
+        return document_text(put(self.document, ""), self.path)
 
 
 @dataclass(frozen=True)
@@ -171,10 +184,7 @@ class Plan:
 
 def read_template(path: Path) -> Template:
     """Read a configuration whose texts hold placeholders; it is checked when they are filled."""
-    try:
-        return Template(path.absolute(), tomllib.loads(read_toml(path)))
-    except ValueError as error:
-        raise BadInput(str(path), f"is no TOML ({error})", "correct the file") from None
+    return Template(path.absolute(), read_document(read_toml(path), path, "configuration"))
 
 
 def read_plan(path: Path) -> Plan:

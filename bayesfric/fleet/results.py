@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesfric.errors import BadInput
 from bayesfric.fleet.fleet_units import Unit
+from bayesfric.report.files import place_beside
 from bayesfric.report.summary.record import Summary
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Results:
         import pyarrow.parquet as pq
 
         began = time.monotonic()
-        beside = self.path.with_name(f".{self.path.name}.{os.getpid()}.partial")
+        beside = place_beside(self.path)
         try:
             pq.write_table(self.table(), beside)
             beside.replace(self.path)

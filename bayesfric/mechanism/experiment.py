@@ -45,6 +45,7 @@ class Simulation(BaseModel):
     )
     frequencies: tuple[Positive, ...] = Field(
         (0.3, 0.7, 1.3, 2.9, 5.3),
+        max_length=1000,
         description="of the multisine, or first and last of the chirp, Hz",
         json_schema_extra=in_unit("Hz"),
     )

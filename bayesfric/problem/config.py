@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import from_json
 
 from bayesfric.configuration_errors import configuration_error
 from bayesfric.diagnostics.self_check import SelfCheckOptions
@@ -289,8 +290,22 @@ def chain_of(config: str) -> Joint | None:
         return None
 
 
+def read_document(text: str, path: Path, kind: str) -> dict[str, Any]:
+    """Read TOML that is not deep, a ``kind`` of file in messages."""
+    return _document(text, path, kind)[0]
+
+
 def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
     """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
+    document, as_json = _document(text, path, kind)
+    try:
+        return model.model_validate_json(as_json, strict=True)
+    except ValidationError as error:
+        raise configuration_error(f"{path}: ", kind, error, document, model) from None
+
+
+def _document(text: str, path: Path, kind: str) -> tuple[dict[str, Any], str]:
+    """Read TOML, and write it as JSON."""
     if found := _LONG_KEY.search(text):
         line = text.count("\n", 0, found.start()) + 1
         raise BadInput(f"{path}, line {line}", "a key has more than 50 parts", "correct the file")
@@ -304,12 +319,10 @@ def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Chec
     if _NUL.search(as_json):
         raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
-        return model.model_validate_json(as_json, strict=True)
-    except ValidationError as error:
-        if error.errors(include_url=False)[0]["type"] == "json_invalid":
-            what = f"is nested too deep for a {kind}"
-            raise BadInput(str(path), what, "correct the file") from None
-        raise configuration_error(f"{path}: ", kind, error, document, model) from None
+        from_json(as_json)
+    except ValueError:
+        raise BadInput(str(path), f"is nested too deep for a {kind}", "correct the file") from None
+    return document, as_json
 
 
 def _no_toml(path: Path, message: str) -> BadInput:

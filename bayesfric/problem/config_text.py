@@ -36,9 +36,9 @@ def config_of(document: Mapping[str, Any]) -> Config:
     return parse_config(document_text(document), _MODEL)
 
 
-def document_text(document: Mapping[str, Any]) -> str:
-    """Write tables as the text of a configuration."""
-    return "\n".join(_lines(document))
+def document_text(document: Mapping[str, Any], path: Path = _MODEL) -> str:
+    """Write tables as the text of a configuration; ``path`` names them in messages."""
+    return "\n".join(_lines(document, path))
 
 
 def with_terms(config: Config, names: Sequence[str]) -> Config:
@@ -125,11 +125,11 @@ def prior_value(prior: Any) -> Any:
     return {"distribution": family.name, **{key: float(x) for key, x in values.items()}}
 
 
-def _lines(document: Mapping[str, Any]) -> Iterator[str]:
+def _lines(document: Mapping[str, Any], path: Path) -> Iterator[str]:
     for key, table in document.items():
         several = isinstance(table, list)
         for number, part in enumerate(table if several else [table], start=1):
-            where = f"{_MODEL}: {key}" + (f".{number}" if several else "")
+            where = f"{path}: {key}" + (f".{number}" if several else "")
             yield f"[[{_key(key)}]]" if several else f"[{_key(key)}]"
             yield from _entries(part, where)
             yield ""

@@ -60,7 +60,8 @@ class Processing(Options):
     )
     resample: str = Field(
         "auto",
-        description="'auto' (if the time steps jitter), 'never', or a period such as '5 ms'.",
+        description="'auto' (if the time steps jitter), 'never', or a period such as '5 ms', of "
+        "at least a tenth of the recording's.",
     )
     gap: float = Field(
         5.0,

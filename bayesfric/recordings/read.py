@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.errors import BadInput
+from bayesfric.opened import matching
 from bayesfric.recordings import channels, checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
@@ -300,7 +301,8 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
         if (folder / pattern).exists() or not glob.has_magic(pattern):
             paths.append(folder / pattern)
             continue
-        matches = sorted(path for path in _matching(pattern, folder) if is_recording(path))
+        every = matching(pattern, folder, f"file = '{pattern}'")
+        matches = sorted(path for path in every if is_recording(path))
         if not matches:
             what = f"no file in {folder} matches it"
             raise BadInput(f"file = '{pattern}'", what, "check the pattern and the folder")
@@ -312,24 +314,6 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
             raise BadInput(str(path), "its name is not UTF-8", "rename the file") from None
     # a file named twice, say by two patterns, would count its measurements twice
     return list(dict.fromkeys(paths))
-
-
-def _matching(pattern: str, folder: Path) -> Iterator[Path]:
-    """Find files as the shell does; ** enters no linked folder, which may hold itself."""
-    anchor = Path(pattern).anchor
-    root, relative = Path(anchor) if anchor else folder, pattern[len(anchor) :]
-    hidden = any(part.startswith(".") for part in Path(relative).parts)
-    try:
-        if any("**" in part and part != "**" for part in Path(relative).parts):
-            # from Python 3.13 on it would be a single *
-            raise ValueError("** stands for whole folders")
-        for path in root.glob(relative):
-            if hidden or not any(p.startswith(".") for p in path.relative_to(root).parts):
-                yield path
-    except (ValueError, NotImplementedError) as error:
-        raise BadInput(
-            f"file = '{pattern}'", f"is no pattern ({error})", "write ** between slashes"
-        ) from None
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -18,6 +18,8 @@ _FASTEST = 1e-6
 # a period outside these is no sampling at all, and its square leaves floating point
 _POSSIBLE = (1e-12, 1e9)
 _MOST_SAMPLES = 10_000_000
+# Samples for each measured one that may be asked for.
+_FINEST = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,7 @@ def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, wher
     inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
     mean = float(np.mean(inside))
     jitter = float(np.sqrt(np.mean((inside - mean) ** 2)) / mean)
-    period, resampled, how = _choose(jitter, mean, median, processing, warnings)
+    period, resampled, how = _choose(jitter, mean, median, processing, warnings, where)
     steps.append(f"time: {chosen[1] - chosen[0]} samples, {how}")
     if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
         raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
@@ -158,13 +160,22 @@ def _resampled(stamps: list[Array], period: float, least: int, where: str) -> li
 
 
 def _choose(
-    jitter: float, mean: float, median: float, processing: Processing, warnings: list[str]
+    jitter: float,
+    mean: float,
+    median: float,
+    processing: Processing,
+    warnings: list[str],
+    where: str,
 ) -> tuple[float, bool, str]:
     """Return the grid's period, whether to resample, and the choice in words."""
     how = "by linear interpolation (PCHIP for position)"
     percent = f"jitter {100 * jitter:.2g} %"
     if processing.resample not in ("auto", "never"):
         period = units.quantity(processing.resample, "time")
+        if 1.01 * period * _FINEST < median:  # stamps are rounded
+            what = f"asks for a period of {period:.3g} s, measured every {median:.3g} s"
+            mend = f"choose {median / _FINEST:.3g} s or more; samples in between are invented"
+            raise BadInput(f"{where}, resample", what, mend)
         if not 0.5 <= period / median <= 1.5:
             warnings.append(
                 f"time: resampled to {1e3 * period:.3g} ms, measured every {1e3 * median:.3g} ms: "

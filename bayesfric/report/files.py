@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import errno
+import glob
 import os
+import platform
 import shutil
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -58,7 +61,7 @@ def write_beside(texts: Mapping[Path, str], *, replace: bool = False) -> None:
             # before the folders: one that is empty again goes, too
             folders.callback(_removed, beside)
             for at, text in texts.items():
-                beside[at] = at.with_name(f".{at.name}.{os.getpid()}.partial")
+                beside[at] = place_beside(at)
                 beside[at].write_text(text, encoding="utf-8")
             for at, partial in beside.items():
                 partial.replace(at)
@@ -93,7 +96,12 @@ def check_free(folder: Path, *, force: bool | None, marked: str = "summary.json"
             if old and force is not None:
                 mend += ", or add --force to keep it under another name"
             raise BadInput(str(folder), what, mend)
-        beside = _beside(folder)
+        try:
+            str(_target(folder)).encode()
+        except UnicodeEncodeError:  # what is written into it tells its name
+            mend = "name another folder with -o"
+            raise BadInput(str(folder), "its name is not UTF-8", mend) from None
+        beside = place_beside(folder)
         # Only trying tells: rights, read-only disks and /proc all refuse in their own way.
         with parents_made(beside):
             beside.mkdir()
@@ -110,7 +118,7 @@ def made_beside(folder: Path) -> Iterator[Path]:
     is removed, with the folders that were made for it.
     """
     target = _target(folder)
-    beside = _beside(folder)
+    beside = place_beside(folder)
     try:
         with parents_made(target):
             try:
@@ -129,13 +137,49 @@ def made_beside(folder: Path) -> Iterator[Path]:
         raise unwritable(folder, error, "folder") from error
 
 
+@contextmanager
+def put_into(folder: Path) -> Iterator[Path]:
+    """Give an empty folder to fill; its files go into ``folder`` when the block ends well."""
+    beside = place_beside(folder)
+    beside.mkdir()
+    try:
+        yield beside
+        folder.mkdir(exist_ok=True)
+        for file in beside.iterdir():
+            file.replace(folder / file.name)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
 def _target(folder: Path) -> Path:
     return Path(os.path.abspath(folder))  # noqa: PTH100  (".." must get a name, links stay)
 
 
-def _beside(folder: Path) -> Path:
-    target = _target(folder)
-    return target.with_name(f".{target.name}.{os.getpid()}.partial")
+def place_beside(path: Path) -> Path:
+    """Name where this process may make what ``path`` is to be.
+
+    What killed processes of this machine left there is removed.
+    """
+    target = _target(path)
+    here = f"{zlib.crc32(platform.node().encode()):08x}"
+    for left in target.parent.glob(f".{glob.escape(target.name)}.{here}-*.partial"):
+        process = left.name.removesuffix(".partial").rpartition("-")[2]
+        if process.isdecimal() and not _runs(int(process)):
+            with suppress(OSError):
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+    return target.with_name(f".{target.name}.{here}-{os.getpid()}.partial")
+
+
+def _runs(process: int) -> bool:
+    if os.name == "nt":
+        return True  # asking would end it
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return process != os.getpid()
 
 
 def unwritable(path: Path, error: OSError, kind: str) -> BadInput:

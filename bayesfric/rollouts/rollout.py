@@ -17,8 +17,7 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.joint import Joint
-from bayesfric.opened import read_text
-from bayesfric.problem.config import Config, parse_config, read_config
+from bayesfric.problem.config import Config, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
 from bayesfric.progress import Progress, Shown, silent
@@ -92,6 +91,8 @@ def rollout(
     else:
         given = [recordings] if isinstance(recordings, Recording) else recordings
         recorded = of_recordings(run, given)
+    for one in recorded:
+        _segments(one)  # what cannot be played is refused before anything is simulated
     seed = run.model.config.tables.sampling.seed if seed is None else seed
     series = unexplained(run)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(13,)))
@@ -332,17 +333,14 @@ def of_config(posterior: Finished, path: Path) -> list[Recorded]:
         If it describes another mechanism than the run's, or for what cannot be used.
     """
     run = tomllib.loads(posterior.model.config.text)
-    try:
-        document = tomllib.loads(read_text(path, "name the .toml file"))
-    except (ValueError, RecursionError):
-        read_config(path)  # says what is wrong
-        raise
+    document = read_document(read_toml(path), path, "configuration")
     for table in ("mechanism", "processing"):
         if table in run:
             document.setdefault(table, run[table])
-    if document["mechanism"].get("terms") == "auto":  # what was put in, only the run knows
+    asked = document["mechanism"]
+    if isinstance(asked, dict) and asked.get("terms") == "auto":  # the run knows what was put in
         document["mechanism"] = run["mechanism"]
-    config = parse_config(document_text(document), path)
+    config = parse_config(document_text(document, path), path)
     if config.tables.mechanism != posterior.model.config.tables.mechanism:
         raise BadInput(
             f"{path}: mechanism", "is not the run's", "leave it out: it is taken from the run"

@@ -236,3 +236,51 @@ def test_nothing_else_opens_a_file():
                 if node.func.attr in OPENS and not resource:
                     found.add(f"{name}: {ast.unparse(node)[:60]}")
     assert found == set()
+
+
+# -- who is at fault, and when it is told
+
+RECORDING = """
+[[recordings]]
+file = "small.csv"
+time = { column = "time", unit = "s" }
+position = { column = "position", unit = "rad" }
+torque = { column = "torque", unit = "N m" }
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("mechanism = 3", ("other.toml: mechanism", "got 3")),
+        ("recordings = [1]", ("other.toml: recordings",)),
+        (RECORDING + "exclude = [[0.1, 0.2]\n[0.3, 0.4]]", ("other.toml", "line 8")),
+        ("a = " + "[" * 900 + "]" * 900, ("other.toml",)),
+        (RECORDING + "exclude = [[0.01, 2.995]]\n", ()),
+    ],
+    ids=["no table", "no tables", "no comma", "deep", "nothing left"],
+)
+def test_a_roll_out_names_the_file_at_fault_before_it_simulates(bad, monkeypatch, text, parts):
+    monkeypatch.setattr("bayesfric.rollouts.rollout._play", None)
+    (bad.parent / "other.toml").write_text(text)
+    outcome = ran(bad.parent, "rollout", "good", "other.toml")
+    assert outcome.code == 2, outcome
+    assert all(part in outcome.err for part in parts), outcome.err
+
+
+def test_what_cannot_be_written_is_not_simulated(bad, monkeypatch):
+    monkeypatch.setattr("bayesfric.rollouts.rollout._play", None)
+    shutil.rmtree(bad / "figures")
+    (bad / "figures").write_text("")
+    (bad / ".figures").mkdir()
+    monkeypatch.setattr("bayesfric.report.files.place_beside", lambda _: bad / ".figures")
+    outcome = ran(bad.parent, "rollout", "bad")
+    assert outcome.code == 2, outcome
+    assert "cannot be written" in outcome.err
+
+
+def test_a_roll_out_of_a_run_without_draws_names_its_file(bad):
+    DAMAGED["no draws"](bad)
+    outcome = ran(bad.parent, "rollout", "bad")
+    assert outcome.code == 2, outcome
+    assert "bad/posterior.nc" in outcome.err, outcome.err

@@ -99,7 +99,8 @@ def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> 
         there = rf"(\s{key}\s*=\s*)(?:\"[^\"]*\"|'[^']*')"
         changed, count = re.subn(there, rf'\g<1>"{value}"', changed, count=1)
         if not count:
-            changed = re.sub(r"(\s*/?>)$", rf' {key}="{value}"\1', changed)
+            inside = changed.rstrip("/>").rstrip()
+            changed = f'{inside} {key}="{value}"{changed[len(inside) :]}'
     return before + changed + rest[tag.end() :]
 
 

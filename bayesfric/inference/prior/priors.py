@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,6 +29,28 @@ _TURN_TYPED = 0.02
 _LEAST_MASS = 1e-6
 # Sd over value of a told prior that is there because the value is known.
 KNOWN = 0.2
+
+
+# Quick whatever the arguments.
+_QUICK = {
+    "norm", "halfnorm", "lognorm", "loguniform", "uniform", "expon", "triang", "truncnorm", "t",
+    "cauchy", "halfcauchy", "laplace", "logistic", "gamma", "invgamma", "beta", "weibull_min",
+}  # fmt: skip
+# What a fit asks of a prior, in a process of its own, which the system ends after a second or two
+# of the processor's: some of SciPy's loops take hours, and nothing else ends them.
+_TRIAL = """
+import json, resource, sys, time
+import numpy as np
+from scipy import stats
+kind, arguments, ends = json.loads(sys.argv[1])
+last = int(time.process_time()) + 2
+resource.setrlimit(resource.RLIMIT_CPU, (last, last))
+frozen = getattr(stats, kind)(**arguments)
+with np.errstate(all="ignore"):
+    low, high = frozen.cdf(ends)
+    x = frozen.ppf(low + (high - low) * np.linspace(2e-5, 1.0 - 2e-5, 200))
+    frozen.logpdf(x), frozen.mean(), frozen.std()
+"""
 
 
 Side = Literal["lower", "upper"]
@@ -218,6 +243,9 @@ def _named(
     if missing := [name for name in shapes if name not in arguments]:
         raise BadInput(where, f"{kind} needs {missing[0]!r}", f"add {missing[0]} = ...")
     shown = ", ".join(f"{key}={_number(value)}" for key, value in arguments.items())
+    if kind not in _QUICK and not _quick(json.dumps([kind, arguments, [lower, upper]])):
+        what = f"the density of {kind}({shown}) is not to be had in a second"
+        raise BadInput(where, what, "take one of closed form, such as norm or lognorm")
     try:
         with np.errstate(all="ignore"):
             frozen = family(**{key: float(value) for key, value in arguments.items()})
@@ -235,6 +263,13 @@ def _named(
     low, high = max(float(low), lower), min(float(high), upper)
     cut = "" if mass > 1.0 - 1e-9 else f" cut to [{low:g}, {high:g}]"
     return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass)
+
+
+@cache
+def _quick(told: str) -> bool:
+    """Whether a distribution, its name, arguments and ends as JSON, is evaluated in a moment."""
+    done = subprocess.run([sys.executable, "-c", _TRIAL, told], capture_output=True, check=False)
+    return done.returncode == 0
 
 
 def _finite(value: Any) -> float | None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.opened import array_of
 from bayesfric.recordings.tables.matlab_elements import check_elements
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
@@ -93,15 +94,17 @@ def _inside(path: Path, found: list[_Column], table: str) -> tuple[list[_Column]
 def _values(file: Any, column: _Column, where: str, matlab: bool) -> NDArray[Any]:
     dataset = file[column.path]
     kind = dataset.dtype if column.field is None else dataset.dtype[column.field]
-    if dataset.external is not None or dataset.is_virtual:
-        raise BadInput(where, "lies in another file", "save its values in this one")
     words = dataset.attrs.get("MATLAB_class", b"")
     if words in [word.encode() for word in _NO_NUMBERS] or kind.base.kind not in "biuf":
         name = words.decode() if isinstance(words, bytes) and words else kind.base.name
         raise BadInput(where, f"holds {name[:60]}, not numbers", "export it as numbers")
     if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
-    values = np.asarray(dataset[()] if column.field is None else dataset[column.field])
+    try:
+        values = array_of(dataset, column.field)
+    except ValueError as error:
+        mend = "save the recording's values alone, one row a sample, in one file"
+        raise BadInput(where, f"holds {error}", mend) from None
     # MATLAB stores arrays transposed, and knows no vectors
     return np.squeeze(values.T if matlab else values)
 

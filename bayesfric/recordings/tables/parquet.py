@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
+from bayesfric.opened import check_size
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
@@ -34,6 +35,7 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
             what = f"holds {str(kind)[:60]}, not numbers"
             raise BadInput(f"{path}, column '{names[index]}'", what, "export it as numbers")
         with pq.ParquetFile(path) as file:
+            check_size(8 * _count(file.metadata, names[index]))
             # by name: a name with a dot also selects a field inside a table
             column = file.read(columns=[names[index]]).column(names[index])
         if lists:
@@ -45,6 +47,13 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
         return np.asarray(column.to_numpy())
 
     return Table(str(path), names, load, names_at="schema", by_rows=True)
+
+
+def _count(told: Any, name: str) -> int:
+    """Count a column's numbers by what a file tells of itself; few bytes may repeat for ever."""
+    groups = (told.row_group(k) for k in range(told.num_row_groups))
+    parts = (group.column(k) for group in groups for k in range(group.num_columns))
+    return sum(one.num_values for one in parts if f"{one.path_in_schema}.".startswith(f"{name}."))
 
 
 def _matrix(column: Any) -> NDArray[Any]:
@@ -62,8 +71,10 @@ def read_npz(path: Path, _: TableOptions) -> Table:
     """Read an archive, one column an array, each when asked for; no pickle is opened."""
     with zipfile.ZipFile(path) as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist()]
+        sizes = [member.file_size for member in archive.infolist()]
 
     def load(index: int) -> np.ndarray[Any, Any]:
+        check_size(sizes[index])
         with np.load(path, allow_pickle=False) as arrays:
             return np.squeeze(np.asarray(arrays[names[index]]))
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayesfric.errors import BadInput
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _MOST_NAMES = 20
 _MOST_COLUMNS = 10_000
 _LONGEST_NAME = 60

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -114,7 +115,9 @@ def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KIN
     """
     with paper_style():
         for kind in kinds:
-            figure.savefig(folder / f"{stem}.{kind}", format=kind, **_UNDATED[kind])
+            drawn = io.BytesIO()  # where the disk is full, Matplotlib fails in words of its own
+            figure.savefig(drawn, format=kind, **_UNDATED[kind])
+            (folder / f"{stem}.{kind}").write_bytes(drawn.getvalue())
 
 
 def power_of_ten(low: float, high: float) -> int:

@@ -1,0 +1,68 @@
+"""Commands run one after the other in a process that may take 3 GB and 60 s a command."""
+
+import json
+import os
+import resource
+import select
+import subprocess
+import sys
+from dataclasses import asdict
+
+from tests.hostile.rule import Outcome, run
+
+MEMORY, SECONDS = 3 * 2**30, 60
+
+
+class Bounded:
+    """A process that runs commands, started anew where one of them ended it."""
+
+    def __init__(self):
+        self._process = None
+
+    def run(self, folder, *words):
+        """Run a command in a folder; it fails where it takes more than it may."""
+        if self._process is None or self._process.poll() is not None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tests.hostile.bounded"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+        told = json.dumps([str(folder), *map(str, words)])
+        self._process.stdin.write(f"{told}\n")
+        self._process.stdin.flush()
+        # the processor's seconds end it inside; what waits for something ends here
+        ready, _, _ = select.select([self._process.stdout], [], [], 5 * SECONDS)
+        line = self._process.stdout.readline() if ready else ""
+        if not line:
+            self.close()
+        assert line, f"{words} took more than {SECONDS} s or {MEMORY} bytes"
+        return Outcome(**json.loads(line))
+
+    def refused(self, folder, *words, parts=()):
+        """Run a command that ends with one line, which holds some words."""
+        outcome = self.run(folder, *words)
+        assert outcome.code == 2, outcome
+        assert outcome.err.startswith("bayesfric: "), outcome
+        assert outcome.err.count("\n") == 1, outcome
+        assert all(part in outcome.err for part in parts), (parts, outcome.err)
+
+    def close(self):
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+
+
+def main():
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    for line in sys.stdin:
+        folder, *words = json.loads(line)
+        os.chdir(folder)
+        # in a process of its own nothing else ends what holds the processor
+        used = int(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))
+        resource.setrlimit(resource.RLIMIT_CPU, (used + SECONDS, resource.RLIM_INFINITY))
+        print(json.dumps(asdict(run(*words, seconds=SECONDS))), flush=True)
+
+
+if __name__ == "__main__":
+    main()
