@@ -19,7 +19,9 @@ from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
 from bayesfric.identifiability.local import (
+    KNOWN_BY,
     WEAK,
+    Known,
     LocalInformation,
     Verdict,
     in_natural_units,
@@ -49,7 +51,7 @@ class Prospect:
     data_sd: float  # what the data alone would leave, the noise being what fit takes it for
     expected_sd: float  # data and prior together
     prior_sd: float = float("nan")  # and these two of parameters alone
-    verdict: Verdict | None = None  # to be expected of the posterior
+    status: Known | None = None  # to be expected of a fit
     on_bound: str | None = None  # lower or upper: a limit is what can be told
 
 
@@ -99,7 +101,9 @@ class Identification:
         return [
             one
             for one in self.combinations
-            if one.data_sd < WEAK * abs(one.value) and one.verdict != "prior" and not one.on_bound
+            if one.data_sd < WEAK * abs(one.value)
+            and one.status != "unidentified"
+            and not one.on_bound
         ]
 
     @property
@@ -111,7 +115,7 @@ class Identification:
     def _seen(self, element: str) -> Statement:
         """Say how often the load drives an element."""
         loss, share = f"{element}.load_back", self.back_driving[element]
-        prior = any(row.name == loss and row.verdict == "prior" for row in self.parameters)
+        prior = any(row.name == loss and row.status == "unidentified" for row in self.parameters)
         kind = "never" if share == 0.0 else "hardly" if share < HARDLY else "seen"
         return stated("back_driving", kind, prior=prior, element=element, share=share)
 
@@ -231,10 +235,14 @@ def _parameters(
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
         prior_sd, data_sd = float(prior.sd()), float(local.data_sd[j])
-        found = verdict(float(expected[j]), prior_sd, data_sd)
         p, sds = described[name], (data_sd, float(expected[j]), prior_sd)
-        rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, found, bound))
+        status = _status(verdict(float(expected[j]), prior_sd, data_sd), bound)
+        rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, status, bound))
     return tuple(rows)
+
+
+def _status(found: Verdict, bound: str | None) -> Known:
+    return "limit" if bound and found != "prior" else KNOWN_BY[found]
 
 
 def _told(target: Target, estimate: Array) -> set[str]:
@@ -270,6 +278,7 @@ def _combinations(
         expected_sd = float(np.sqrt(expected)) if expected >= 0.0 else float("inf")
         data_sd = local.data_sd_of(gradient)
         ends = [p.on_bound for p, some in zip(parameters, used, strict=True) if some]
+        on_bound = ends[0] if bounds[used].all() else None
         found.append(
             Prospect(
                 q.name,
@@ -279,8 +288,8 @@ def _combinations(
                 data_sd,
                 expected_sd,
                 # its prior is not looked at here
-                verdict=verdict(expected_sd, float("inf"), data_sd),
-                on_bound=ends[0] if bounds[used].all() else None,
+                status=_status(verdict(expected_sd, float("inf"), data_sd), on_bound),
+                on_bound=on_bound,
             )
         )
     return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))

@@ -21,6 +21,9 @@ from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
 Verdict = Literal["data", "weak", "prior"]
+Known = Literal["identified", "limit", "prior", "unidentified"]
+# What a verdict is of a number that is reported.
+KNOWN_BY: dict[Verdict, Known] = {"data": "identified", "weak": "prior", "prior": "unidentified"}
 
 # Central differences of a torque that is linear are wrong by rounding alone: some 1e-16 of
 # the torque over twice this step. That is 1e-10 of the largest singular value, a thousandth

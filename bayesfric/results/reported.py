@@ -12,6 +12,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
+from bayesfric.identifiability.local import KNOWN_BY
+
 Status = Literal["identified", "limit", "prior", "unidentified", "doubtful"]
 # Statuses in the order in which tables have them.
 ORDER: tuple[Status, ...] = ("identified", "doubtful", "limit", "prior", "unidentified")
@@ -99,8 +101,7 @@ def concluded(
         findings=list(findings),
         converged=converged,
     )
-    by: dict[str, Status] = {"data": "identified", "weak": "prior", "prior": "unidentified"}
-    status = by[verdict]
+    status: Status = KNOWN_BY[verdict]
     if verdict == "prior" and own_prior:
         status = "prior"
     ends = {"lower": told.high, "upper": told.low}

@@ -18,21 +18,20 @@ HERE = Path(__file__).resolve().parent
 FOLDER = HERE.parents[1] / "figures" / "calibration"
 # What was asked for, of 90 % intervals.
 WANTED = (0.85, 0.95)
+# Intervals of which a share says something.
+FEWEST = 30
 # Where the axis begins; what lies below is written there.
 BEGIN = 0.45
 
 
 def draw(result: dict[str, Any]) -> Figure:
-    """One row a case: a mark for each quantity that is called data, a bar for all of them."""
+    """One row a case: a mark for each quantity that is identified, a bar for all of them."""
     figure = Figure(figsize=(COLUMN, 0.24 * len(result) + 0.75), layout="constrained")
     ax = figure.subplots()
     ax.axvspan(*WANTED, color=BAND, linewidth=0.0)
     ax.axvline(0.9, color="black", linewidth=0.5)
     for place, case in enumerate(result.values()):
-        rows = dict(case["verdicts"]["data"])
-        whole = rows.pop("all")["coverage"]
-        # too few intervals say nothing: their share is one of a few
-        rows = {name: row for name, row in rows.items() if row["intervals"] >= 30}
+        rows, whole = _identified(case)
         ax.plot(
             [row["coverage"] for row in rows.values()],
             [place] * len(rows),
@@ -49,7 +48,9 @@ def draw(result: dict[str, Any]) -> Figure:
                 said = f"{row['coverage']:.0%}".replace("%", " %")
                 ax.plot([BEGIN], [place], "<", color=PALETTE[1], markersize=3.5, clip_on=False)
                 ax.annotate(said, (BEGIN, place), fontsize=SMALL, **beside)
-        ax.plot([whole], [place], linestyle="none", marker="|", markersize=9, color="black")
+        ax.plot(
+            [whole["coverage"]], [place], linestyle="none", marker="|", markersize=9, color="black"
+        )
     ax.set_yticks(range(len(result)), [*result], fontsize=SMALL)
     ax.set_ylim(len(result) - 0.5, -0.5)
     ax.set_xlim(BEGIN, 1.01)
@@ -58,34 +59,36 @@ def draw(result: dict[str, Any]) -> Figure:
     return figure
 
 
+def _identified(case: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Give what is identified often enough for a share, by name, and all of it."""
+    rows = dict(case["statuses"]["identified"])
+    whole = rows.pop("all")
+    return {name: row for name, row in rows.items() if row["intervals"] >= FEWEST}, whole
+
+
 def table(result: dict[str, Any]) -> list[str]:
     """Lay the cases out as Markdown."""
     lines = [
-        "| case | recordings | reliable | `data`: coverage, lowest and highest | largest mean z "
-        "| foretold by self-checks | `weak` |",
-        "|---|---|---|---|---|---|---|",
+        "| case | recordings | with findings | identified | lowest quantity | posterior alone "
+        "| width over its, median, 90th percentile | limits, prior |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name, case in result.items():
-        rows = dict(case["verdicts"]["data"])
-        whole = rows.pop("all")
-        rows = {n: row for n, row in rows.items() if row["intervals"] >= 30}
-        least, most = (f(rows, key=lambda n: rows[n]["coverage"]) for f in (min, max))
-        off = max(rows, key=lambda n: abs(rows[n]["z"]))
-        told = [row["foretold"]["coverage"] for row in rows.values() if "foretold" in row]
-        weak = case["verdicts"].get("weak", {}).get("all")
-        made = case["recordings"] - len(case["refused"])
+        rows, whole = _identified(case)
+        least = min(rows, key=lambda n: rows[n]["coverage"])
+        others = [
+            case["statuses"][key]["all"] for key in ("limit", "prior") if key in case["statuses"]
+        ]
+        count = sum(one["intervals"] for one in others)
+        held = sum(one["intervals"] * one["coverage"] for one in others) / max(count, 1)
         lines.append(
-            f"| {name} | {made} | {case['reliable']} "
-            f"| {whole['coverage']:.1%} ± {whole['error']:.1%}, "
-            f"{rows[least]['coverage']:.0%} ({least}) to {rows[most]['coverage']:.0%} "
-            f"| {rows[off]['z']:+.2f} ({off}) | {sum(told) / max(len(told), 1):.0%} "
-            f"| {_share(weak)} |"
+            f"| {name} | {case['recordings'] - len(case['refused'])} | {case['findings']} "
+            f"| {whole['coverage']:.1%} ± {whole['error']:.1%} of {whole['intervals']} "
+            f"| {rows[least]['coverage']:.0%} ({least}) | {whole['posterior_coverage']:.0%} "
+            f"| {whole['wider'][0]:.2f}, {whole['wider'][1]:.2f} "
+            f"| {f'{held:.0%} of {count}' if count else ''} |"
         )
     return lines
-
-
-def _share(row: dict[str, Any] | None) -> str:
-    return f"{row['coverage']:.0%} of {row['intervals']}" if row else ""
 
 
 def main() -> None:

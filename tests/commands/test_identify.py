@@ -74,7 +74,7 @@ def test_the_known_mass_determines_everything(bench):
     assert relative(found["combinations"]["gearbox.alpha_drive"]) < 0.01
     assert relative(found["combinations"]["gearbox.alpha_back"]) < 0.025
     assert relative(found["parameters"]["load.first_moment"]) < 0.025
-    assert {row["verdict"] for row in found["parameters"].values()} == {"data"}
+    assert {row["status"] for row in found["parameters"].values()} == {"identified"}
 
 
 def test_what_is_determined_is_said_to_be(bench):
@@ -118,7 +118,7 @@ def test_ur10e_with_two_load_losses_and_a_free_gravity_moment(bench, real_data):
     assert {r["kind"] for r in one["remedies"]} >= {"known value", "known mass"}
     for name in ("gearbox.load_drive", "gearbox.load_back", "load.first_moment"):
         assert found["parameters"][name]["data_sd"] is None
-    assert found["parameters"]["motor.viscous"]["verdict"] == "data"
+    assert found["parameters"]["motor.viscous"]["status"] == "identified"
 
 
 def test_xl330_confounds_back_emf(bench, real_data):

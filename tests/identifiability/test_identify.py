@@ -129,7 +129,7 @@ def test_with_a_sine_the_load_never_drives(sine):
     assert sum(one.null for one in sine.directions) == len(CHAIN.names) - 5
     rows = {one.name: one for one in sine.parameters}
     assert rows["gearbox.load_back"].data_sd == np.inf
-    assert rows["gearbox.load_back"].verdict == "prior"
+    assert rows["gearbox.load_back"].status == "unidentified"
     # nothing is learnt of it: both together leave what the prior says
     assert rows["gearbox.load_back"].expected_sd == pytest.approx(
         rows["gearbox.load_back"].prior_sd, rel=1e-6
@@ -139,7 +139,7 @@ def test_with_a_sine_the_load_never_drives(sine):
 def test_a_table_says_by_parameter_what_determines_it_and_json_holds_no_infinity(sine):
     frame = sine.frame
     assert list(frame.index) == [one.name for one in sine.parameters]
-    assert frame.loc["gearbox.load_back", "verdict"] == "prior"
+    assert frame.loc["gearbox.load_back", "status"] == "unidentified"
     assert set(frame.loc["load.inertia", "open_with"].split(", ")) >= set(SCALED) - {"load.inertia"}
     assert "load.inertia" in sine._repr_html_()
     told = json.loads(json.dumps(sine.as_json(), allow_nan=False))
@@ -215,7 +215,7 @@ def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
     np.testing.assert_allclose(
         [one.expected_sd for one in rows], np.sqrt(np.diag(np.linalg.inv(data + prior))), rtol=1e-6
     )
-    assert {one.verdict for one in rows} == {"data"}
+    assert {one.status for one in rows} == {"identified"}
     assert found.directions == ()
 
 
@@ -276,7 +276,7 @@ def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_obs
     found = identify(target, values)
     (row,) = [one for one in found.parameters if one.name == "offset"]
     assert row.value / row.data_sd == pytest.approx(sds, rel=1e-6)
-    assert row.verdict == "data"
+    assert row.status == "identified"
     assert not any("offset" in one.exponents for one in found.directions)
 
 
