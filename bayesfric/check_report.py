@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bayesfric.diagnostics.before_a_fit import doubts_before, few_outputs, little_explained
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.noise import SCALES
 from bayesfric.problem.config_text import toml_value
@@ -16,7 +17,6 @@ from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.summary.doubts import doubts_before, few_outputs, little_explained
 from bayesfric.report.summary.summary import estimate_summary
 from bayesfric.report.terminal import aligned, shortened, wrapped
 from bayesfric.report.words import doubt_text, line_of

@@ -85,7 +85,7 @@ def init(
     """Write a commented configuration."""
     from bayesfric.commands.init import configuration, configuration_from, open_text
     from bayesfric.commands.keys import reference_text
-    from bayesfric.report.files import write_beside
+    from bayesfric.written import write_beside
 
     options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
     asked, found = [name for name, given in options.items() if given], None
@@ -215,7 +215,7 @@ def explain(
             found = model.explain(progress=progress)
         record, text = command.explain_record(found, model), command.explain_text(found, model)
     else:
-        from bayesfric.report.files import write_beside
+        from bayesfric.written import write_beside
 
         command.refuse_other_place(output, model)
         with _progress() as progress:

@@ -17,8 +17,8 @@ from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report import shown
-from bayesfric.report.files import check_free
 from bayesfric.report.summary.record import Summary, read_summary_file
+from bayesfric.written import check_free
 
 # Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
 # what was read from a file, may have been changed.

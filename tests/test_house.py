@@ -17,7 +17,7 @@ HOUSE = REPOSITORY / "bayesfric"
 # From the ground up, and on a floor from left to right: each imports only what stands before it.
 FLOORS = (
     ("version", "errors", "configuration_errors", "notebook", "opened", "options", "progress",
-     "robust", "templates", "threads"),
+     "robust", "templates", "threads", "written"),
     ("recordings",),
     ("mechanism",),
     ("estimates",),

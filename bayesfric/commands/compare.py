@@ -34,10 +34,10 @@ def compare(
     from bayesfric.report.comparison.run_draws import read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
-    from bayesfric.report.files import check_free, made_beside
     from bayesfric.report.page.compare_page import compare_page, shared_recordings
     from bayesfric.report.page.provenance import read_provenance
     from bayesfric.report.paper.tables import methods_latex
+    from bayesfric.written import check_free, made_beside
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)

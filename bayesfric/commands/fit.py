@@ -13,9 +13,9 @@ from bayesfric.errors import BadInput
 from bayesfric.model import Model
 from bayesfric.problem.config import Config, read_config
 from bayesfric.progress import Progress, Shown, silent
-from bayesfric.report.files import check_free
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text as fit_text
+from bayesfric.written import check_free
 
 
 def fit(

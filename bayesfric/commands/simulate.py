@@ -14,8 +14,8 @@ from bayesfric.errors import BadInput
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config
-from bayesfric.report.files import write_beside
 from bayesfric.version import __version__
+from bayesfric.written import write_beside
 
 # A few minutes to simulate and some hundred megabytes of text; more is a mistyped duration.
 _MOST_SAMPLES = 10_000_000

@@ -25,8 +25,8 @@ from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.model import Model
-from bayesfric.report.files import parents_made
 from bayesfric.version import __version__
+from bayesfric.written import parents_made
 
 # How a disk without locks tells it: better one run without than none at all.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)

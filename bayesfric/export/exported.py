@@ -30,11 +30,11 @@ from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.trajectory import trajectory
-from bayesfric.report.files import check_free, made_beside
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 from bayesfric.version import __version__
+from bayesfric.written import check_free, made_beside
 
 # Draws that intervals are told from.
 _DRAWS = 400

@@ -28,7 +28,7 @@ from bayesfric.fleet.plan import (
 from bayesfric.fleet.results import FAILED, Record, Results, failure
 from bayesfric.fleet.work import Done, Task
 from bayesfric.progress import Progress, Shown, progress_shown
-from bayesfric.report.files import parents_made, write_beside
+from bayesfric.written import parents_made, write_beside
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from bayesfric.errors import BadInput
 from bayesfric.fleet.fleet_units import Unit
-from bayesfric.report.files import place_beside
 from bayesfric.report.summary.record import Summary
+from bayesfric.written import place_beside
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -27,8 +27,8 @@ from bayesfric.opened import read_json
 from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.read import recorded_files
 from bayesfric.recordings.tables import sha256
-from bayesfric.report.files import write_beside
 from bayesfric.version import __version__
+from bayesfric.written import write_beside
 
 # What the machine, not the unit, is to blame for: it may go well the next time.
 _MACHINE = {

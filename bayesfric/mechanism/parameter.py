@@ -108,3 +108,12 @@ def effort_words(words: str, motion: Motion) -> str:
     if motion == "rotary":
         return words
     return _TORQUE.sub(r"force\1", words).replace("cycles a turn", "cycles in 2π m")
+
+
+def quantity_of(name: str) -> str:
+    """Give the quantity of a parameter or total: ``inertia`` of ``total.inertia``.
+
+    An offset may go by a recording's name, which says nothing: ``total.offset.<recording>``.
+    """
+    first, _, rest = name.removeprefix("total.").partition(".")
+    return first if first == "offset" or not rest else rest

@@ -21,13 +21,13 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.calculator import FILE, calculator, calculator_json
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
-from bayesfric.report.files import made_beside
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.version import __version__
+from bayesfric.written import made_beside
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.report.alerts import Alert, alerts_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.noise import noise_lines
-from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
+from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.self_check_part import self_check_lines
 from bayesfric.report.summary.validation_part import validation_lines
 from bayesfric.report.text_templates import filled

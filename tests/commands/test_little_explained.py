@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.report.summary.doubts import other_units
+from bayesfric.diagnostics.before_a_fit import other_units
 from tests.recordings.samples import has
 
 T = 0.002 * np.arange(10000)

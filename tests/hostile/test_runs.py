@@ -273,7 +273,7 @@ def test_what_cannot_be_written_is_not_simulated(bad, monkeypatch):
     shutil.rmtree(bad / "figures")
     (bad / "figures").write_text("")
     (bad / ".figures").mkdir()
-    monkeypatch.setattr("bayesfric.report.files.place_beside", lambda _: bad / ".figures")
+    monkeypatch.setattr("bayesfric.written.place_beside", lambda _: bad / ".figures")
     outcome = ran(bad.parent, "rollout", "bad")
     assert outcome.code == 2, outcome
     assert "cannot be written" in outcome.err

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from bayesfric.diagnostics import before_a_fit
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.run_page import run_page
 from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_table, summary_texts
@@ -65,7 +66,7 @@ def test_in_the_same_cell_of_every_table(told):
 
 
 def test_every_kind_of_doubt_has_a_clause_for_print():
-    source = "".join(Path(one.__file__).read_text() for one in (doubts, self_check))
+    source = "".join(Path(one.__file__).read_text() for one in (before_a_fit, doubts, self_check))
     kinds = set(re.findall(r'"kind": "([a-z-]+)"', source))
     assert len(kinds) > 6
     assert kinds - set(words()) == {"missing"}  # which is told by the finding's kind

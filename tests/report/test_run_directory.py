@@ -23,7 +23,6 @@ from bayesfric.model import Model
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.files import check_free
 from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
@@ -32,6 +31,7 @@ from bayesfric.report.paper.tables import (
 )
 from bayesfric.report.run_directory import write_run
 from bayesfric.report.summary.summary import summarise
+from bayesfric.written import check_free
 
 from .page_reader import read_page
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
+from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.population.population import (
     Interval,
@@ -16,7 +17,7 @@ from bayesfric.population.population import (
 )
 from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.summary.record import Summary, of_noise, quantity_of
+from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.text_templates import csv_text
 

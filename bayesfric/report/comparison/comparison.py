@@ -14,11 +14,11 @@ from typing import Any, Literal
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.identifiability.sentences import capital
-from bayesfric.mechanism.parameter import scales_with_torque, turned
+from bayesfric.mechanism.parameter import quantity_of, scales_with_torque, turned
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
+from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
 from bayesfric.report.words import line_of, listed
 

@@ -8,40 +8,27 @@ the run is not reliable.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import permutations
 from typing import Any
 
 import numpy as np
 
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS
-from bayesfric.estimates.information import CORRELATED, lag_one
-from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.diagnostics.before_a_fit import (
+    EXPLAINED,
+    best_share,
+    doubts_before,
+    instead,
+    strange_velocity,
+)
+from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import KNOWN
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import effort_words, scales_with_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
-from bayesfric.recordings import units
-from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.bounds import held, noise_cut
-from bayesfric.report.summary.record import Doubt, Summary, quantity_of
+from bayesfric.report.summary.record import Doubt, Summary
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
-_ANGLES = ("rad", "deg", "turn")
-# What another reading leaves of the torque at most, over what this one leaves. Of the measured
-# pendulums that spin the right unit leaves 0.03 to 0.4, and none leaves less than a right one does.
-FAR_LESS = 0.5
-
-# Share of the torque's variance that a model of the joint should explain, where what it leaves
-# is no white noise.
-_EXPLAINED = 0.8
-# Robust standard deviations below zero that are no chance.
-_NEGATIVE = 3.0
 # Sds between a reference and what was found that are no chance.
 _FAR = 3.0
 # What data say of a posterior of which they have less than this share is hardly told by it.
@@ -61,7 +48,7 @@ def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
     found = [
         # before what else may be wrong: it may all come of this
-        *_strange_velocity(fit.observations),
+        *strange_velocity(fit.observations),
         *_missing(summary, resting),
         *_unexplained(fit, summary),
         *doubts_before(fit.estimates[0], fit.observations),
@@ -108,113 +95,17 @@ def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any
 
 def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     share, lag = summary.fit.explained, summary.noise.residual_lag1
-    if share is None or share >= _EXPLAINED or lag is None or lag <= CORRELATED:
+    if share is None or share >= EXPLAINED or lag is None or lag <= CORRELATED:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
     best, _ = best_share(fit.chain, fit.observations)
-    return [told | _instead(fit.chain, fit.observations, best)]
+    return [told | instead(fit.chain, fit.observations, best)]
 
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
     if priors := priors_off(summary):
         yield {"kind": "prior", "priors": priors}
-
-
-def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
-    share, left = best_share(chain, observations)
-    if share >= _EXPLAINED or not lag_one(left, np.ones(left.size - 1, np.bool_)) > CORRELATED:
-        return []
-    quantity = effort_words("motor torque", chain.motor_motion)
-    told = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
-    return [told | _instead(chain, observations, share)]
-
-
-def _instead(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
-    """Say what may be wrong where little is explained: never the mechanism that is in use.
-
-    ``share`` is what the best totals explain.
-    """
-    weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
-    known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
-    presets = [
-        name
-        for name, other in known.items()
-        if "first_moment" in other.load.choices
-        and name != chain.made_from
-        and other.ratio == chain.ratio
-    ]
-    return {"units": other_units(chain, observations, share), "presets": presets}
-
-
-def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Look for what makes any fit doubtful, before there is one, as :func:`find_doubts` does.
-
-    ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
-    named: all are doubtful.
-    """
-    return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
-
-
-def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
-    """Say that too few outputs are left to ask whether the model is right, and how long would do.
-
-    A run says so by itself, where it has asked.
-    """
-    outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
-    if outputs < wanted:
-        lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
-        told = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
-        yield {"kind": "few", **told, "seconds": lasted * wanted / outputs}
-
-
-def _strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name velocities that are not their positions': one of the two has another unit or column."""
-    for o in observations:
-        if (factor := o.settings.get("velocity_factor")) is not None:
-            yield {"kind": "velocity", "recording": o.name, "factor": factor}
-
-
-def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    laws: dict[str, list[str]] = {}
-    for o in observations:
-        if law := o.settings.get("feedback"):
-            laws.setdefault(str(law), []).append(o.name)
-    for law, names in laws.items():
-        yield {"kind": "feedback", "law": law, "recordings": names}
-
-
-def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name bands that were asked for and that lose part of the inertia."""
-    seen = {o.name: o.settings for o in observations if "band_narrower" in o.settings}
-    if seen:
-        yield {
-            "kind": "attenuated",
-            "bands": {
-                name: [float(numbers["band_doubted"]), float(numbers["band_narrower"])]
-                for name, numbers in seen.items()
-            },
-            "times": max(float(numbers["inertia_narrower"]) for numbers in seen.values()),
-        }
-
-
-def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
-    """Name what least squares finds below zero though nothing that loses energy can be."""
-    below = {
-        v.name: v.value
-        for v in totals.values
-        if _loses(QUANTITIES.get(quantity_of(v.name)))
-        and np.isfinite(v.sd_robust)
-        and v.value < -_NEGATIVE * max(v.sd, v.sd_robust)
-    }
-    if below:
-        yield {"kind": "negative", "values": below}
-
-
-def _loses(row: Quantity | None) -> bool:
-    """Whether energy is lost or stored by it; a negative square only bends the curve of a loss."""
-    return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
 
 
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -254,43 +145,6 @@ def _accelerates(row: Quantity | None) -> bool:
     shape = (1.0,) if row.shape else ()
     faster = still._replace(acceleration=1.0)
     return bool(row.column(still, *shape) != row.column(faster, *shape))
-
-
-def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
-    """Give the share of the torque's variance that the best totals explain, and what they leave."""
-    projection = TotalsProjection(chain, observations)
-    measured = np.concatenate([o.measured for o in observations])
-    left = measured - projection.regressors @ projection.solve(measured)
-    return 1.0 - float(np.var(left) / np.var(measured)), left
-
-
-def other_units(
-    chain: Joint, observations: Sequence[Observation], explained: float | None = None
-) -> list[dict[str, Any]]:
-    """List units of the position that explain far more, the best first.
-
-    Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that totals
-    then explain; ``explained`` is that as it was read, where it is known already. Only what
-    depends on the angle itself, such as gravity, tells: nothing else changes with its scale.
-    """
-    if chain.load.motion != "rotary":
-        return []
-    if explained is None:
-        explained = best_share(chain, observations)[0]
-    least = 1.0 - FAR_LESS * (1.0 - explained)
-    found = [one for one in _tried(chain, observations) if one["share"] > least]
-    return sorted(found, key=lambda one: -float(one["share"]))
-
-
-def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    for one, other in permutations(_ANGLES, 2):
-        times = units.scale([one], "angle") / units.scale([other], "angle")
-        moving = ("q", "qd", "qdd", "speed")
-        scaled = [
-            replace(o, smooth=None, **{key: times * getattr(o, key) for key in moving})
-            for o in observations
-        ]
-        yield {"is": one, "taken": other, "share": best_share(chain, scaled)[0]}
 
 
 def references_off(summary: Summary) -> dict[str, Any] | None:

@@ -470,15 +470,6 @@ def of_noise(name: str) -> bool:
     return name.partition(".")[0] == "noise"
 
 
-def quantity_of(name: str) -> str:
-    """Give the quantity of a parameter or total: ``inertia`` of ``total.inertia``.
-
-    An offset may go by a recording's name, which says nothing: ``total.offset.<recording>``.
-    """
-    first, _, rest = name.removeprefix("total.").partition(".")
-    return first if first == "offset" or not rest else rest
-
-
 def read_summary_file(run: Path) -> dict[str, Any]:
     """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
     file, again = run / "summary.json", "fit this run again"

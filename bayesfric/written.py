@@ -1,4 +1,4 @@
-"""Text files that are written beside and moved into place, in folders that are made for them."""
+"""Files that are written beside and moved into place, in folders that are made for them."""
 
 from __future__ import annotations
 
