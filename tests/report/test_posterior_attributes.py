@@ -58,8 +58,8 @@ def test_a_data_frame_has_a_line_for_each_number():
     frame = summary.frame.set_index("name")
     assert list(frame.index) == [*summary.parameters, *summary.derived]
     line = frame.loc["motor.coulomb_positive"]
-    assert (line["median"], line["low"], line["high"]) == (0.016, 0.002, 0.051)
-    assert (line["unit"], line["verdict"]) == ("N m", "weak")
+    assert (line["value"], line["low"], line["high"]) == (0.016, 0.002, 0.051)
+    assert line["unit"] == "N m"
 
 
 def test_a_notebook_shows_verdicts_and_nothing_open():

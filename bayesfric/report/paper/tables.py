@@ -233,12 +233,7 @@ def _cell(cell: Cell | None) -> str:
 
 def summary_table(summary: Readable) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
-    read = Summary.read(summary)
-    rows = read.rows
-    table = read.frame
-    # the word that every other table has for it
-    table.loc[[rows[name].doubtful for name in table["name"]], "verdict"] = "doubtful"
-    return str(table.to_csv(index=False))
+    return str(Summary.read(summary).frame.to_csv(index=False))
 
 
 def summary_texts(summary: Readable, run: str) -> dict[str, str]:

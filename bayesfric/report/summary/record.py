@@ -432,36 +432,34 @@ class Summary(Part):
     def frame(self) -> pd.DataFrame:
         """Parameters, then derived quantities, as a table with a line for each.
 
-        It has ``name``, ``group`` and the keys of :class:`PosteriorRow`, ends of intervals in
-        columns of their own; ``doubted`` are kinds of doubts, joined. ``low``, ``high`` and ``sd``
-        are what tables and page print, with room for the model's error; ``posterior_low`` and so on
-        the posterior's own.
+        First what every view prints: value, sd, ends of the interval, status, and the findings that
+        move it by more than that. Then how it came about: the posterior's own numbers, the bias
+        that was taken off, whether the interval has room for the model's error; and the keys of
+        :class:`PosteriorRow`.
         """
         import pandas as pd
 
-        checked = self.self_check.rows if self.self_check else {}
         lines = []
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
                 line = {"name": name, "group": group} | dict(row)
-                line |= {"doubted": ", ".join(row.doubted), "sd": row.told_sd}
-                line |= _ends("", row.told_interval)
-                line |= {"posterior_sd": row.sd} | _ends("posterior_", row.interval)
-                if (one := checked.get(name)) is not None:
-                    line |= dict(one) | _ends("corrected_", one.corrected_interval)
-                lines.append(line)
+                if (told := row.reported) is not None:
+                    line |= dict(told) | dict(told.how)
+                    line["findings"] = ", ".join(told.how.findings)
+                line |= {"value": row.value, "sd": row.told_sd} | _ends("", row.told_interval)
+                line |= {"posterior": row.middle, "posterior_sd": row.sd}
+                lines.append(line | _ends("posterior_", row.interval))
         return pd.DataFrame(lines, columns=[*_FRAME])
 
 
-def _ends(of: str, interval: list[float] | None) -> dict[str, float]:
-    return dict(zip((f"{of}low", f"{of}high"), interval or (), strict=False))
+def _ends(of: str, interval: list[float]) -> dict[str, float]:
+    return dict(zip((f"{of}low", f"{of}high"), interval, strict=True))
 
 
-_FRAME = ("name", "group", "unit", "symbol", "meaning", "median", "low", "high", "level", "verdict",
-    "doubted", "converged", "mean", "sd", "rhat", "ess", "prior", "prior_sd", "data_sd",
-    "contraction", "at_bound", "undefined_share", "gauge_free",
-    "posterior_low", "posterior_high", "posterior_sd",
-    "bias", "coverage", "corrected", "corrected_low", "corrected_high")  # fmt: skip
+_FRAME = ("name", "value", "sd", "low", "high", "unit", "status", "findings", "bound", "at_most",
+    "group", "symbol", "meaning", "level", "posterior", "posterior_sd", "posterior_low",
+    "posterior_high", "bias", "widened", "converged", "rhat", "ess", "prior", "prior_sd",
+    "data_sd", "contraction", "undefined_share", "gauge_free")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
 
 
