@@ -21,7 +21,7 @@ WANTED = (0.85, 0.95)
 # Intervals of which a share says something.
 FEWEST = 30
 # Where the axis begins; what lies below is written there.
-BEGIN = 0.45
+BEGIN = 0.6
 
 
 def draw(result: dict[str, Any]) -> Figure:
