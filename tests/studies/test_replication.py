@@ -23,11 +23,15 @@ def test_measured_pairs_scatter_by_about_one():
 def test_intervals_hold_where_a_model_lacks_something(lacking):
     cases = committed("replication/lacking.json")
     assert set(cases) == set(lacking.CASES)
-    right, wrong = ([r for n in names for one in cases[n] for r in one["rows"]] for names in (
-        [n for n in cases if n in (*RIGHT, "arm")], [n for n in cases if n not in (*RIGHT, "arm")]
-    ))  # fmt: skip
+    kinds = {n: "right" if n in (*RIGHT, "arm") else "unlisted" if n in lacking.UNLISTED else "wrong"
+             for n in cases}  # fmt: skip
+    right, wrong, unlisted = (
+        [r for n, of in kinds.items() if of == kind for one in cases[n] for r in one["rows"]]
+        for kind in ("right", "wrong", "unlisted")
+    )
     assert np.mean([row["plain"] for row in wrong]) < 0.7
     assert np.mean([row["held"] for row in wrong]) > 0.9
+    assert np.mean([row["held"] for row in unlisted]) > 0.7
     # what is right stays as it is
     assert np.median([row["wider"] for row in right]) == pytest.approx(1.0, abs=0.01)
     assert abs(np.mean([row["held"] for row in right]) - 0.9) < 3.0 * np.sqrt(0.09 / len(right))
