@@ -23,10 +23,10 @@ def test_measured_pairs_scatter_by_about_one():
 def test_intervals_hold_where_a_model_lacks_something(lacking):
     cases = committed("replication/lacking.json")
     assert set(cases) == set(lacking.CASES)
-    kinds = {n: "right" if n in (*RIGHT, "arm") else "unlisted" if n in lacking.UNLISTED else "wrong"
-             for n in cases}  # fmt: skip
+    of = dict.fromkeys(cases, "wrong") | dict.fromkeys(lacking.UNLISTED, "unlisted")
+    of |= dict.fromkeys((*RIGHT, "arm"), "right")
     right, wrong, unlisted = (
-        [r for n, of in kinds.items() if of == kind for one in cases[n] for r in one["rows"]]
+        [r for n in cases if of[n] == kind for one in cases[n] for r in one["rows"]]
         for kind in ("right", "wrong", "unlisted")
     )
     assert np.mean([row["plain"] for row in wrong]) < 0.7
