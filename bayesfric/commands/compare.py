@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.errors import BadInput
-from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.layout import comparison_csv, comparison_dict
+from bayesfric.report.comparison.comparison import (
+    Comparison,
+    comparison,
+    comparison_csv,
+    comparison_dict,
+)
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 

@@ -20,8 +20,7 @@ from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary, of_noise, quantity_of
 from bayesfric.report.summary.self_check_part import self_check_lines
 from bayesfric.report.summary.validation_part import validation_lines
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import line_of
+from bayesfric.report.words import filled, line_of
 from bayesfric.results.reported import ORDER, Reported
 from bayesfric.results.verdict import Outcome
 

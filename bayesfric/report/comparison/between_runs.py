@@ -18,7 +18,7 @@ from bayesfric.report.comparison.comparison import on_one_turn
 from bayesfric.report.comparison.run_draws import RunDraws
 from bayesfric.report.summary.record import Summary, of_noise, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.text_templates import csv_text
+from bayesfric.report.words import csv_text
 
 _NONE = Interval(0.0, 0.0, 0.0)
 # Fewer runs whose data determine a quantity are no population.

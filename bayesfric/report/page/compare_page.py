@@ -9,8 +9,7 @@ from pathlib import Path
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.comparison.comparison import Comparison
-from bayesfric.report.comparison.layout import explained
+from bayesfric.report.comparison.comparison import Comparison, explained
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.page.page_figures import page_figures
 from bayesfric.report.page.provenance import Provenance

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from bayesfric.errors import BadInput
 from bayesfric.opened import opened_hdf5, parse_json
-from bayesfric.report.summary.part import Pair, Part
+from bayesfric.report.summary.rows import Pair, Part
 
 
 class Provenance(Part):

@@ -22,8 +22,7 @@ from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.text_templates import FILTERS
-from bayesfric.report.words import clause
+from bayesfric.report.words import FILTERS, clause
 from bayesfric.templates import environment
 
 _GREEK = {

@@ -13,8 +13,7 @@ from bayesfric.opened import read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.calculator import Calculator, read_calculator
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.layout import explained
+from bayesfric.report.comparison.comparison import comparison, explained
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.page_figures import page_figures

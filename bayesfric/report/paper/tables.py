@@ -11,18 +11,16 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from bayesfric.report.comparison.cell import Cell, posterior_cells, settled_by
-from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.layout import comparison_csv
+from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_csv
 from bayesfric.report.numbers import LATEX, Medium
 from bayesfric.report.paper import latex
-from bayesfric.report.summary.bounds import bound_mend
-from bayesfric.report.summary.conclusions import put_reported
+from bayesfric.report.summary.conclusions import bound_mend, put_reported
 from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import seldom_held_sentence
-from bayesfric.report.text_templates import filled
+from bayesfric.report.words import filled
 
 _GROUPS = {
     "free": "Quantities seen at the motor (base parameters)",

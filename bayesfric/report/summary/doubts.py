@@ -28,7 +28,7 @@ from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.resolution import LEAST_RATIO
-from bayesfric.report.summary.bounds import held, noise_cut
+from bayesfric.report.summary.conclusions import held, noise_cut
 from bayesfric.report.summary.record import Doubt, Summary, quantity_of
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 

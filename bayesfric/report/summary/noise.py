@@ -18,8 +18,7 @@ from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.record import Likelihood, Noise, Summary
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import line_of
+from bayesfric.report.words import filled, line_of
 
 # Correlations of the innovations that are tested together.
 _LAGS = 10

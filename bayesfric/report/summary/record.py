@@ -16,21 +16,19 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.opened import read_json
-from bayesfric.report.summary.part import (
+from bayesfric.report.summary.rollout_part import RollOutPart
+from bayesfric.report.summary.rows import (
+    EstimatedRow,
+    KnownRow,
     Name,
     NotNegative,
     Open,
     Pair,
     Part,
-    Share,
-)
-from bayesfric.report.summary.rollout_part import RollOutPart
-from bayesfric.report.summary.rows import (
-    EstimatedRow,
-    KnownRow,
     PosteriorRow,
     ReferenceRow,
     Residual,
+    Share,
 )
 from bayesfric.report.words import clause, line_of
 from bayesfric.results.verdict import Verdict, verdict

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import FiniteFloat
 
-from bayesfric.report.summary.part import Name, NotNegative, Part, Share
+from bayesfric.report.summary.rows import Name, NotNegative, Part, Share
 from bayesfric.results.roll_out import Input, RollOut, tells_nothing
 from bayesfric.results.roll_out import Part as Which
 

@@ -21,8 +21,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import line_of
+from bayesfric.report.words import filled, line_of
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0

@@ -20,8 +20,7 @@ from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.noise import mean_lag
 from bayesfric.report.summary.record import Coverage, Validation
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import line_of
+from bayesfric.report.words import filled, line_of
 
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
