@@ -34,13 +34,11 @@ def compare(
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
     from bayesfric.problem.config import chain_of
-    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
-    from bayesfric.report.comparison.run_draws import read_draws
+    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.files import check_free, made_beside
-    from bayesfric.report.page.compare_page import compare_page, shared_recordings
-    from bayesfric.report.page.provenance import read_provenance
+    from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
     from bayesfric.report.paper.tables import methods_latex
 
     check_free(output, force=None)

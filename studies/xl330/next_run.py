@@ -16,8 +16,7 @@ import numpy as np
 
 from bayesfric import Model
 from bayesfric.problem.config import parse_config
-from bayesfric.report.comparison.between_runs import between_runs
-from bayesfric.report.comparison.run_draws import RunDraws
+from bayesfric.report.comparison.between_runs import RunDraws, between_runs
 from bayesfric.report.summary.record import Summary
 
 HERE = Path(__file__).resolve().parent
