@@ -18,7 +18,7 @@ from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.files import write_beside
 from bayesfric.report.summary.record import read_summary_file
-from bayesfric.report.summary.rollout_part import RollOutPart, rollout_part
+from bayesfric.report.summary.rows import RollOutPart, rollout_part
 from bayesfric.report.words import filled, line_of
 from bayesfric.results.roll_out import RollOut
 from bayesfric.rollouts.rollout import rollout as played

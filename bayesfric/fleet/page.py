@@ -173,7 +173,7 @@ def _panel(
 ) -> list[Artist]:
     names = list(places)
     x = np.array([places[name] for name in names])
-    ends = np.array([one.units[name].told_interval for name in names])
+    ends = np.array([(told.low, told.high) for told in (one.units[name].told for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
     y = np.array([one.units[name].value for name in names]) / scale

@@ -212,10 +212,10 @@ def _likelihood(
     if not _told(row) and (row.verdict == "prior" or not known or name not in found.prior):
         return None
     if not known:
-        return normal(row.mean, row.told_sd)
+        return normal(row.mean, row.told.sd)
     by = row.middle - stored.middle
     prior = found.prior.get(name)
-    return likelihood(found.values[name] + by, row.told_sd, None if prior is None else prior + by)
+    return likelihood(found.values[name] + by, row.told.sd, None if prior is None else prior + by)
 
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:

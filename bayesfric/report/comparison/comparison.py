@@ -357,7 +357,7 @@ def _runs_apart(
                 far += [] if cell.doubted or base.doubted else [f"{apart})"]
                 continue
             a, b = (runs[run].joint.get(row.name) for run in (first.run, column.run))
-            if not (a and b and a.sd and b.sd) or a.period or not (a.widened or b.widened):
+            if not (a and b and a.sd and b.sd) or a.period or not (a.wide or b.wide):
                 continue
             own = (b.middle - a.middle) / math.hypot(a.sd, b.sd)
             beyond += [f"{apart}, {own:+.1f} were the models right)"] if abs(own) > _FAR else []

@@ -130,7 +130,7 @@ def _command(joint: Sequence[ParameterRow]) -> str:
 
     def unknown(row: ParameterRow) -> tuple[bool, float]:
         told = row.row
-        return row.by == "open", told.told_sd / abs(told.mean) if told and told.mean else 0.0
+        return row.by == "open", told.told.sd / abs(told.mean) if told and told.mean else 0.0
 
     # a constant in the measurement is asked for last
     asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint

@@ -193,11 +193,6 @@ def _reported(
     corrected: tuple[float, float, float, float] | None,
     bias: float | None,
 ) -> Reported:
-    widened = None
-    if row.model_error_interval is not None and row.model_error_sd is not None:
-        low, high = row.model_error_interval
-        value = row.middle if row.model_error_value is None else row.model_error_value
-        widened = Spread(value, low, high, row.model_error_sd)
     leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
     unusable = summary.sampler.status == "unusable"
     reliable = summary.sampler.status == "reliable"
@@ -207,7 +202,7 @@ def _reported(
         verdict=row.verdict,
         own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
         converged=reliable or (not unusable if row.converged is None else row.converged),
-        widened=widened,
+        widened=row.wide,
         corrected=Spread(*corrected) if corrected else None,
         bias=bias,
         limit=row.at_bound if leans else None,

@@ -239,7 +239,7 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
         name
         for name in told
         if _accelerates(own.get(name) or QUANTITIES.get(quantity_of(name)))
-        and summary.rows[name].told_sd < lost * abs(summary.rows[name].middle)
+        and summary.rows[name].told.sd < lost * abs(summary.rows[name].middle)
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
@@ -319,7 +319,7 @@ def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
         if row is not None and row.verdict != "prior" and row.converged is not False:
-            sd = sd_towards(reference.value, row.middle, row.told_interval, row.told_sd)
+            sd = sd_towards(reference.value, row.middle, (row.told.low, row.told.high), row.told.sd)
             found = _beside(row, reference.value, reference.sd, row.middle, sd)
             yield {"name": name, "by": "reference"} | found
     for name, row in summary.joint.items():

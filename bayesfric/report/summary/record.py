@@ -16,7 +16,6 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.opened import read_json
-from bayesfric.report.summary.rollout_part import RollOutPart
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,
@@ -28,6 +27,7 @@ from bayesfric.report.summary.rows import (
     PosteriorRow,
     ReferenceRow,
     Residual,
+    RollOutPart,
     Share,
 )
 from bayesfric.report.words import clause, line_of
@@ -442,8 +442,8 @@ class Summary(Part):
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
                 line = {"name": name, "group": group} | dict(row)
-                line |= {"doubted": ", ".join(row.doubted), "sd": row.told_sd}
-                line |= _ends("", row.told_interval)
+                line |= {"doubted": ", ".join(row.doubted), "sd": row.told.sd}
+                line |= {"low": row.told.low, "high": row.told.high}
                 line |= {"posterior_sd": row.sd} | _ends("posterior_", row.interval)
                 if (one := checked.get(name)) is not None:
                     line |= dict(one) | _ends("corrected_", one.corrected_interval)

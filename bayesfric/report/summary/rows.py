@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
@@ -11,7 +11,9 @@ from bayesfric.configuration_errors import configuration_error
 from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
 from bayesfric.identifiability.local import Verdict
-from bayesfric.results.reported import Reported
+from bayesfric.results.reported import Reported, Spread
+from bayesfric.results.roll_out import Input, RollOut, tells_nothing
+from bayesfric.results.roll_out import Part as Which
 
 # JSON has lists only; a pair is one with a low and a high end.
 Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
@@ -20,6 +22,9 @@ Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
 Name = Annotated[str, Field(min_length=1)]
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
+# Share inside 90 % bands below which they are called too narrow. Positions within a second of each
+# other are nearly one, so that few recordings may well leave their bands for a tenth of the time.
+FEWEST = 0.8
 
 
 class Part(BaseModel):
@@ -90,7 +95,7 @@ class EstimatedRow(Described):
     span: Pair | None = None
 
 
-class Spread(Part):
+class Drawn(Part):
     """Where the draws of one quantity lie."""
 
     mean: FiniteFloat
@@ -105,7 +110,7 @@ class Spread(Part):
         return self.mean if self.median is None else self.median
 
 
-class PosteriorRow(Spread, Described):
+class PosteriorRow(Drawn, Described):
     """One parameter or derived quantity of a posterior.
 
     ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
@@ -155,33 +160,31 @@ class PosteriorRow(Spread, Described):
         return bool(self.doubted) and self.verdict != "prior"
 
     @property
-    def told_interval(self) -> list[float]:
-        """The one to print."""
-        if self.reported is not None:
-            return self.reported.interval
-        return self.model_error_interval or self.interval
+    def wide(self) -> Spread | None:
+        """With room for a model that is not exactly right, where there is any."""
+        if self.model_error_interval is None or self.model_error_sd is None:
+            return None
+        value = self.middle if self.model_error_value is None else self.model_error_value
+        low, high = self.model_error_interval
+        return Spread(value, low, high, self.model_error_sd)
 
     @property
-    def told_sd(self) -> float:
-        """The sd of :attr:`told_interval`."""
-        if self.reported is not None:
-            return self.reported.sd
-        return self.sd if self.model_error_sd is None else self.model_error_sd
-
-    @property
-    def widened(self) -> bool:
-        """Whether :attr:`told_interval` has room for a model that is not exactly right."""
-        return self.model_error_interval is not None
+    def told(self) -> Spread:
+        """What to print: as reported, or all that there is before that."""
+        one = self.reported
+        if one is None and self.wide is not None:
+            return self.wide
+        low, high = self.interval if one is None else one.interval
+        return Spread(self.value, low, high, self.sd if one is None else one.sd)
 
     @property
     def may_be_zero(self) -> bool:
-        """Whether zero, which of an angle is a place like any other, is in :attr:`told_interval`.
+        """Whether zero, which of an angle is a place like any other, is in what is :attr:`told`.
 
         A number that cannot be negative never has it inside; it leans on that bound.
         """
-        low, high = self.told_interval
         leans = self.at_bound == "lower" and self.bound == 0.0
-        return self.period is None and (low <= 0.0 <= high or leans)
+        return self.period is None and (self.told.low <= 0.0 <= self.told.high or leans)
 
     @property
     def reaches(self) -> str:
@@ -196,11 +199,6 @@ class PosteriorRow(Spread, Described):
         if self.undefined_share:
             told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
         return told
-
-    @property
-    def narrowing(self) -> float | None:
-        """How many times narrower than its prior the posterior is."""
-        return self.prior_sd / self.sd if self.prior_sd and self.sd else None
 
 
 class KnownRow(Described):
@@ -277,3 +275,68 @@ class Residual(Part):
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
+
+
+class MotionError(Part):
+    """How far a motion is from the measured one, in its unit."""
+
+    mae: NotNegative
+    rmse: NotNegative
+    inside: Share
+    inside_alone: Share
+    width: NotNegative | None = None
+
+
+class RollOutRow(Part):
+    """One recording, or all together.
+
+    In a share ``blind`` of the time the position's band is wider than ``room``, beyond which it
+    tells nothing; ``over`` is the share of the plays that went another way over the top.
+    """
+
+    part: Which | None = None
+    input: Input | None = None
+    position: MotionError
+    speed: MotionError
+    runaway: Share = 0.0
+    room: NotNegative | None = None
+    blind: Share = 0.0
+    over: Share = 0.0
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the position leaves its bands far too often."""
+        return self.position.inside < FEWEST
+
+    @property
+    def wide(self) -> bool:
+        """Whether being inside the position's band says nothing."""
+        return tells_nothing(self.blind, self.over)
+
+
+class RollOutPart(Part):
+    """Recordings played to draws of the posterior."""
+
+    level: Share
+    draws: int
+    seed: int
+    unit: Literal["rad", "m"]
+    recordings: dict[Name, RollOutRow]
+    pooled: RollOutRow
+    unexplained: dict[Name, NotNegative]
+    left: FiniteFloat
+    torque_unit: str
+
+
+def rollout_part(found: RollOut) -> RollOutPart:
+    """Sum roll-outs up."""
+    rows = {
+        one.name: vars(one) | {"position": vars(one.at_position), "speed": vars(one.at_speed)}
+        for one in found.rolled
+    }
+    mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in ("blind", "over")}
+    errors = {key.removeprefix("at_"): vars(error) for key, error in found.pooled.items()}
+    told = {"unit": found.rolled[0].unit, "recordings": rows, "pooled": mean | errors}
+    return RollOutPart.model_validate(
+        told | {key: getattr(found, key) for key in RollOutPart.model_fields if key not in told}
+    )

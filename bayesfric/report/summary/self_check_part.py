@@ -96,15 +96,14 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
         row, value, ends = summary.rows[name], checked.corrected, checked.corrected_interval
         if value is None or ends is None or row.at_bound is not None:
             continue
-        if abs(value - row.middle) < _DIGIT * row.told_sd:
+        if abs(value - row.middle) < _DIGIT * row.told.sd:
             continue
         low, high = ends
         sd = row.sd * (high - low) / ((row.interval[1] - row.interval[0]) or 1.0)
-        if row.model_error_interval:  # as wide as what has room for the model's error
-            wide, sd = row.model_error_interval, row.model_error_sd or sd
-            low, high = (value + end - row.middle for end in wide)
-            value += (row.model_error_value or row.middle) - row.middle
-            low = max(low, 0.0) if wide[0] >= 0.0 else low
+        if (wide := row.wide) is not None:  # as wide as what has room for the model's error
+            low, high = (value + end - row.middle for end in (wide.low, wide.high))
+            value, sd = value + (wide.value - row.middle), wide.sd
+            low = max(low, 0.0) if wide.low >= 0.0 else low
         found[name] = value, low, high, sd
     return found
 
