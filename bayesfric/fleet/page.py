@@ -20,8 +20,7 @@ from bayesfric.fleet.fleet_units import Unit
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import save
-from bayesfric.report.page.page_figures import PageFigure, page_figure
-from bayesfric.report.page.rendering import render
+from bayesfric.report.page.rendering import PageFigure, page_figure, render
 from bayesfric.version import __version__
 
 # Columns of the units that there is room for.

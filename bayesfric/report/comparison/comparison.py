@@ -88,10 +88,9 @@ class Comparison:
     contested: tuple[str, ...]
     # why numbers are doubtful, by run of which some are, a clause each
     reasons: Mapping[str, list[str]]
-    # the first notes: in what other runs are far from the first
+    # the first notes: in what other runs are far from the first, then in what they differ beyond
+    # noise, and not beyond room for the models' errors
     runs_apart: tuple[str, ...]
-    # the next notes: in what they differ beyond noise, and not beyond room for the models' errors
-    beyond_noise: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Row:
         return {row.name: row for row in self.rows}[name]
@@ -170,7 +169,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     found.sort(key=_order)  # keeps the order of the files within each group
     for row in found:
         _measure(row, columns, baseline)
-    between, beyond = _runs_apart(runs, found, columns)
+    apart = _runs_apart(runs, found, columns)
     if len(runs) > 1 and not any(_told_twice(row, columns) for row in found):
         notes.insert(0, _note("nothing shared"))
     far = _far_estimates(found, columns, baseline)
@@ -179,11 +178,10 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         tuple(columns),
         tuple(found),
         baseline.label if baseline else None,
-        (*between, *beyond, *notes),
+        (*apart, *notes),
         tuple(row.name for row in found if any(row.name in names for names in far.values())),
         {name: run.reasons for name, run in runs.items() if run.reasons},
-        tuple(between),
-        tuple(beyond),
+        apart,
     )
 
 
@@ -338,11 +336,11 @@ def _far_estimates(
 
 def _runs_apart(
     runs: Mapping[str, Summary], rows: list[Row], columns: list[Column]
-) -> tuple[list[str], list[str]]:
+) -> tuple[str, ...]:
     """Say in what other runs' posteriors are too far from the first to be of one joint.
 
-    The second list says where they differ beyond noise, but not beyond room for the models' errors.
-    What a run doubts itself, as of a delay or too wide a band, is no news of the joint.
+    Then where they differ beyond noise, but not beyond room for the models' errors. What a run
+    doubts itself, as of a delay or too wide a band, is no news of the joint.
     """
     posteriors = [c for c in columns if c.kind == "posterior"]
     said: tuple[list[str], list[str]] = [], []
@@ -365,7 +363,7 @@ def _runs_apart(
             ("runs apart", "beyond noise"), (far, beyond), said, strict=True
         ):
             into += [_note(kind, run=column.run, first=first.run, names=names)] if names else []
-    return said
+    return (*said[0], *said[1])
 
 
 def _add_references(

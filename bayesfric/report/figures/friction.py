@@ -17,7 +17,6 @@ mass, a known parameter of the leg, ``mu_1 = mu_2``), ``L`` is ``Gamma/N`` itsel
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -170,7 +169,8 @@ def friction_curves(fit: Fit) -> list[Curve]:
     place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     ways = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
-    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in ways if x.size]
+    loads = [float(np.quantile(np.abs(x), 0.9) * np.sign(x[0])) for x in ways if x.size]
+    loads = [float(f"{x:.1g}") for x in loads]
     low, high = float(place.speed.min()), float(place.speed.max())
     least = 1e-3 * max(-low, high)
     sides = [(low, -least)] if low < -least else []
@@ -184,11 +184,6 @@ def friction_curves(fit: Fit) -> list[Curve]:
         near = place.near(speed, load if loads else None)
         curves.append(Curve(speed, load, *band(fit, of), near))
     return curves
-
-
-def _round(x: float) -> float:
-    """Round to one digit."""
-    return round(x, -math.floor(math.log10(abs(x)))) if x else x
 
 
 def has_open_scale(fit: Fit) -> bool:

@@ -22,8 +22,7 @@ from bayesfric.report.comparison.comparison import Comparison, comparison, expla
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
-from bayesfric.report.page.page_figures import page_figures
-from bayesfric.report.page.rendering import render
+from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
 from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
 from bayesfric.report.summary.rows import Pair, Part

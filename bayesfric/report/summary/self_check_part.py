@@ -21,7 +21,7 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.words import filled, line_of
+from bayesfric.report.words import line_of
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0
@@ -121,13 +121,6 @@ def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
     held = {name: share for name, share in held.items() if share < LOW and name in names}
     shares = [f"{name} {100 * share:.0f} %" for name, share in held.items()]
     return line_of("seldom held", {"held": shares, "level": LEVEL}) if held else ""
-
-
-def self_check_lines(summary: Summary) -> Iterator[str]:
-    """Word it for a terminal, line by line."""
-    if (check := summary.self_check) is not None:
-        told = {"check": check, "off": off_rows(summary), "corrected": set(cited(summary))}
-        yield from filled("self_check.txt.j2", **told).splitlines()
 
 
 def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ from bayesfric.inference.predictive import Prediction
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.noise import mean_lag
-from bayesfric.report.summary.record import Coverage, Validation
-from bayesfric.report.words import filled, line_of
+from bayesfric.report.summary.record import Coverage
+from bayesfric.report.words import line_of
 
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
@@ -140,8 +140,3 @@ def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any]) ->
     # off by nearly the same everywhere leaves few in the middle, and few far out
     hollow = half.share < _HALF - _SURE * half.standard_error
     return "too wide" if share.share > high and not hollow else "model discrepancy"
-
-
-def validation_lines(record: Validation | Mapping[str, Any]) -> Iterator[str]:
-    """Word what was held out and how well it was predicted, for a person."""
-    yield from filled("validation.txt.j2", found=Validation.read(record)).splitlines()
