@@ -135,15 +135,10 @@ def csv_text(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
     return str(pd.DataFrame(list(lines), columns=list(columns)).to_csv(index=False))
 
 
-def white_words(white: bool) -> str:
-    """Say of innovations whether they are white noise by their test."""
-    return "pass as white" if white else "do NOT pass as white"
-
-
 # What templates of text and of pages have in common.
 FILTERS = {
     "p": p_text,
-    "white": white_words,
+    "white": lambda white: "pass as white" if white else "do NOT pass as white",
     "listed": listed,
     "spent": spent_text,
     "said": lambda kind: words_of(kind).what,

@@ -101,11 +101,6 @@ class ParameterTable:
     rows: tuple[ParameterRow, ...]
     summary: Summary
 
-    @property
-    def level(self) -> float:
-        """Share of the posterior that intervals hold."""
-        return self.summary.level
-
     def notes(self, *, marked: bool = True) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
         text = filled(
@@ -159,7 +154,7 @@ def parameters_latex(table: ParameterTable) -> str:
         cells = [latex.symbol(r.symbol, r.name), latex.escaped(r.meaning or r.name)]
         cells += [*r.shown(LATEX), latex.unit(r.unit), latex.escaped(r.verdict)]
         lines.append((r.group, cells))
-    share = rf"\qty{{{100 * table.level:g}}}{{\percent}}"
+    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}}"
     head = ["Symbol", "Quantity", "Value", f"{share} interval", "Unit", "Determined by"]
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
     symbols = {r.name: r.symbol for r in table.rows}

@@ -22,7 +22,7 @@ from bayesfric.report.summary.record import ModelError, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import cited
 from bayesfric.report.words import line_of
-from bayesfric.results.reported import Reported, Spread, concluded
+from bayesfric.results.reported import Spread, concluded
 
 # Quantities that a loss per torque makes by itself, and on which side of one they are, eq. (6).
 _SIDES: dict[str, dict[str, Bound]] = {
@@ -177,34 +177,23 @@ def put_reported(summary: Summary) -> Summary:
     """
     if all(row.reported is not None for row in summary.rows.values()):
         return summary
-    corrected = cited(summary)
+    status, corrected = summary.sampler.status, cited(summary)
+    checked = summary.self_check.rows if summary.self_check else {}
     changes: dict[str, dict[str, Any]] = {}
-    rows = summary.self_check.rows if summary.self_check else {}
     for name, row in summary.rows.items():
-        right = corrected.get(name)
-        bias = rows[name].bias if right else None
-        changes[name] = {"reported": _reported(summary, row, right, bias)}
+        low, high = row.interval
+        leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
+        sound = status != "unusable" if row.converged is None else row.converged
+        one = concluded(
+            Spread(row.middle, low, high, row.sd),
+            verdict=row.verdict,
+            own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
+            converged=status == "reliable" or sound,
+            widened=row.wide,
+            corrected=corrected.get(name),
+            bias=checked[name].bias if name in corrected else None,
+            limit=row.at_bound if leans else None,
+            findings=row.doubted if row.verdict != "prior" else (),
+        )
+        changes[name] = {"reported": one}
     return summary.with_rows(changes)
-
-
-def _reported(
-    summary: Summary,
-    row: PosteriorRow,
-    corrected: tuple[float, float, float, float] | None,
-    bias: float | None,
-) -> Reported:
-    leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
-    unusable = summary.sampler.status == "unusable"
-    reliable = summary.sampler.status == "reliable"
-    low, high = row.interval
-    return concluded(
-        Spread(row.middle, low, high, row.sd),
-        verdict=row.verdict,
-        own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
-        converged=reliable or (not unusable if row.converged is None else row.converged),
-        widened=row.wide,
-        corrected=Spread(*corrected) if corrected else None,
-        bias=bias,
-        limit=row.at_bound if leans else None,
-        findings=row.doubted if row.verdict != "prior" else (),
-    )

@@ -87,13 +87,12 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     sampler = summary.sampler
     if sampler.status == "reliable":
         sampler = sampler.model_copy(update={"status": "tentative"})
-    changes = {name: _doubted(summary.rows[name], of) for name, of in kinds.items()}
+    changes: dict[str, dict[str, Any]] = {}
+    for name, of in kinds.items():
+        row = summary.rows[name]
+        changes[name] = {"doubted": of, "undoubted": row.undoubted or row.verdict}
+        changes[name] |= {"verdict": "weak"} if row.verdict == "data" else {}
     return summary.with_rows(changes, doubts=told, sampler=sampler)
-
-
-def _doubted(row: PosteriorRow, kinds: list[str]) -> dict[str, Any]:
-    demoted = "weak" if row.verdict == "data" else row.verdict
-    return {"doubted": kinds, "verdict": demoted, "undoubted": row.undoubted or row.verdict}
 
 
 def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -117,8 +116,9 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
-    if priors := priors_off(summary):
-        yield {"kind": "prior", "priors": priors}
+    compared = (references_off(summary) or {"compared": ()})["compared"]
+    if off := {one["name"]: one["times"] for one in compared if one["by"] == "prior"}:
+        yield {"kind": "prior", "priors": off}
 
 
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
@@ -307,12 +307,6 @@ def references_off(summary: Summary) -> dict[str, Any] | None:
     # a gain that is fitted is that factor already
     factor = _common(scaled) if not summary.scaled and any(one in off for one in scaled) else None
     return {"off": {one["name"]: one["times"] for one in off}, "compared": off, "factor": factor}
-
-
-def priors_off(summary: Summary) -> dict[str, float]:
-    """Name told priors that the data contradict, with how many sds they are off."""
-    found = references_off(summary) or {"compared": ()}
-    return {one["name"]: one["times"] for one in found["compared"] if one["by"] == "prior"}
 
 
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:

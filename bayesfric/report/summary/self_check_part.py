@@ -22,6 +22,7 @@ from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import line_of
+from bayesfric.results.reported import Spread
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0
@@ -86,8 +87,8 @@ def _rows(summary: Summary) -> dict[str, SelfCheckRow]:
     return {name: row for name, row in rows.items() if summary.rows[name].verdict != "prior"}
 
 
-def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
-    """Give corrected values: value, ends of the interval and sd, by name.
+def cited(summary: Summary) -> dict[str, Spread]:
+    """Give corrected values, by name.
 
     What is not among them is reported as the posterior has it, as a limit is.
     """
@@ -104,7 +105,7 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
             low, high = (value + end - row.middle for end in (wide.low, wide.high))
             value, sd = value + (wide.value - row.middle), wide.sd
             low = max(low, 0.0) if wide.low >= 0.0 else low
-        found[name] = value, low, high, sd
+        found[name] = Spread(value, low, high, sd)
     return found
 
 
