@@ -174,9 +174,9 @@ def told_by_runs(
         return
     for name in dict.fromkeys(name for table in tables.values() for name in table):
         rows = {
-            run: table[name]
+            run: row
             for run, table in tables.items()
-            if name in table and table[name].sd and _converged(table[name])
+            if (row := table.get(name)) and row.sd and row.reported and row.reported.how.converged
         }
         if of_noise(name) or sum(map(_told, rows.values())) < _LEAST:
             continue
@@ -186,10 +186,6 @@ def told_by_runs(
         }
         kept = {run: one for run, one in each.items() if one is not None}
         yield Told(name, {run: rows[run] for run in kept}, kept)
-
-
-def _converged(row: PosteriorRow) -> bool:
-    return row.reported is not None and row.reported.how.converged
 
 
 def _told(row: PosteriorRow) -> bool:

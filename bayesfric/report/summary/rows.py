@@ -178,24 +178,17 @@ class PosteriorRow(Drawn, Described):
         return Spread(self.value, low, high, self.sd if one is None else one.sd)
 
     @property
-    def may_be_zero(self) -> bool:
-        """Whether zero, which of an angle is a place like any other, is in what is :attr:`told`.
-
-        A number that cannot be negative never has it inside; it leans on that bound.
-        """
-        leans = self.at_bound == "lower" and self.bound == 0.0
-        return self.period is None and (self.told.low <= 0.0 <= self.told.high or leans)
-
-    @property
-    def reaches(self) -> str:
-        """Say that it reaches to an end of its range, if it does."""
-        ends = {"lower": "down to the least", "upper": "up to the most"}
-        return f"reaches {ends[self.at_bound]} that it may be" if self.at_bound else ""
-
-    @property
     def beside(self) -> list[str]:
-        """What to know of it besides its verdict."""
-        told = [self.reaches] if self.reaches else ["could be zero"] if self.may_be_zero else []
+        """What to know of it besides its verdict.
+
+        Zero is of an angle a place like any other; what cannot be negative leans on that bound.
+        """
+        told = []
+        if self.at_bound:
+            end = {"lower": "down to the least", "upper": "up to the most"}[self.at_bound]
+            told.append(f"reaches {end} that it may be")
+        elif self.period is None and self.told.low <= 0.0 <= self.told.high:
+            told.append("could be zero")
         if self.undefined_share:
             told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
         return told

@@ -55,11 +55,6 @@ def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
     return Coverage(share=share, standard_error=error, effective_outputs=effective)
 
 
-def covered(pit: Array, level: float) -> Flags:
-    """Tell which outputs lie in their central interval of probability ``level``."""
-    return np.asarray(np.abs(pit - 0.5) <= level / 2.0)
-
-
 def validation_record(fit: Fit) -> dict[str, Any]:
     """Put predictions of what was held out beside what was measured, for ``summary.json``."""
     outputs = fit.target.likelihood.outputs[0]
@@ -99,7 +94,8 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     variance = np.concatenate([p.variance for p in predictions])
     standard = residual / np.sqrt(variance)
     centred = standard - standard.mean()
-    shares = {level: share_of(covered(pit, level), at, centred) for level in LEVELS}
+    out = np.abs(pit - 0.5)  # how far from the middle of what was predicted
+    shares = {level: share_of(out <= level / 2.0, at, centred) for level in LEVELS}
     numbers: dict[str, Any] = {
         "outputs": residual.size,
         "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
