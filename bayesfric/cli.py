@@ -229,8 +229,7 @@ def explain(
 @app.command()
 def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None:
     """Say what recordings of which some parameters differ tell together, and of the next one."""
-    from bayesfric.report.text_templates import filled
-    from bayesfric.report.words import line_of
+    from bayesfric.report.words import filled, line_of
 
     model = _model(config)
     with _progress() as progress:
@@ -351,7 +350,7 @@ def compare(
 ) -> None:
     """Put runs side by side, or the methods and the posterior of one run."""
     from bayesfric.commands.compare import compare as run
-    from bayesfric.report.comparison.layout import comparison_dict, comparison_text
+    from bayesfric.report.comparison.comparison import comparison_dict, comparison_text
 
     found = run(runs, output, estimates=estimates or None)
     written = [f"Written to {output}"] if output else []

@@ -15,8 +15,7 @@ from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond
 from bayesfric.problem.problem import Problem, StartingPoint
-from bayesfric.report.summary.bounds import limits_of_losses
-from bayesfric.report.summary.conclusions import add_model_error, put_reported
+from bayesfric.report.summary.conclusions import add_model_error, limits_of_losses, put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary

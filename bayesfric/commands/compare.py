@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.errors import BadInput
-from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.layout import comparison_csv, comparison_dict
+from bayesfric.report.comparison.comparison import (
+    Comparison,
+    comparison,
+    comparison_csv,
+    comparison_dict,
+)
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 
@@ -30,12 +34,10 @@ def compare(
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
     from bayesfric.problem.config import chain_of
-    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
-    from bayesfric.report.comparison.run_draws import read_draws
+    from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
-    from bayesfric.report.page.compare_page import compare_page, shared_recordings
-    from bayesfric.report.page.provenance import read_provenance
+    from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
     from bayesfric.report.paper.tables import methods_latex
     from bayesfric.written import check_free, made_beside
 

@@ -12,8 +12,7 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.errors import BadInput
 from bayesfric.model import Model
 from bayesfric.report.terminal import wrapped
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import clause, doubt_text, line_of
+from bayesfric.report.words import clause, doubt_text, filled, line_of
 
 
 def explain_record(found: Explanation, model: Model) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
 from bayesfric.fleet.fleet_population import sure
 from bayesfric.population.population import Interval
 from bayesfric.progress import Shown, silent
-from bayesfric.report.text_templates import filled
+from bayesfric.report.words import filled
 
 
 def fleet(

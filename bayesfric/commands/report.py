@@ -8,7 +8,7 @@ from typing import Any
 
 from bayesfric.errors import BadInput
 from bayesfric.progress import Progress, Shown, silent
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
 from bayesfric.written import put_into, write_beside

@@ -16,9 +16,8 @@ from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.summary.record import read_summary_file
-from bayesfric.report.summary.rollout_part import RollOutPart, rollout_part
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import line_of
+from bayesfric.report.summary.rows import RollOutPart, rollout_part
+from bayesfric.report.words import filled, line_of
 from bayesfric.rollouts.rollout import rollout as played
 from bayesfric.written import put_into, write_beside
 

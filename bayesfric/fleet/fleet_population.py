@@ -16,8 +16,7 @@ from bayesfric.fleet.fleet_units import Unit, places_of
 from bayesfric.population.levels import Levels, levels
 from bayesfric.population.outliers import WithOutliers, with_outliers
 from bayesfric.problem.config import chain_of
-from bayesfric.report.comparison.between_runs import Told, told_by_runs
-from bayesfric.report.comparison.run_draws import RunDraws, read_draws
+from bayesfric.report.comparison.between_runs import RunDraws, Told, read_draws, told_by_runs
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.rows import PosteriorRow
 

@@ -20,8 +20,7 @@ from bayesfric.fleet.fleet_units import Unit
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import save
-from bayesfric.report.page.page_figures import PageFigure, page_figure
-from bayesfric.report.page.rendering import render
+from bayesfric.report.page.rendering import PageFigure, page_figure, render
 from bayesfric.version import __version__
 
 # Columns of the units that there is room for.
@@ -173,7 +172,7 @@ def _panel(
 ) -> list[Artist]:
     names = list(places)
     x = np.array([places[name] for name in names])
-    ends = np.array([one.units[name].told_interval for name in names])
+    ends = np.array([(told.low, told.high) for told in (one.units[name].told for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
     y = np.array([one.units[name].value for name in names]) / scale

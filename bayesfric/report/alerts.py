@@ -12,7 +12,7 @@ from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.doubts import references_off
 from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.rollout_part import FEWEST, RollOutPart
+from bayesfric.report.summary.rows import FEWEST, RollOutPart
 from bayesfric.report.words import line_of
 
 

@@ -21,7 +21,7 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.calculator import FILE, calculator, calculator_json
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary

@@ -17,12 +17,9 @@ from bayesfric.report.alerts import Alert, alerts_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.noise import noise_lines
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.self_check_part import self_check_lines
-from bayesfric.report.summary.validation_part import validation_lines
-from bayesfric.report.text_templates import filled
-from bayesfric.report.words import line_of
+from bayesfric.report.summary.self_check_part import cited, off_rows
+from bayesfric.report.words import filled, line_of
 from bayesfric.results.reported import ORDER, Reported
 from bayesfric.results.verdict import Outcome
 
@@ -151,9 +148,11 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             summary=read,
             alerts=alerts,
             rows={n: r for n, r in read.rows.items() if r.reported and not r.of_motion},
-            noise=list(noise_lines(read.noise)),
-            held_out=list(validation_lines(read.validation)) if read.validation else [],
-            self_check=list(self_check_lines(read)),
+            noise=read.noise,
+            found=read.validation,
+            check=read.self_check,
+            off=off_rows(read),
+            corrected=cited(read),
         ).splitlines()
 
 

@@ -1,4 +1,4 @@
-"""What is said by kind, on terminal, page and in print: ``words.toml``, a line each."""
+"""What terminal, page and print say: ``words.toml`` by kind, and texts out of templates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from importlib.resources import files
 from string import Formatter
 from typing import Any
 
-from bayesfric.templates import percent, placed, two
+from jinja2 import Environment
+
+from bayesfric.progress import spent_text
+from bayesfric.report.numbers import p_text
+from bayesfric.templates import environment, percent, placed, two
 
 
 @dataclass(frozen=True)
@@ -117,3 +121,33 @@ class _Fill(Formatter):
 
 
 _FILL = _Fill()
+
+
+def filled(template: str, **values: Any) -> str:
+    """Fill a template of plain text; lines that only hold markup leave nothing."""
+    return text_environment().get_template(template).render(**values)
+
+
+def csv_text(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
+    """Lay a table out as CSV, every number in full."""
+    import pandas as pd  # takes half a second, which not every command has to wait
+
+    return str(pd.DataFrame(list(lines), columns=list(columns)).to_csv(index=False))
+
+
+# What templates of text and of pages have in common.
+FILTERS = {
+    "p": p_text,
+    "white": lambda white: "pass as white" if white else "do NOT pass as white",
+    "listed": listed,
+    "spent": spent_text,
+    "said": lambda kind: words_of(kind).what,
+}
+
+
+@cache
+def text_environment() -> Environment:
+    """Give the environment of templates that make plain text."""
+    made = environment("bayesfric.report")
+    made.filters |= FILTERS
+    return made

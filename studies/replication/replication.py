@@ -135,7 +135,7 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
             "value": {"auto": row.mean, "HAC": row.mean, "told": row.value},
             "auto": row.sd,
             "HAC": max(row.sd, robust) if robust is not None else row.sd,
-            "told": row.told_sd,
+            "told": row.told.sd,
             # whether its data determine it, by each of its sds, doubted or not
             "determined": row.verdict == "data" or bool(row.doubted),
             "doubted": bool(row.doubted),

@@ -16,8 +16,7 @@ import numpy as np
 
 from bayesfric import Model
 from bayesfric.problem.config import parse_config
-from bayesfric.report.comparison.between_runs import between_runs
-from bayesfric.report.comparison.run_draws import RunDraws
+from bayesfric.report.comparison.between_runs import RunDraws, between_runs
 from bayesfric.report.summary.record import Summary
 
 HERE = Path(__file__).resolve().parent
@@ -51,7 +50,7 @@ def left_out(runs: dict[str, tuple[Summary, RunDraws]]) -> dict[str, list[dict[s
                 continue
             if row.verdict == "data" or row.doubted:
                 # the run is not known exactly either
-                middle, half = one.pool.following, 0.5 * np.diff(row.told_interval)[0]
+                middle, half = one.pool.following, 0.5 * (row.told.high - row.told.low)
                 low = middle.median - np.hypot(middle.median - middle.low, half)
                 high = middle.median + np.hypot(middle.high - middle.median, half)
                 found.setdefault(one.name, []).append(

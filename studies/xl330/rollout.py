@@ -18,7 +18,7 @@ from held_out import GAINS
 import bayesfric as bf
 from bayesfric.problem.config import parse_config
 from bayesfric.problem.config_text import document_text
-from bayesfric.report.summary.rollout_part import rollout_part
+from bayesfric.report.summary.rows import rollout_part
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")
 # What `bayesfric explain` asks for first on these runs.
@@ -56,7 +56,7 @@ def fitted(effort: str) -> dict[str, Any]:
     """Fit all runs by their voltage or their targets; give medians and intervals."""
     summary = bf.summary(model((), {}, effort).sample())
     rows = {
-        name: {"median": row.median, "interval": row.told_interval, "sd": row.told_sd}
+        name: {"median": row.median, "interval": [row.told.low, row.told.high], "sd": row.told.sd}
         for name, row in summary.parameters.items()
     }
     return {"parameters": rows, "residual_rms": summary.fit.residual_rms}

@@ -6,7 +6,7 @@ import pytest
 
 from bayesfric.commands.fit import fit_text
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.terminal import WIDTH, brief
 from tests.report.made_summaries import FOUND, knee
 from tests.report.page_reader import read_page

@@ -6,7 +6,7 @@ import os
 import pytest
 
 import bayesfric as bf
-from bayesfric.report.text_templates import filled
+from bayesfric.report.words import filled
 
 from .bench import JOINT, recorded
 from .test_explain import SIMULATION

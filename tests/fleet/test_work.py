@@ -14,7 +14,7 @@ from bayesfric.fleet import work
 from bayesfric.fleet.fleet import _Course
 from bayesfric.fleet.plan import read_plan
 from bayesfric.fleet.results import Results, failure
-from bayesfric.report.comparison.run_draws import read_draws
+from bayesfric.report.comparison.between_runs import read_draws
 from bayesfric.report.summary.record import Summary, read_summary_file
 
 from .made import write_fleet

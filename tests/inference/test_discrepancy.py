@@ -113,7 +113,7 @@ def wrong():
 def test_a_right_model_keeps_its_intervals(right):
     assert not right.fit.discrepancy.shown
     for row in right.summary.joint.values():
-        assert row.told_interval == row.interval
+        assert [row.told.low, row.told.high] == row.interval
 
 
 def test_a_wrong_model_gets_room_that_holds_the_truth(wrong):
@@ -121,8 +121,8 @@ def test_a_wrong_model_gets_room_that_holds_the_truth(wrong):
     assert wrong.fit.discrepancy.chance > 0.99
     for name in ("motor.inertia", "motor.coulomb", "load.first_moment"):
         row = wrong.summary.parameters[name]
-        assert row.told_sd > row.sd
-        assert abs(row.reported.value - VALUES[name]) < 3.0 * row.told_sd
+        assert row.told.sd > row.sd
+        assert abs(row.reported.value - VALUES[name]) < 3.0 * row.told.sd
 
 
 def test_where_nobody_could_ask_nothing_is_missing(right):

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv
+from bayesfric.report.comparison.between_runs import RunDraws, between_runs, between_runs_csv
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.run_draws import RunDraws
-from bayesfric.report.page.compare_page import _counts, shared_recordings
-from bayesfric.report.page.provenance import Provenance
+from bayesfric.report.page.pages import Provenance, _counts, shared_recordings
 from bayesfric.report.paper.tables import methods_latex
 from bayesfric.report.summary.record import Summary
 

@@ -9,9 +9,14 @@ from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.bounds import bound_mend, bound_warning, limits_of_losses, noise_cut
+from bayesfric.report.summary.conclusions import (
+    bound_mend,
+    bound_warning,
+    limits_of_losses,
+    noise_cut,
+)
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow

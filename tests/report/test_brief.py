@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import bayesfric
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.terminal import FINDINGS, ROWS, WIDTH, brief, fit_text
 from bayesfric.report.words import line_of, words
 from bayesfric.results.reported import ORDER, Spread, concluded

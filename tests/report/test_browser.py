@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from bayesfric.commands.compare import compare
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until
 from .made_fleet import COUNT, WORN, write_fleet

@@ -18,7 +18,7 @@ from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report import calculator
 from bayesfric.report.calculator import FILE, calculator_json, read_calculator, written
 from bayesfric.report.figures.friction import friction_torque
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until
 from .conftest import EVERYTHING, build

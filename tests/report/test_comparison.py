@@ -14,8 +14,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.layout import (
+from bayesfric.report.comparison.comparison import (
+    comparison,
     comparison_csv,
     comparison_dict,
     comparison_text,

@@ -9,7 +9,7 @@ import pytest
 
 from bayesfric.diagnostics import before_a_fit
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_table, summary_texts
 from bayesfric.report.summary import doubts
 from bayesfric.report.summary import self_check_part as self_check

@@ -10,7 +10,7 @@ from bayesfric.report.figures import registry
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import Section, read_captions
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.summary.summary import summarise
 
 from .page_reader import read_page

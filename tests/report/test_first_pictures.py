@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import build

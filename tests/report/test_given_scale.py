@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from bayesfric.export.central import open_scalings
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary

@@ -9,7 +9,7 @@ import pytest
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.figures.registry import FinishedRun, run_figures
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups

@@ -13,8 +13,9 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.summary import noise
 from bayesfric.report.summary.noise import correlation_warning
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.record import Noise, Summary
 from bayesfric.report.summary.summary import estimate_summary, summarise
+from bayesfric.report.words import filled
 
 
 @pytest.mark.parametrize(
@@ -39,7 +40,11 @@ def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_va
     assert record["innovation_whiteness"]["white"] == white
     tried = (Evidence(0, 0.0, 1.0, p_value),)
     assert Choice(0, tried).white == white
-    (line,) = [text for text in noise.noise_lines(record) if "innovations" in text]
+    (line,) = [
+        text
+        for text in filled("noise.txt.j2", noise=Noise.read(record)).splitlines()
+        if "innovations" in text
+    ]
     assert ("innovations pass as white" in line) == white
 
 

@@ -12,9 +12,8 @@ import pytest
 
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.page_figures import page_figure
-from bayesfric.report.page.rendering import html_symbol
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
+from bayesfric.report.page.rendering import html_symbol, page_figure
 from bayesfric.report.paper.tables import parameter_table, parameters_latex
 
 from . import made_tables

@@ -31,12 +31,12 @@ def alert(made):
 
 
 def test_only_what_is_beyond_three_sds_is_told():
-    near = told(**{INERTIA: lambda row: row.middle - 2.9 * row.told_sd})
+    near = told(**{INERTIA: lambda row: row.middle - 2.9 * row.told.sd})
     assert references_off(Summary.read(near)) is None
-    far = told(**{INERTIA: lambda row: row.middle - 3.2 * row.told_sd})
+    far = told(**{INERTIA: lambda row: row.middle - 3.2 * row.told.sd})
     assert references_off(Summary.read(far))["off"] == pytest.approx({INERTIA: 3.2})
     # a reference that is not known that well itself contradicts nothing
-    sd = Summary.read(far).rows[INERTIA].told_sd
+    sd = Summary.read(far).rows[INERTIA].told.sd
     far["references"][INERTIA]["sd"] = sd
     assert references_off(Summary.read(far)) is None
     del far["references"][INERTIA]["sd"]

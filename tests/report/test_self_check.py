@@ -10,7 +10,7 @@ from bayesfric.diagnostics.self_check import Checked, QuickFit
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, parameter_table
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from bayesfric.report import numbers
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.run_page import run_page
+from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     methods_latex,

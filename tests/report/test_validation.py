@@ -11,7 +11,9 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
-from bayesfric.report.summary.validation_part import share_of, validation_lines, validation_record
+from bayesfric.report.summary.record import Validation as ValidationPart
+from bayesfric.report.summary.validation_part import share_of, validation_record
+from bayesfric.report.words import filled
 
 from .conftest import NOISE, recording
 
@@ -83,7 +85,9 @@ def test_a_torque_that_the_model_lacks_is_found_with_its_size(knee, size):
     assert pooled["verdict"] == "model discrepancy"
     assert pooled["coverage"]["0.9"]["share"] < 0.8
     assert "N m" in pooled["says"]
-    assert f"{found['value']:.3g} N m" in "\n".join(validation_lines(record))
+    assert f"{found['value']:.3g} N m" in filled(
+        "validation.txt.j2", found=ValidationPart.read(record)
+    )
 
 
 def test_bands_that_are_too_wide(knee):

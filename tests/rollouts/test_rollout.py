@@ -17,7 +17,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.rollout import rollout_figure
-from bayesfric.report.summary.rollout_part import rollout_part
+from bayesfric.report.summary.rows import rollout_part
 from bayesfric.result import result_of
 from bayesfric.results.roll_out import LEVEL
 from bayesfric.rollouts.rollout import (
@@ -355,7 +355,9 @@ def test_a_run_read_back_has_the_draws_of_its_intervals(made):
             row = summary.parameters[name]
             # 4000 draws of maybe 400 independent ones
             ends = np.quantile(posterior.draws[:, k], [0.05, 0.95])
-            assert ends == pytest.approx(row.told_interval, abs=0.25 * row.told_sd), name
+            assert ends == pytest.approx([row.told.low, row.told.high], abs=0.25 * row.told.sd), (
+                name
+            )
         whole = posterior.values(posterior.picked(7))
         assert whole.shape == (7, len(posterior.joint.names))
 

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from bayesfric.estimates.point_estimate import HALF
+from bayesfric.estimates.point_estimate import HALF, Bound
 from bayesfric.report.numbers import Medium, finer
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.part import Bound
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import (
     EstimatedRow,

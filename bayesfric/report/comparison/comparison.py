@@ -7,8 +7,10 @@ whatever a file says: it says so in words. Nor is it measured against anything.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from io import StringIO
 from typing import Any, Literal
 
 from bayesfric.errors import BadInput
@@ -17,10 +19,11 @@ from bayesfric.identifiability.sentences import capital
 from bayesfric.mechanism.parameter import quantity_of, scales_with_torque, turned
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
+from bayesfric.report.numbers import TEXT
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
-from bayesfric.report.words import line_of, listed
+from bayesfric.report.words import csv_text, filled, line_of, listed
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
@@ -28,6 +31,13 @@ _FAR = 3.0
 _GAIN = "drive.gain"
 # Keys of rows that whole turns move.
 _PLACES, _SPANS = ("mean", "median", "value", "bound"), ("interval", "model_error_interval", "span")
+# Of a terminal, and of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
+_WIDTH = 120
+_NARROWEST, _WIDEST = 24, 30
+_PLAIN = "†"
+_COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column", "run",
+    "column_kind", "status", "value", "sd", "sd_uncorrelated", "accounts_for_correlation", "low",
+    "high", "level", "span_low", "span_high", "limit", "disagreement", "remark"]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,10 +88,9 @@ class Comparison:
     contested: tuple[str, ...]
     # why numbers are doubtful, by run of which some are, a clause each
     reasons: Mapping[str, list[str]]
-    # the first notes: in what other runs are far from the first
+    # the first notes: in what other runs are far from the first, then in what they differ beyond
+    # noise, and not beyond room for the models' errors
     runs_apart: tuple[str, ...]
-    # the next notes: in what they differ beyond noise, and not beyond room for the models' errors
-    beyond_noise: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Row:
         return {row.name: row for row in self.rows}[name]
@@ -160,7 +169,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     found.sort(key=_order)  # keeps the order of the files within each group
     for row in found:
         _measure(row, columns, baseline)
-    between, beyond = _runs_apart(runs, found, columns)
+    apart = _runs_apart(runs, found, columns)
     if len(runs) > 1 and not any(_told_twice(row, columns) for row in found):
         notes.insert(0, _note("nothing shared"))
     far = _far_estimates(found, columns, baseline)
@@ -169,11 +178,10 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
         tuple(columns),
         tuple(found),
         baseline.label if baseline else None,
-        (*between, *beyond, *notes),
+        (*apart, *notes),
         tuple(row.name for row in found if any(row.name in names for names in far.values())),
         {name: run.reasons for name, run in runs.items() if run.reasons},
-        tuple(between),
-        tuple(beyond),
+        apart,
     )
 
 
@@ -328,11 +336,11 @@ def _far_estimates(
 
 def _runs_apart(
     runs: Mapping[str, Summary], rows: list[Row], columns: list[Column]
-) -> tuple[list[str], list[str]]:
+) -> tuple[str, ...]:
     """Say in what other runs' posteriors are too far from the first to be of one joint.
 
-    The second list says where they differ beyond noise, but not beyond room for the models' errors.
-    What a run doubts itself, as of a delay or too wide a band, is no news of the joint.
+    Then where they differ beyond noise, but not beyond room for the models' errors. What a run
+    doubts itself, as of a delay or too wide a band, is no news of the joint.
     """
     posteriors = [c for c in columns if c.kind == "posterior"]
     said: tuple[list[str], list[str]] = [], []
@@ -347,7 +355,7 @@ def _runs_apart(
                 far += [] if cell.doubted or base.doubted else [f"{apart})"]
                 continue
             a, b = (runs[run].joint.get(row.name) for run in (first.run, column.run))
-            if not (a and b and a.sd and b.sd) or a.period or not (a.widened or b.widened):
+            if not (a and b and a.sd and b.sd) or a.period or not (a.wide or b.wide):
                 continue
             own = (b.middle - a.middle) / math.hypot(a.sd, b.sd)
             beyond += [f"{apart}, {own:+.1f} were the models right)"] if abs(own) > _FAR else []
@@ -355,7 +363,7 @@ def _runs_apart(
             ("runs apart", "beyond noise"), (far, beyond), said, strict=True
         ):
             into += [_note(kind, run=column.run, first=first.run, names=names)] if names else []
-    return said
+    return (*said[0], *said[1])
 
 
 def _add_references(
@@ -440,3 +448,93 @@ def _turned(row: Any, towards: float) -> Any:
     if isinstance(row, PosteriorRow):
         moved["reported"] = None  # concluded anew, of what was turned
     return row.model_copy(update=moved)
+
+
+def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
+    """Lay a comparison out for a terminal; columns that do not fit come in further blocks."""
+    from rich.box import SIMPLE_HEAD  # a page does without
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(width=width, file=StringIO(), color_system=None)
+    left = max((len(row.name) for row in found.rows), default=0)
+    each = max(1, (width - left) // (_NARROWEST + 2))
+    for first in range(0, len(found.columns), each):
+        columns = found.columns[first : first + each]
+        shown = Table(box=SIMPLE_HEAD, pad_edge=False)
+        shown.add_column(no_wrap=True)
+        for column in columns:
+            shown.add_column(Text(column.label), max_width=_WIDEST)
+        group = None
+        for row in found.rows:
+            cells = ["\n".join(_cell_parts(row.cells.get(c.label))) for c in columns]
+            if not any(cells):
+                continue
+            if group is not None and group != (row.kind, row.gauge_free):
+                shown.add_row()
+            group = (row.kind, row.gauge_free)
+            name = f"{row.name}\n  {row.unit}" if row.unit else row.name
+            shown.add_row(*map(Text, (name, *cells)))
+        with console.capture() as captured:
+            console.print(shown)
+        yield from (line.rstrip() for line in captured.get().splitlines())
+    for line in explained(found):
+        yield from textwrap.wrap(line, width, subsequent_indent="  ")
+
+
+def comparison_csv(found: Comparison) -> str:
+    """Lay a comparison out as CSV text, one line for each quantity and column."""
+    lines = []
+    for row in found.rows:
+        for column in found.columns:
+            if (cell := row.cells.get(column.label)) is None:
+                continue
+            told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
+            told |= {
+                "status": "doubtful" if cell.doubted else cell.status,
+                "column": column.label,
+                "run": column.run,
+                "column_kind": column.kind,
+            }
+            told |= {"sd_uncorrelated": cell.sd_plain, "accounts_for_correlation": cell.accounts}
+            told["low"], told["high"] = cell.interval or (None, None)
+            told["span_low"], told["span_high"] = cell.span or (None, None)
+            lines.append(told)
+    return csv_text(lines, _COLUMNS)
+
+
+def comparison_dict(found: Comparison) -> dict[str, Any]:
+    """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
+
+    def listed(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in pairs}
+
+    quantities = {row.name: asdict(row, dict_factory=listed) for row in found.rows}
+    for told in quantities.values():
+        del told["name"], told["told_by"]
+        told["columns"] = told.pop("cells")
+    return {
+        "baseline": found.baseline,
+        "columns": [asdict(column) for column in found.columns],
+        "quantities": quantities,
+        "notes": list(found.notes),
+    }
+
+
+def _cell_parts(cell: Cell | None) -> list[str]:
+    parts = cell.parts(TEXT) if cell else ()
+    return [f"{text}{_PLAIN}" if kind == "plain" else text for kind, text in parts]
+
+
+def explained(found: Comparison) -> Iterator[str]:
+    """Say what the numbers are and what they take for granted."""
+    cells = [cell for row in found.rows for cell in row.cells.values()]
+    yield from filled(
+        "explained.txt.j2",
+        found=found,
+        plain=any(cell.plain for cell in cells),
+        levels=sorted({cell.level for cell in cells if cell.interval is not None and cell.level}),
+        dagger=_PLAIN,
+    ).splitlines()
+    yield from found.notes

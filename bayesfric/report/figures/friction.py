@@ -17,7 +17,6 @@ mass, a known parameter of the leg, ``mu_1 = mu_2``), ``L`` is ``Gamma/N`` itsel
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +32,7 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from bayesfric.estimates.torque import load_at_outputs
-from bayesfric.identifiability.local import LocalInformation, local_information, verdict
+from bayesfric.identifiability.local import WIDE, local_information
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import load_reach
@@ -44,7 +43,7 @@ from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
-from bayesfric.report.summary.derived_quantities import LEVEL, gradients, prior_values
+from bayesfric.report.summary.derived_quantities import LEVEL, prior_values
 
 # Of the recorded range of speed, and of load: outputs so near to a place cover it.
 NEAR = 0.08
@@ -150,7 +149,7 @@ class Curve:
     # `(3, N)`: low end of the central 90 % interval, median and high end, over the draws that have
     # a value; `nan` where fewer than half of them do
     ends: Array
-    determined: Flags  # whether the data had a say: false where the verdict is `prior`
+    determined: Flags  # whether the data narrow what the prior has
     covered: Flags  # whether `FEWEST` outputs were near
 
     @property
@@ -166,11 +165,12 @@ class Curve:
 
 def friction_curves(fit: Fit) -> list[Curve]:
     """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
-    local, open_scale = local_information(fit.target, fit.posterior.median), has_open_scale(fit)
+    open_scale = has_open_scale(fit)
     place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     ways = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
-    loads = [_round(float(np.quantile(np.abs(x), 0.9) * np.sign(x[0]))) for x in ways if x.size]
+    loads = [float(np.quantile(np.abs(x), 0.9) * np.sign(x[0])) for x in ways if x.size]
+    loads = [float(f"{x:.1g}") for x in loads]
     low, high = float(place.speed.min()), float(place.speed.max())
     least = 1e-3 * max(-low, high)
     sides = [(low, -least)] if low < -least else []
@@ -182,13 +182,8 @@ def friction_curves(fit: Fit) -> list[Curve]:
     for load in (np.full(speed.size, x) for x in (0.0, *loads)):
         of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
         near = place.near(speed, load if loads else None)
-        curves.append(Curve(speed, load, *band(fit, local, of, open_scale), near))
+        curves.append(Curve(speed, load, *band(fit, of), near))
     return curves
-
-
-def _round(x: float) -> float:
-    """Round to one digit."""
-    return round(x, -math.floor(math.log10(abs(x)))) if x else x
 
 
 def has_open_scale(fit: Fit) -> bool:
@@ -196,41 +191,24 @@ def has_open_scale(fit: Fit) -> bool:
     return local_information(fit.target, fit.posterior.median).from_theory > 0
 
 
-def band(
-    fit: Fit, local: LocalInformation, curve: Callable[[Array], Array], gauge_free: bool
-) -> tuple[Array, Flags]:
+def band(fit: Fit, curve: Callable[[Array], Array]) -> tuple[Array, Flags]:
     """Give ends and median ``(3, N)`` of a curve over draws, and where the data determine it.
 
     ``curve`` brings parameters ``(n, n_parameters)`` to the curve's points ``(n, N)``, ``nan``
-    where a draw has no value. Points are judged as single quantities are in ``summary.json``: by
-    the posterior's sd against the prior's and the one that the data alone would leave.
-    ``gauge_free`` is whether, by theory, no scaling of leg and alpha changes it.
+    where a draw has no value. The data determine it where they narrow what the prior has.
     """
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # points that no draw has are nan, and say so by that
         warnings.simplefilter("ignore", RuntimeWarning)
-        values = _finite(curve(fit.chain_draws(_DRAWS)))
-        sd = _robust_sd(values)
-        prior_sd = _robust_sd(_finite(curve(prior_values(fit, _PRIOR_DRAWS, 4))))
-        changes = gradients(fit, lambda x: curve(x).T)
-        ends = np.nanquantile(values, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
-    ends[:, np.isnan(values).mean(axis=0) > 0.5] = np.nan
-    determined = [
-        bool(np.isfinite(gradient).all())
-        and verdict(one, before, local.data_sd_of(gradient, gauge_free=gauge_free)) != "prior"
-        for one, before, gradient in zip(sd, prior_sd, changes, strict=True)
-    ]
-    return ends, np.array(determined, dtype=np.bool_)
-
-
-def _finite(x: Array) -> Array:
-    return np.where(np.isfinite(x), x, np.nan)
-
-
-def _robust_sd(x: Array) -> Array:
-    """Sds from quartiles: what divides by 1 - mu_2 has no finite one under many priors."""
-    low, high = np.nanquantile(x, [0.25, 0.75], axis=0)
-    return np.asarray((high - low) / 1.349)
+        every = [curve(fit.chain_draws(_DRAWS)), curve(prior_values(fit, _PRIOR_DRAWS, 4))]
+        drawn, before = (np.where(np.isfinite(x), x, np.nan) for x in every)
+        ends = np.nanquantile(drawn, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
+        # between quartiles: what divides by 1 - mu_2 has no finite sd under many priors
+        width, wide = (
+            np.subtract(*np.nanquantile(x, [0.75, 0.25], axis=0)) for x in (drawn, before)
+        )
+    ends[:, np.isnan(drawn).mean(axis=0) > 0.5] = np.nan
+    return ends, np.asarray(np.isfinite(ends[1]) & (width < WIDE * wide))
 
 
 def friction_torque(

@@ -1,6 +1,7 @@
 """Templates, style and script put together into one file that fetches nothing.
 
-With numbers, verdicts and the paper's symbols as a page shows them: never a bare open interval.
+With numbers, verdicts and the paper's symbols as a page shows them: never a bare open interval; and
+drawings as images: whatever its file holds, an image neither acts nor reaches out.
 """
 
 from __future__ import annotations
@@ -8,22 +9,27 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
+from urllib.parse import quote
 
 from jinja2 import Environment
 from markupsafe import Markup, escape
 
+from bayesfric.errors import BadInput
 from bayesfric.identifiability.sentences import capital, factor
+from bayesfric.opened import read_text
 from bayesfric.report import numbers
+from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
-from bayesfric.report.text_templates import FILTERS
-from bayesfric.report.words import clause
+from bayesfric.report.words import FILTERS, clause
 from bayesfric.templates import environment
 
 _GREEK = {
@@ -43,6 +49,12 @@ _TOKEN = re.compile(
 _GROUP = re.compile(r"([_^])(?:\{([^{}]*)\}|(<i>.</i>|&#?\w+;|[^{}]))")
 _BARE = re.compile(r"(?<![_^])\{([^{}]*)\}")
 _TAGS = {"_": "sub", "^": "sup"}
+_SIZE = re.compile(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"')
+# Coordinates in points: a hundredth is finer than any printer, and halves the page.
+_COORDINATES = re.compile(r'\b[dxy]="[^"]*"')
+_LONG = re.compile(r"(?<=\.\d\d)\d+")
+# Points; wider than a column of a paper, a figure needs a page's width to be read.
+_COLUMN = 300.0
 
 
 def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any) -> str:
@@ -126,3 +138,53 @@ def _set(token: re.Match[str]) -> str:
     plain = re.sub(r"\\(.)", r"\1", words) + _SPACES.get(command, command)
     plain += {" ": "", "-": "\u2212"}.get(other, other)  # a space means nothing in mathematics
     return re.sub("[{}_^]", lambda m: f"&#{ord(m[0])};", escape(plain))
+
+
+@dataclass(frozen=True)
+class PageFigure:
+    """One figure."""
+
+    stem: str  # its file's name, and its anchor behind `figure-`
+    # in words
+    title: str
+    caption: str
+    alt: str  # what it says to who cannot see it
+    source: str  # the drawing as a data URL
+    # in points
+    width: float
+    height: float
+
+    @property
+    def wide(self) -> bool:
+        """Whether it is made for the width of a page."""
+        return self.width > _COLUMN
+
+
+def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str) -> PageFigure:
+    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none."""
+    text = read_text(folder / "figures" / f"{stem}.svg")
+    if (size := _SIZE.search(text)) is None:
+        raise ValueError(f"{stem}.svg is no SVG with a view box")
+    text = _COORDINATES.sub(lambda found: _LONG.sub("", found[0]), text).replace("\n", " ")
+    source = "data:image/svg+xml," + quote(text, safe=" :/;=,().-")
+    return PageFigure(stem, title, caption, alt, source, float(size[1]), float(size[2]))
+
+
+def page_figures(
+    folder: Path, figures: Iterable[Declared], captions: Mapping[str, str]
+) -> dict[str, list[PageFigure]]:
+    """Read the figures that the folder has, by section of the page.
+
+    ``captions``, by stem, come before what a figure declares of itself. What a figure says to who
+    cannot see it is its caption: the numbers are in the page's tables.
+    """
+    sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
+    for one in figures:
+        # not every caption is written down
+        caption = captions.get(one.stem, one.caption if isinstance(one.caption, str) else "")
+        alt = f"{one.title}. {caption}".strip()
+        try:
+            sections[one.section].append(page_figure(folder, one.stem, one.title, caption, alt))
+        except (BadInput, ValueError):
+            continue
+    return sections

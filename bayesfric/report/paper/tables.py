@@ -8,21 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
+from typing import Any
 
 from bayesfric.report.comparison.cell import Cell, posterior_cells, settled_by
-from bayesfric.report.comparison.comparison import Comparison, comparison
-from bayesfric.report.comparison.layout import comparison_csv
+from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_csv
 from bayesfric.report.numbers import LATEX, Medium
 from bayesfric.report.paper import latex
-from bayesfric.report.summary.bounds import bound_mend
-from bayesfric.report.summary.conclusions import put_reported
+from bayesfric.report.summary.conclusions import bound_mend, put_reported
 from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import seldom_held_sentence
-from bayesfric.report.text_templates import filled
+from bayesfric.report.words import filled
 
 _GROUPS = {
     "free": "Quantities seen at the motor (base parameters)",
@@ -103,11 +101,6 @@ class ParameterTable:
     rows: tuple[ParameterRow, ...]
     summary: Summary
 
-    @property
-    def level(self) -> float:
-        """Share of the posterior that intervals hold."""
-        return self.summary.level
-
     def notes(self, *, marked: bool = True) -> tuple[str, ...]:
         """Say what to know besides; ``marked`` is whether open numbers are marked ``(prior)``."""
         text = filled(
@@ -156,66 +149,52 @@ def parameters_latex(table: ParameterTable) -> str:
 
     It takes the packages array, booktabs, siunitx (version 3) and tabularx.
     """
-    body: list[str] = []
-    group = ""
+    lines = []
     for r in table.rows:
-        if r.group != group:
-            group = r.group
-            body.append(r"\midrule")
-            body.append(rf"\multicolumn{{6}}{{@{{}}l}}{{\emph{{{_GROUPS[group]}}}}} \\")
         cells = [latex.symbol(r.symbol, r.name), latex.escaped(r.meaning or r.name)]
         cells += [*r.shown(LATEX), latex.unit(r.unit), latex.escaped(r.verdict)]
-        body.append(" & ".join(cells) + r" \\")
-    share = rf"\qty{{{100 * table.level:g}}}{{\percent}}"
-    head = rf"Symbol & Quantity & Value & {share} interval & Unit & Determined by \\"
+        lines.append((r.group, cells))
+    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}}"
+    head = ["Symbol", "Quantity", "Value", f"{share} interval", "Unit", "Determined by"]
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    words = ("Parameters of the joint", table.notes(), "tab:parameters")
     symbols = {r.name: r.symbol for r in table.rows}
-    return _table(*words, columns, head, body[1:], symbols)
+    laid = {"columns": columns, "head": head, "lines": lines, "headings": _GROUPS}
+    return _table("Parameters of the joint", "parameters", table.notes(), symbols, laid)
 
 
 def _table(
     caption: str,
-    notes: Sequence[str],
     label: str,
-    columns: str,
-    head: str,
-    body: list[str],
-    symbols: Mapping[str, str] = MappingProxyType({}),
+    notes: Sequence[str],
+    symbols: Mapping[str, str],
+    laid: Mapping[str, Any],
 ) -> str:
     """Lay out a table; notes have ``symbols`` in place of names, as its lines have."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
     below = latex.with_symbols(below, symbols)
-    kind, width = ("tabularx", r"{\textwidth}") if "X" in columns else ("tabular", "")
-    laid = {"kind": kind, "width": width, "columns": columns, "head": head, "body": body}
     return filled("table.tex.j2", caption=caption, label=label, notes=below, **laid) + "\n"
 
 
 def methods_latex(found: Comparison) -> str:
     """Lay a comparison of methods, or of runs, out as a ``table*``."""
-    body: list[str] = []
-    group = None
+    lines = []
     for row in found.rows:
-        if group is not None and group != (row.kind, row.gauge_free):
-            body.append(r"\addlinespace")
-        group = (row.kind, row.gauge_free)
-        cells = [_cell(row.cells.get(column.label)) for column in found.columns]
         name = latex.symbol(row.symbol, row.name)
         name += r"\textsuperscript{m}" if row.of_motion else ""
-        body.append(" & ".join([name, latex.unit(row.unit), *cells]) + r" \\")
-    head = " & ".join(["", "Unit", *(latex.escaped(c.label) for c in found.columns)]) + r" \\"
+        cells = [_cell(row.cells.get(column.label)) for column in found.columns]
+        lines.append(((row.kind, row.gauge_free), [name, latex.unit(row.unit), *cells]))
     told = [cell for row in found.rows for cell in row.cells.values()]
     notes = filled(
         "methods_notes.txt.j2",
         found=found,
         cells=told,
         empty=len(told) < len(found.rows) * len(found.columns),
-        skewed=any("^{+" in line for line in body),
+        skewed=any("^{+" in text for _, texts in lines for text in texts),
     ).splitlines()
-    columns = "@{}ll" + "l" * len(found.columns) + "@{}"
+    head = ["", "Unit", *(latex.escaped(c.label) for c in found.columns)]
+    laid = {"columns": f"@{{}}ll{'l' * len(found.columns)}@{{}}", "head": head, "lines": lines}
     title = "Runs side by side" if found.several else "Estimates by method"
-    label = "tab:runs" if found.several else "tab:methods"
-    return _table(title, notes, label, columns, head, body)
+    return _table(title, "runs" if found.several else "methods", notes, {}, laid)
 
 
 def _cell(cell: Cell | None) -> str:

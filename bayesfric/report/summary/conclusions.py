@@ -1,20 +1,128 @@
-"""What is concluded of every number of a summary, from all that was asked of it."""
+"""What is concluded of every number of a summary, from all that was asked of it.
+
+A bound may hold it, the model may lack something, and the self-check may correct it.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm
 
+from bayesfric.estimates.point_estimate import Bound
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
-from bayesfric.report.summary.bounds import held, leaning, told_by_data
+from bayesfric.inference.noise import SCALES
+from bayesfric.inference.prior.priors import bound_of
 from bayesfric.report.summary.derived_quantities import Groups, spread
 from bayesfric.report.summary.record import ModelError, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import cited
-from bayesfric.results.reported import Reported, Spread, concluded
+from bayesfric.report.words import line_of
+from bayesfric.results.reported import Spread, concluded
+
+# Quantities that a loss per torque makes by itself, and on which side of one they are, eq. (6).
+_SIDES: dict[str, dict[str, Bound]] = {
+    "load": {"alpha_drive": "upper", "alpha_back": "lower"},
+    "load_drive": {"alpha_drive": "upper"},
+    "load_back": {"alpha_back": "lower"},
+}
+# Efficiencies, which are those factors where no constant loss counts in them.
+_EFFICIENCY = {"alpha_drive": "efficiency_drive", "alpha_back": "efficiency_back"}
+_SAME = 1e-9
+
+
+def leaning(
+    x: NDArray[np.float64], prior: tuple[float, float], possible: tuple[float, float]
+) -> dict[str, Any]:
+    """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
+    side = bound_of(x, *prior)
+    if side is None:
+        return {"at_bound": None}
+    end = 0 if side == "lower" else 1
+    return {
+        "at_bound": side,
+        "bound": prior[end],
+        "bound_physical": prior[end] == possible[end],
+    }
+
+
+def told_by_data(row: PosteriorRow) -> bool:
+    """Whether the data say how far from its bound a number may be, with a scale told if need be."""
+    known = row.data_sd is not None and row.data_sd < WIDE * (row.prior_sd or math.inf)
+    return known or bool(row.given_by)
+
+
+def held(row: PosteriorRow) -> bool:
+    """Whether the data push a number against its bound; a prior alone leans on bounds too."""
+    return row.at_bound is not None and (row.verdict != "prior" or told_by_data(row))
+
+
+def bound_mend(name: str, row: PosteriorRow) -> str:
+    """Say what to do about the bound that holds a number; nothing where none does.
+
+    Nor where the bound is the residuals' own, a memory's. Runs of older versions do not tell where
+    the bound is.
+    """
+    if not held(row) or row.bound is None or _of_residuals(name):
+        return ""
+    bound = f"{row.bound:.4g} {row.unit}".strip()
+    kind = "physical bound" if row.bound_physical else "set bound"
+    return line_of(kind, {"name": name, "bound": bound})
+
+
+def _of_residuals(name: str) -> bool:
+    """Whether it is of the noise, and the residuals of an estimate choose it."""
+    scale = SCALES.get(name.split(".")[1]) if of_noise(name) else None
+    return scale is not None and scale.chosen
+
+
+def noise_cut(name: str, row: PosteriorRow) -> bool:
+    """Whether a prior keeps noise smaller than the data have it: intervals are then too narrow."""
+    if not of_noise(name) or row.at_bound != "upper" or row.bound_physical or not held(row):
+        return False
+    return name.split(".")[1] in SCALES and not _of_residuals(name) and row.bound is not None
+
+
+def bound_warning(name: str, row: PosteriorRow) -> str | None:
+    """Warn of a bound that was set, not given by physics: it cuts the posterior off.
+
+    Where that is all numbers' concern it is a doubt (:func:`noise_cut`).
+    """
+    if row.bound_physical or noise_cut(name, row) or not (mend := bound_mend(name, row)):
+        return None
+    return line_of("bound", {"name": name, "side": row.at_bound, "mend": mend})
+
+
+def limits_of_losses(summary: Summary) -> Summary:
+    """Say that a torque factor is known from one side only where its loss is.
+
+    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for name, row in summary.parameters.items():
+        element, _, quantity = name.partition(".")
+        if row.at_bound != "lower" or row.bound != 0.0:
+            continue
+        for alpha, side in _SIDES.get(quantity, {}).items():
+            factor = summary.derived.get(f"{element}.{alpha}")
+            if factor is None:
+                continue
+            limit = {"bound": 1.0, "bound_physical": True}
+            changes[f"{element}.{alpha}"] = {"at_bound": side, **limit}
+            efficiency = f"{element}.{_EFFICIENCY[alpha]}"
+            if _same(summary.derived.get(efficiency), factor.middle, side):
+                changes[efficiency] = {"at_bound": "upper", **limit}
+    return summary.with_rows(changes) if changes else summary
+
+
+def _same(efficiency: PosteriorRow | None, factor: float, side: Bound) -> bool:
+    """Whether an efficiency is nothing but a torque factor, or one over it."""
+    share = factor if side == "upper" else 1.0 / factor
+    return efficiency is not None and abs(efficiency.middle - share) < _SAME
 
 
 def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
@@ -69,39 +177,23 @@ def put_reported(summary: Summary) -> Summary:
     """
     if all(row.reported is not None for row in summary.rows.values()):
         return summary
-    corrected = cited(summary)
+    status, corrected = summary.sampler.status, cited(summary)
+    checked = summary.self_check.rows if summary.self_check else {}
     changes: dict[str, dict[str, Any]] = {}
-    rows = summary.self_check.rows if summary.self_check else {}
     for name, row in summary.rows.items():
-        right = corrected.get(name)
-        bias = rows[name].bias if right else None
-        changes[name] = {"reported": _reported(summary, row, right, bias)}
+        low, high = row.interval
+        leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
+        sound = status != "unusable" if row.converged is None else row.converged
+        one = concluded(
+            Spread(row.middle, low, high, row.sd),
+            verdict=row.verdict,
+            own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
+            converged=status == "reliable" or sound,
+            widened=row.wide,
+            corrected=corrected.get(name),
+            bias=checked[name].bias if name in corrected else None,
+            limit=row.at_bound if leans else None,
+            findings=row.doubted if row.verdict != "prior" else (),
+        )
+        changes[name] = {"reported": one}
     return summary.with_rows(changes)
-
-
-def _reported(
-    summary: Summary,
-    row: PosteriorRow,
-    corrected: tuple[float, float, float, float] | None,
-    bias: float | None,
-) -> Reported:
-    widened = None
-    if row.model_error_interval is not None and row.model_error_sd is not None:
-        low, high = row.model_error_interval
-        value = row.middle if row.model_error_value is None else row.model_error_value
-        widened = Spread(value, low, high, row.model_error_sd)
-    leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
-    unusable = summary.sampler.status == "unusable"
-    reliable = summary.sampler.status == "reliable"
-    low, high = row.interval
-    return concluded(
-        Spread(row.middle, low, high, row.sd),
-        verdict=row.verdict,
-        own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
-        converged=reliable or (not unusable if row.converged is None else row.converged),
-        widened=widened,
-        corrected=Spread(*corrected) if corrected else None,
-        bias=bias,
-        limit=row.at_bound if leans else None,
-        findings=row.doubted if row.verdict != "prior" else (),
-    )

@@ -16,7 +16,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.sampling import convergence
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.report.summary.part import Described
+from bayesfric.report.summary.rows import Described
 from bayesfric.report.words import listed
 
 LEVEL = 0.9

@@ -25,7 +25,7 @@ from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.resolution import LEAST_RATIO
-from bayesfric.report.summary.bounds import held, noise_cut
+from bayesfric.report.summary.conclusions import held, noise_cut
 from bayesfric.report.summary.record import Doubt, Summary
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
@@ -74,13 +74,12 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     sampler = summary.sampler
     if sampler.status == "reliable":
         sampler = sampler.model_copy(update={"status": "tentative"})
-    changes = {name: _doubted(summary.rows[name], of) for name, of in kinds.items()}
+    changes: dict[str, dict[str, Any]] = {}
+    for name, of in kinds.items():
+        row = summary.rows[name]
+        changes[name] = {"doubted": of, "undoubted": row.undoubted or row.verdict}
+        changes[name] |= {"verdict": "weak"} if row.verdict == "data" else {}
     return summary.with_rows(changes, doubts=told, sampler=sampler)
-
-
-def _doubted(row: PosteriorRow, kinds: list[str]) -> dict[str, Any]:
-    demoted = "weak" if row.verdict == "data" else row.verdict
-    return {"doubted": kinds, "verdict": demoted, "undoubted": row.undoubted or row.verdict}
 
 
 def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -104,8 +103,9 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
-    if priors := priors_off(summary):
-        yield {"kind": "prior", "priors": priors}
+    compared = (references_off(summary) or {"compared": ()})["compared"]
+    if off := {one["name"]: one["times"] for one in compared if one["by"] == "prior"}:
+        yield {"kind": "prior", "priors": off}
 
 
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -130,7 +130,7 @@ def _acceleration(fit: Fit, summary: Summary, told: list[str]) -> Iterator[dict[
         name
         for name in told
         if _accelerates(own.get(name) or QUANTITIES.get(quantity_of(name)))
-        and summary.rows[name].told_sd < lost * abs(summary.rows[name].middle)
+        and summary.rows[name].told.sd < lost * abs(summary.rows[name].middle)
     ]
     if names and lost > 1.0 / LEAST_RATIO**2:
         yield {"kind": "acceleration", "ratio": float(lost**-0.5), "of": names}
@@ -163,17 +163,11 @@ def references_off(summary: Summary) -> dict[str, Any] | None:
     return {"off": {one["name"]: one["times"] for one in off}, "compared": off, "factor": factor}
 
 
-def priors_off(summary: Summary) -> dict[str, float]:
-    """Name told priors that the data contradict, with how many sds they are off."""
-    found = references_off(summary) or {"compared": ()}
-    return {one["name"]: one["times"] for one in found["compared"] if one["by"] == "prior"}
-
-
 def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
         if row is not None and row.verdict != "prior" and row.converged is not False:
-            sd = sd_towards(reference.value, row.middle, row.told_interval, row.told_sd)
+            sd = sd_towards(reference.value, row.middle, (row.told.low, row.told.high), row.told.sd)
             found = _beside(row, reference.value, reference.sd, row.middle, sd)
             yield {"name": name, "by": "reference"} | found
     for name, row in summary.joint.items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,12 +17,13 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
-from bayesfric.report.summary.record import Likelihood, Noise, Summary
-from bayesfric.report.text_templates import filled
+from bayesfric.report.summary.record import Likelihood, Summary
 from bayesfric.report.words import line_of
 
 # Correlations of the innovations that are tested together.
 _LAGS = 10
+# A log-likelihood this uncertain moves an interval by about a standard deviation.
+_LINEAR = 1.0
 
 
 def noise_described(fit: Fit) -> dict[str, dict[str, str]]:
@@ -79,15 +80,6 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
     if choice is not None:
         record["order_chosen_from"] = [asdict(one) for one in choice.tried]
     return record
-
-
-def noise_lines(noise: Noise | Mapping[str, Any]) -> Iterator[str]:
-    """Word the noise of a summary for a person."""
-    yield from filled("noise.txt.j2", noise=Noise.read(noise)).splitlines()
-
-
-# A log-likelihood this uncertain moves an interval by about a standard deviation.
-_LINEAR = 1.0
 
 
 def linearisation_warning(likelihood: Likelihood) -> str | None:

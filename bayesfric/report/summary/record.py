@@ -16,21 +16,19 @@ from bayesfric.errors import BadInput
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.opened import read_json
-from bayesfric.report.summary.part import (
+from bayesfric.report.summary.rows import (
+    EstimatedRow,
+    KnownRow,
     Name,
     NotNegative,
     Open,
     Pair,
     Part,
-    Share,
-)
-from bayesfric.report.summary.rollout_part import RollOutPart
-from bayesfric.report.summary.rows import (
-    EstimatedRow,
-    KnownRow,
     PosteriorRow,
     ReferenceRow,
     Residual,
+    RollOutPart,
+    Share,
 )
 from bayesfric.report.words import clause, line_of
 from bayesfric.results.verdict import Verdict, verdict
@@ -443,10 +441,11 @@ class Summary(Part):
         for group in ("parameters", "derived"):
             for name, row in getattr(self, group).items():
                 line = {"name": name, "group": group} | dict(row)
-                if (told := row.reported) is not None:
-                    line |= dict(told) | dict(told.how)
-                    line["findings"] = ", ".join(told.how.findings)
-                line |= {"value": row.value, "sd": row.told_sd} | _ends("", row.told_interval)
+                if row.reported is not None:
+                    line |= dict(row.reported) | dict(row.reported.how)
+                    line["findings"] = ", ".join(row.reported.how.findings)
+                told = row.told
+                line |= {"value": told.value, "sd": told.sd, "low": told.low, "high": told.high}
                 line |= {"posterior": row.middle, "posterior_sd": row.sd}
                 lines.append(line | _ends("posterior_", row.interval))
         return pd.DataFrame(lines, columns=[*_FRAME])

@@ -1,28 +1,71 @@
-"""Rows of ``summary.json``: what it says of one number."""
+"""Pieces of ``summary.json``, checked when read and written as set; what it says of one number."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from bayesfric.estimates.point_estimate import HALF, Kind
+from bayesfric.configuration_errors import configuration_error
+from bayesfric.errors import BadInput
+from bayesfric.estimates.point_estimate import HALF, Bound, Kind
 from bayesfric.identifiability.local import Verdict
-from bayesfric.report.summary.part import (
-    Bound,
-    Described,
-    Name,
-    NotNegative,
-    Open,
-    Pair,
-    Part,
-    Share,
-)
-from bayesfric.results.reported import Reported
+from bayesfric.results.reported import Reported, Spread
+from bayesfric.results.roll_out import Input, RollOut, tells_nothing
+from bayesfric.results.roll_out import Part as Which
 
+# JSON has lists only; a pair is one with a low and a high end.
+Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
+Share = Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+Name = Annotated[str, Field(min_length=1)]
 # Ends of the interval whose distances from the median differ by more than this are skewed.
 _SKEWED = 0.2
+# Share inside 90 % bands below which they are called too narrow. Positions within a second of each
+# other are nearly one, so that few recordings may well leave their bands for a tenth of the time.
+FEWEST = 0.8
+
+
+class Part(BaseModel):
+    """A piece of a summary. What is not set is not written: a run read and written is the same."""
+
+    # what other versions add is none of ours; what they lack has a default
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, populate_by_name=True)
+
+    @classmethod
+    def read(cls, found: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
+        """Check what a file, called ``where`` in complaints, or a piece of the package tells.
+
+        What is one already is given back. BadInput, naming the key, where something is missing or
+        of another type.
+        """
+        if isinstance(found, cls):
+            return found
+        try:
+            return cls.model_validate(found)
+        except ValidationError as error:
+            said = configuration_error(f"{where}: ", "configuration", error, found, cls)
+            mend = "name a run that 'bayesfric fit' wrote, or fit it again"
+            raise BadInput(said.where, said.what, mend) from None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give strings, numbers, lists and dicts, as JSON has them."""
+        return self.model_dump(mode="json", exclude_unset=True, by_alias=True)
+
+
+class Open(Part):
+    """A piece that keeps keys of its own."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
+
+
+class Described(Part):
+    """What a quantity is; the symbol is LaTeX without dollar signs."""
+
+    unit: str
+    symbol: str = ""
+    meaning: str = ""
 
 
 def is_skewed(middle: float, low: float, high: float) -> bool:
@@ -52,7 +95,7 @@ class EstimatedRow(Described):
     span: Pair | None = None
 
 
-class Spread(Part):
+class Drawn(Part):
     """Where the draws of one quantity lie."""
 
     mean: FiniteFloat
@@ -67,7 +110,7 @@ class Spread(Part):
         return self.mean if self.median is None else self.median
 
 
-class PosteriorRow(Spread, Described):
+class PosteriorRow(Drawn, Described):
     """One parameter or derived quantity of a posterior.
 
     ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
@@ -117,52 +160,38 @@ class PosteriorRow(Spread, Described):
         return bool(self.doubted) and self.verdict != "prior"
 
     @property
-    def told_interval(self) -> list[float]:
-        """The one to print."""
-        if self.reported is not None:
-            return self.reported.interval
-        return self.model_error_interval or self.interval
+    def wide(self) -> Spread | None:
+        """With room for a model that is not exactly right, where there is any."""
+        if self.model_error_interval is None or self.model_error_sd is None:
+            return None
+        value = self.middle if self.model_error_value is None else self.model_error_value
+        low, high = self.model_error_interval
+        return Spread(value, low, high, self.model_error_sd)
 
     @property
-    def told_sd(self) -> float:
-        """The sd of :attr:`told_interval`."""
-        if self.reported is not None:
-            return self.reported.sd
-        return self.sd if self.model_error_sd is None else self.model_error_sd
-
-    @property
-    def widened(self) -> bool:
-        """Whether :attr:`told_interval` has room for a model that is not exactly right."""
-        return self.model_error_interval is not None
-
-    @property
-    def may_be_zero(self) -> bool:
-        """Whether zero, which of an angle is a place like any other, is in :attr:`told_interval`.
-
-        A number that cannot be negative never has it inside; it leans on that bound.
-        """
-        low, high = self.told_interval
-        leans = self.at_bound == "lower" and self.bound == 0.0
-        return self.period is None and (low <= 0.0 <= high or leans)
-
-    @property
-    def reaches(self) -> str:
-        """Say that it reaches to an end of its range, if it does."""
-        ends = {"lower": "down to the least", "upper": "up to the most"}
-        return f"reaches {ends[self.at_bound]} that it may be" if self.at_bound else ""
+    def told(self) -> Spread:
+        """What to print: as reported, or all that there is before that."""
+        one = self.reported
+        if one is None and self.wide is not None:
+            return self.wide
+        low, high = self.interval if one is None else one.interval
+        return Spread(self.value, low, high, self.sd if one is None else one.sd)
 
     @property
     def beside(self) -> list[str]:
-        """What to know of it besides its verdict."""
-        told = [self.reaches] if self.reaches else ["could be zero"] if self.may_be_zero else []
+        """What to know of it besides its verdict.
+
+        Zero is of an angle a place like any other; what cannot be negative leans on that bound.
+        """
+        told = []
+        if self.at_bound:
+            end = {"lower": "down to the least", "upper": "up to the most"}[self.at_bound]
+            told.append(f"reaches {end} that it may be")
+        elif self.period is None and self.told.low <= 0.0 <= self.told.high:
+            told.append("could be zero")
         if self.undefined_share:
             told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
         return told
-
-    @property
-    def narrowing(self) -> float | None:
-        """How many times narrower than its prior the posterior is."""
-        return self.prior_sd / self.sd if self.prior_sd and self.sd else None
 
 
 class KnownRow(Described):
@@ -239,3 +268,68 @@ class Residual(Part):
     integration_steps: int | None = None
     discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
+
+
+class MotionError(Part):
+    """How far a motion is from the measured one, in its unit."""
+
+    mae: NotNegative
+    rmse: NotNegative
+    inside: Share
+    inside_alone: Share
+    width: NotNegative | None = None
+
+
+class RollOutRow(Part):
+    """One recording, or all together.
+
+    In a share ``blind`` of the time the position's band is wider than ``room``, beyond which it
+    tells nothing; ``over`` is the share of the plays that went another way over the top.
+    """
+
+    part: Which | None = None
+    input: Input | None = None
+    position: MotionError
+    speed: MotionError
+    runaway: Share = 0.0
+    room: NotNegative | None = None
+    blind: Share = 0.0
+    over: Share = 0.0
+
+    @property
+    def narrow(self) -> bool:
+        """Whether the position leaves its bands far too often."""
+        return self.position.inside < FEWEST
+
+    @property
+    def wide(self) -> bool:
+        """Whether being inside the position's band says nothing."""
+        return tells_nothing(self.blind, self.over)
+
+
+class RollOutPart(Part):
+    """Recordings played to draws of the posterior."""
+
+    level: Share
+    draws: int
+    seed: int
+    unit: Literal["rad", "m"]
+    recordings: dict[Name, RollOutRow]
+    pooled: RollOutRow
+    unexplained: dict[Name, NotNegative]
+    left: FiniteFloat
+    torque_unit: str
+
+
+def rollout_part(found: RollOut) -> RollOutPart:
+    """Sum roll-outs up."""
+    rows = {
+        one.name: vars(one) | {"position": vars(one.at_position), "speed": vars(one.at_speed)}
+        for one in found.rolled
+    }
+    mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in ("blind", "over")}
+    errors = {key.removeprefix("at_"): vars(error) for key, error in found.pooled.items()}
+    told = {"unit": found.rolled[0].unit, "recordings": rows, "pooled": mean | errors}
+    return RollOutPart.model_validate(
+        told | {key: getattr(found, key) for key in RollOutPart.model_fields if key not in told}
+    )

@@ -21,8 +21,8 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.text_templates import filled
 from bayesfric.report.words import line_of
+from bayesfric.results.reported import Spread
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
 BIASED, _SURE = 0.3, 2.0
@@ -87,8 +87,8 @@ def _rows(summary: Summary) -> dict[str, SelfCheckRow]:
     return {name: row for name, row in rows.items() if summary.rows[name].verdict != "prior"}
 
 
-def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
-    """Give corrected values: value, ends of the interval and sd, by name.
+def cited(summary: Summary) -> dict[str, Spread]:
+    """Give corrected values, by name.
 
     What is not among them is reported as the posterior has it, as a limit is.
     """
@@ -97,16 +97,15 @@ def cited(summary: Summary) -> dict[str, tuple[float, float, float, float]]:
         row, value, ends = summary.rows[name], checked.corrected, checked.corrected_interval
         if value is None or ends is None or row.at_bound is not None:
             continue
-        if abs(value - row.middle) < _DIGIT * row.told_sd:
+        if abs(value - row.middle) < _DIGIT * row.told.sd:
             continue
         low, high = ends
         sd = row.sd * (high - low) / ((row.interval[1] - row.interval[0]) or 1.0)
-        if row.model_error_interval:  # as wide as what has room for the model's error
-            wide, sd = row.model_error_interval, row.model_error_sd or sd
-            low, high = (value + end - row.middle for end in wide)
-            value += (row.model_error_value or row.middle) - row.middle
-            low = max(low, 0.0) if wide[0] >= 0.0 else low
-        found[name] = value, low, high, sd
+        if (wide := row.wide) is not None:  # as wide as what has room for the model's error
+            low, high = (value + end - row.middle for end in (wide.low, wide.high))
+            value, sd = value + (wide.value - row.middle), wide.sd
+            low = max(low, 0.0) if wide.low >= 0.0 else low
+        found[name] = Spread(value, low, high, sd)
     return found
 
 
@@ -123,13 +122,6 @@ def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
     held = {name: share for name, share in held.items() if share < LOW and name in names}
     shares = [f"{name} {100 * share:.0f} %" for name, share in held.items()]
     return line_of("seldom held", {"held": shares, "level": LEVEL}) if held else ""
-
-
-def self_check_lines(summary: Summary) -> Iterator[str]:
-    """Word it for a terminal, line by line."""
-    if (check := summary.self_check) is not None:
-        told = {"check": check, "off": off_rows(summary), "corrected": set(cited(summary))}
-        yield from filled("self_check.txt.j2", **told).splitlines()
 
 
 def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:

@@ -22,7 +22,7 @@ from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report import shown
 from bayesfric.report.summary import noise as noise_part
-from bayesfric.report.summary.bounds import bound_warning, leaning
+from bayesfric.report.summary.conclusions import bound_warning, leaning
 from bayesfric.report.summary.derived_quantities import (
     LEVEL,
     Groups,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,7 @@ from bayesfric.inference.predictive import Prediction
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.noise import mean_lag
-from bayesfric.report.summary.record import Coverage, Validation
-from bayesfric.report.text_templates import filled
+from bayesfric.report.summary.record import Coverage
 from bayesfric.report.words import line_of
 
 LEVELS = (0.5, 0.9, 0.99)
@@ -54,11 +53,6 @@ def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
     middle = (share * effective + 2.0) / (effective + 4.0)
     error = math.sqrt(middle * (1.0 - middle) / (effective + 4.0))
     return Coverage(share=share, standard_error=error, effective_outputs=effective)
-
-
-def covered(pit: Array, level: float) -> Flags:
-    """Tell which outputs lie in their central interval of probability ``level``."""
-    return np.asarray(np.abs(pit - 0.5) <= level / 2.0)
 
 
 def validation_record(fit: Fit) -> dict[str, Any]:
@@ -100,7 +94,8 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     variance = np.concatenate([p.variance for p in predictions])
     standard = residual / np.sqrt(variance)
     centred = standard - standard.mean()
-    shares = {level: share_of(covered(pit, level), at, centred) for level in LEVELS}
+    out = np.abs(pit - 0.5)  # how far from the middle of what was predicted
+    shares = {level: share_of(out <= level / 2.0, at, centred) for level in LEVELS}
     numbers: dict[str, Any] = {
         "outputs": residual.size,
         "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
@@ -141,8 +136,3 @@ def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any]) ->
     # off by nearly the same everywhere leaves few in the middle, and few far out
     hollow = half.share < _HALF - _SURE * half.standard_error
     return "too wide" if share.share > high and not hollow else "model discrepancy"
-
-
-def validation_lines(record: Validation | Mapping[str, Any]) -> Iterator[str]:
-    """Word what was held out and how well it was predicted, for a person."""
-    yield from filled("validation.txt.j2", found=Validation.read(record)).splitlines()

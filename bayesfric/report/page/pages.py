@@ -1,27 +1,31 @@
-"""``report.html`` of a run, made from what its folder holds and nothing else."""
+"""``report.html`` of a run, or of several side by side, from what folders hold and nothing else."""
 
 from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from bayesfric.errors import BadInput
-from bayesfric.opened import read_text
+from bayesfric.opened import opened_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.calculator import Calculator, read_calculator
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.comparison.layout import explained
+from bayesfric.report.comparison.between_runs import PooledQuantity
+from bayesfric.report.comparison.cell import posterior_cells
+from bayesfric.report.comparison.comparison import Comparison, comparison, explained
+from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
-from bayesfric.report.page.page_figures import page_figures
-from bayesfric.report.page.provenance import read_provenance
-from bayesfric.report.page.rendering import render
+from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
 from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
+from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
 
 
@@ -125,9 +129,86 @@ def _command(joint: Sequence[ParameterRow]) -> str:
 
     def unknown(row: ParameterRow) -> tuple[bool, float]:
         told = row.row
-        return row.by == "open", told.told_sd / abs(told.mean) if told and told.mean else 0.0
+        return row.by == "open", told.told.sd / abs(told.mean) if told and told.mean else 0.0
 
     # a constant in the measurement is asked for last
     asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
     name = shlex.quote(max(asked, key=unknown).name)
     return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"
+
+
+class Provenance(Part):
+    """What is needed to repeat a run."""
+
+    # of Python and the libraries, by name
+    versions: dict[str, str] = Field(default_factory=dict)
+    # SHA-256 of every recording, by its name
+    recordings: dict[str, str] = Field(default_factory=dict)
+    seed: str = ""  # as text; empty where it is not known
+    # first and last second that was fitted of a recording, by its name; older files do not tell
+    spans: dict[str, Pair] = Field(default_factory=dict)
+
+    @property
+    def known(self) -> bool:
+        """Whether any recording can be told from others."""
+        return any(self.recordings.values())
+
+    def saw_of(self, other: Provenance) -> bool:
+        """Whether both fitted a part of one recording, by SHA-256 and seconds."""
+        whole = [-float("inf"), float("inf")]
+        return any(
+            own == theirs != "" and max(a[0], b[0]) <= min(a[1], b[1])
+            for mine, own in self.recordings.items()
+            for name, theirs in other.recordings.items()
+            for a, b in [(self.spans.get(mine, whole), other.spans.get(name, whole))]
+        )
+
+
+def read_provenance(run: Path) -> Provenance | None:
+    """Read the root attributes of a run's ``posterior.nc``, and no draws; ``None`` without them."""
+    try:
+        with opened_hdf5(run / "posterior.nc") as file:
+            told = {key: parse_json(key, file.attrs[key]) for key in ("versions", "recordings")}
+            spans = parse_json("spans", file.attrs.get("spans", "{}"))
+            return Provenance(**told, seed=str(file.attrs["seed"]), spans=spans)
+    except (BadInput, ValueError, TypeError):
+        return None
+
+
+def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
+    """Name the pairs of runs that saw the same seconds of a recording."""
+    known = {run: told for run, told in provenance.items() if told}
+    return [(a, b) for a, b in combinations(known, 2) if known[a].saw_of(known[b])]
+
+
+def _counts(run: Summary) -> Iterator[int]:
+    """Count parameters by the data, with the prior, open or limits; then the warnings of a run."""
+    cells = posterior_cells(run)
+    joint = [(cells[name].status == "determined", row.verdict) for name, row in run.joint.items()]
+    by = [verdict if determined else "open" for determined, verdict in joint]
+    yield from (by.count(kind) for kind in ("data", "weak", "open"))
+    yield len(alerts_of(run))
+
+
+def compare_page(
+    folder: Path,
+    found: Comparison,
+    runs: Mapping[str, Summary],
+    pooled: Sequence[PooledQuantity],
+    provenance: Mapping[str, Provenance | None],
+) -> str:
+    """Write the page of a comparison; a figure that ``folder`` lacks is left out."""
+    return render(
+        "compare.html.j2",
+        title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
+        runs=runs,
+        counts={name: tuple(_counts(run)) for name, run in runs.items()},
+        pooled=pooled,
+        same=shared_recordings(provenance),
+        provenance=provenance,
+        unknown=[run for run, one in provenance.items() if not (one and one.known)],
+        methods=found,
+        explained=list(explained(found)),
+        figures=page_figures(folder, [FOREST], {}),
+        version=next(iter(runs.values())).bayesfric,
+    )
