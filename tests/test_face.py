@@ -155,7 +155,7 @@ def test_point_estimates_and_what_can_be_known_are_tables():
     assert {"least-squares", "input-error"} == set(
         model.estimate("least-squares", "input-error").index.get_level_values("method")
     )
-    assert model.identify().loc["motor.inertia", "verdict"] == "data"
+    assert model.identify().loc["motor.inertia", "status"] == "identified"
 
 
 def test_check_is_what_the_command_prints(bench):

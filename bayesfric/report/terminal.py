@@ -25,8 +25,8 @@ from bayesfric.results.verdict import Outcome
 
 # Rows of the table, and findings, that are shown at most.
 ROWS, FINDINGS = 16, 3
-# What stands beside a number that is not simply identified.
-_BESIDE = {"identified": "", "limit": "", "prior": "needs the prior", "doubtful": "doubtful"}
+# What stands beside a number in place of its status.
+_BESIDE: Mapping[str, str] = {"prior": "needs the prior"}
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Line:
     sd: str
     interval: str  # or the end that is known
     unit: str
-    beside: str  # its status, where it is not simply identified
+    beside: str  # its status
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,9 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
         verdict=filled("verdict.txt.j2", summary=read, found=read.verdict),
         taken=tuple(f"Added: {line_of(one.kind, one.model_dump())}" for one in read.taken),
         level=f"{100.0 * read.level:g} % interval",
-        lines=tuple(_line(name, rows[name], read.rows[name].unit) for name in shown[:ROWS]),
+        lines=tuple(
+            _line(name, rows[name], read.rows[name].unit, read.level) for name in shown[:ROWS]
+        ),
         more=max(len(shown) - ROWS, 0),
         unidentified=tuple(n for n in read.joint if n in rows and n not in {*shown, *lost}),
         why="together they can be scaled, which changes no torque"
@@ -111,11 +113,12 @@ def _shares(one: Reported) -> list[float]:
     return [one.sd / abs(value), *sorted(end / value for end in one.interval)]
 
 
-def _line(name: str, one: Reported, unit: str) -> Line:
+def _line(name: str, one: Reported, unit: str, level: float) -> Line:
     beside = _BESIDE.get(one.status, one.status)
     if one.bound is not None:
         side = "at most" if one.at_most else "at least"
-        return Line(name, "", "", f"{side} {one.bound:.3g}", unit, beside)
+        sure = f"({50.0 * (1.0 + level):g} %)"  # an interval's one end
+        return Line(name, "", "", f"{side} {one.bound:.3g} {sure}", unit, beside)
     if not one.sd:
         return Line(name, f"{one.value:.5g}", "", "", unit, beside)
     low, high = one.interval
@@ -157,7 +160,7 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
 
 
 def _brief(told: Brief) -> Iterator[str]:
-    head = ("", "value", "sd", told.level, "", "")
+    head = ("", "value", "sd", told.level, "", "status")
     lines = [(x.name, x.value, x.sd, x.interval, x.unit, x.beside) for x in told.lines]
     for line in filled("brief.txt.j2", b=told, table=aligned([head, *lines])).splitlines():
         # rows of the table keep their spaces

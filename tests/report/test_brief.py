@@ -48,7 +48,7 @@ def test_numbers_come_by_status_and_what_is_too_much_is_counted():
     assert told.more == 30 + len(brief(loaded()).lines) - ROWS
     assert told.others >= 9
     order = [one.beside for one in brief(every_kind()).lines]
-    ranks = [ORDER.index({"": "identified", "needs the prior": "prior"}.get(x, x)) for x in order]
+    ranks = [ORDER.index({"needs the prior": "prior"}.get(x, x)) for x in order]
     assert ranks == sorted(ranks)
 
 

@@ -43,7 +43,7 @@ def test_in_the_terminal_right_behind_the_interval(told):
     (line,) = (x for x in lines if x.split()[:1] == [NAME])
     assert re.search(r"\[[^\]]*\] +kg m² +doubtful$", line)
     (line,) = (x for x in lines if x.split()[:1] == [LIMIT])
-    assert re.search(r"at most \S+ +kg m² +doubtful$", line)
+    assert re.search(r"at most \S+ \(95 %\) +kg m² +doubtful$", line)
     (line,) = (x for x in lines if x.split()[:1] == [FINE])
     assert "doubtful" not in line
 
@@ -82,9 +82,9 @@ def test_a_table_that_is_filtered_by_status_does_not_pass_it(told):
 
 def test_the_table_of_the_summary_has_the_same_word(told):
     rows = {r["name"]: r for r in csv.DictReader(io.StringIO(summary_table(told)))}
-    assert (rows[NAME]["verdict"], rows[NAME]["doubted"]) == ("doubtful", "some")
-    assert rows[LIMIT]["verdict"] == "doubtful"
-    assert (rows[FINE]["verdict"], rows[FINE]["doubted"]) == ("data", "")
+    assert (rows[NAME]["status"], rows[NAME]["findings"]) == ("doubtful", "some")
+    assert rows[LIMIT]["status"] == "doubtful"
+    assert (rows[FINE]["status"], rows[FINE]["findings"]) == ("identified", "")
 
 
 def test_on_the_page_beside_each_interval(told, tmp_path):

@@ -215,12 +215,15 @@ def test_csv_holds_the_same_numbers(case):
     assert [row["name"] for row in rows] == list(together)
     for row in rows:
         expected = together[row["name"]]
-        assert [float(row["low"]), float(row["high"])] == expected["interval"]
-        assert (row["unit"], row["verdict"]) == (expected["unit"], expected["verdict"])
-        for key in ("mean", "sd", "median", "level", "rhat", "ess", "prior_sd", "contraction"):
+        told = expected["reported"]
+        assert [float(row["low"]), float(row["high"])] == told["interval"]
+        assert (float(row["value"]), float(row["sd"])) == (told["value"], told["sd"])
+        assert (row["unit"], row["status"]) == (expected["unit"], told["status"])
+        ends = [float(row[f"posterior_{end}"]) for end in ("low", "high")]
+        assert ends == expected["interval"]
+        for key in ("level", "rhat", "ess", "prior_sd", "contraction"):
             value = expected.get(key)
             assert row[key] == ("" if value is None else repr(value)), (row["name"], key)
-        assert row["at_bound"] == (expected.get("at_bound") or "")
 
 
 def test_one_recording_of_the_knee_cannot_tell_the_scale(knee_alone):

@@ -212,7 +212,7 @@ def _cell(cell: Cell | None) -> str:
 
 def summary_table(summary: Readable) -> str:
     """Lay the parameters and derived quantities of a summary out as CSV text."""
-    return str(Summary.read(summary).frame.to_csv(index=False))
+    return str(put_reported(Summary.read(summary)).frame.to_csv(index=False))
 
 
 def summary_texts(summary: Readable, run: str) -> dict[str, str]:
