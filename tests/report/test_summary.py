@@ -18,6 +18,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.paper.tables import parameter_table, summary_table
+from bayesfric.report.summary.conclusions import put_reported
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
@@ -212,13 +214,14 @@ def test_csv_holds_the_same_numbers(case):
     _, summary = case
     rows = list(csv.DictReader(io.StringIO(summary_table(summary))))
     together = {**summary["parameters"], **summary["derived"]}
+    told = put_reported(Summary.read(summary)).rows
     assert [row["name"] for row in rows] == list(together)
     for row in rows:
         expected = together[row["name"]]
-        told = expected["reported"]
-        assert [float(row["low"]), float(row["high"])] == told["interval"]
-        assert (float(row["value"]), float(row["sd"])) == (told["value"], told["sd"])
-        assert (row["unit"], row["status"]) == (expected["unit"], told["status"])
+        one = told[row["name"]].reported
+        assert [float(row["low"]), float(row["high"])] == one.interval
+        assert (float(row["value"]), float(row["sd"])) == (one.value, one.sd)
+        assert (row["unit"], row["status"]) == (expected["unit"], one.status)
         ends = [float(row[f"posterior_{end}"]) for end in ("low", "high")]
         assert ends == expected["interval"]
         for key in ("level", "rhat", "ess", "prior_sd", "contraction"):
