@@ -160,7 +160,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             for name in runs:
                 _leave_open(row, [column for column in columns if column.run == name])
     _check_common(rows.values(), columns)
-    notes = [*_of_runs(runs), *_of_motion(rows, runs)]
+    notes = list(_of_runs(runs, rows))
     sources, more = _add_references(rows, runs)
     if sources:
         columns.append(Column(REFERENCE, "reference", "", told=", ".join(sources)))
@@ -291,8 +291,8 @@ def _check_common(rows: Iterable[Row], columns: list[Column]) -> None:
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
 
 
-def _of_runs(runs: Mapping[str, Summary]) -> Iterator[str]:
-    """Say which runs are not to be relied on, and where words differ, as the load of a number."""
+def _of_runs(runs: Mapping[str, Summary], rows: Mapping[str, Row]) -> Iterator[str]:
+    """Say which runs are not to be relied on, where words differ, and what is the motion's."""
     for name, run in runs.items():
         if run.sampler.status != "reliable":
             yield _note("unsure run", run=name, status=run.sampler.status)
@@ -302,9 +302,6 @@ def _of_runs(runs: Mapping[str, Summary]) -> Iterator[str]:
         if len(set(said.values())) > 1:
             each = [f"{words!r} in {key}" for key, words in said.items()]
             yield _note("meanings", name=name, each=each)
-
-
-def _of_motion(rows: Mapping[str, Row], runs: Mapping[str, Summary]) -> Iterator[str]:
     if names := [name for name, row in rows.items() if row.of_motion]:
         yield _note("of motion", names=names, several=len(runs) > 1)
 

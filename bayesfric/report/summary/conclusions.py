@@ -114,15 +114,12 @@ def limits_of_losses(summary: Summary) -> Summary:
             limit = {"bound": 1.0, "bound_physical": True}
             changes[f"{element}.{alpha}"] = {"at_bound": side, **limit}
             efficiency = f"{element}.{_EFFICIENCY[alpha]}"
-            if _same(summary.derived.get(efficiency), factor.middle, side):
+            share = factor.middle if side == "upper" else 1.0 / factor.middle
+            other = summary.derived.get(efficiency)
+            # nothing but that factor, or one over it
+            if other is not None and abs(other.middle - share) < _SAME:
                 changes[efficiency] = {"at_bound": "upper", **limit}
     return summary.with_rows(changes) if changes else summary
-
-
-def _same(efficiency: PosteriorRow | None, factor: float, side: Bound) -> bool:
-    """Whether an efficiency is nothing but a torque factor, or one over it."""
-    share = factor if side == "upper" else 1.0 / factor
-    return efficiency is not None and abs(efficiency.middle - share) < _SAME
 
 
 def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:

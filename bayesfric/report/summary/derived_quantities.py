@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,11 +52,6 @@ def groups(fit: Fit) -> Groups:
     return _totals(fit), coefficients(fit)
 
 
-def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
-    """Put all derived quantities into the form of ``summary.json``, by name."""
-    return {name: row for group in derived for name, row in _rows(fit, local, group)}
-
-
 def described_as(what: Any) -> dict[str, str]:
     """Give unit, symbol and meaning of a parameter or derived quantity."""
     return {key: getattr(what, key) for key in Described.model_fields}
@@ -101,22 +96,23 @@ def prior_values(fit: Fit, draws: int, key: int) -> Array:
     return fit.target.chain_values(drawn)
 
 
-def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str, dict[str, Any]]]:
-    if not group.found:
-        return
-    with np.errstate(divide="ignore", invalid="ignore"):
-        in_prior = group.values(prior_values(fit, *group.prior))
-        changes = gradients(fit, group.values)
-    sound = sound_quantities(fit, group.values, len(group.found), group.most)
-    for q, prior, gradient, converged in zip(group.found, in_prior, changes, sound, strict=True):
-        told = local.data_sd_of(gradient, gauge_free=q.gauge_free)
-        prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
-        by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told)}
-        if by["verdict"] == "prior":
-            by |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd))
-        yield (
-            q.name,
-            {
+def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
+    """Put all derived quantities into the form of ``summary.json``, by name."""
+    rows = {}
+    for group in derived:
+        if not group.found:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            in_prior = group.values(prior_values(fit, *group.prior))
+            changes = gradients(fit, group.values)
+        sound = sound_quantities(fit, group.values, len(group.found), group.most)
+        for q, prior, change, converged in zip(group.found, in_prior, changes, sound, strict=True):
+            told = local.data_sd_of(change, gauge_free=q.gauge_free)
+            prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
+            by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told)}
+            if by["verdict"] == "prior":
+                by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
+            rows[q.name] = {
                 **described_as(q),
                 **spread(q.values),
                 "converged": bool(converged),
@@ -126,8 +122,8 @@ def _rows(fit: Fit, local: LocalInformation, group: Group) -> Iterator[tuple[str
                 "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
                 "gauge_free": q.gauge_free,
                 **({"of_motion": True} if q.of_motion else {}),
-            },
-        )
+            }
+    return rows
 
 
 def weakly_given(names: list[str]) -> dict[str, Any]:
