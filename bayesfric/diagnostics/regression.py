@@ -170,7 +170,7 @@ class Regression:
         self._groups = testable(self.data)
         vectors = self._near(np.random.default_rng(draws))
         self.modelled = self._modelled(probes)
-        made = list(self._twins(vectors, others))
+        made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
         self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
         self.twins = [twin for _, twin in made]
         if len(self.twins) < _ENOUGH * self.number:
@@ -180,20 +180,24 @@ class Regression:
 
     # What is compared
 
-    def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
-        """Make the columns of recordings, at parameters ``(n_parameters,)``."""
+    def _own(self, values: Array, observations: Sequence[Observation]) -> Columns:
+        """Make the model's columns of recordings, at parameters ``(n_parameters,)``."""
         chain = self.chain
         free = np.array([name not in self.known for name in chain.names])
         steps = free * _STEP * np.maximum(np.abs(values), 1.0)
         base = torque_jacobian(chain, observations, values, steps)
+        left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
+        nothing = np.empty((len(base), 0))
+        return Columns(base, nothing, np.concatenate(left), Layout.of(observations), ())
+
+    def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
+        """Put those of candidates beside them."""
         blocks = []
         for o, r in zip(observations, self.recordings, strict=True):
-            made = dict(_made(Along(chain, values, o, r, self.scales)))
-            keys = tuple(made)
+            made = dict(_made(Along(self.chain, values, o, r, self.scales)))
             blocks.append(_filtered(o, list(made.values())))
-        left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
-        layout = Layout.of(observations)
-        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+        own = self._own(values, observations)
+        return replace(own, others=np.concatenate(blocks), keys=tuple(made))
 
     def _near(self, rng: np.random.Generator) -> Array:
         """Draw vectors ``(number, n_parameters)`` that the recordings hold possible.
@@ -214,13 +218,14 @@ class Regression:
         """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
         some = np.tile(self.values, (_PROBES, 1))
         self.modelled = False
-        own = [mean_square(t.rest([])) for _, t in self._twins(some, stream)]
+        made = self._twins(some, stream)
+        own = [mean_square(self._own(v, seen).rest([])) for v, seen in made]
         mine = mean_square(self.data.rest([]))
         return bool(own) and float(np.mean(own)) <= _BY_ENCODER * mine
 
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
-    ) -> Iterator[tuple[Array, Columns]]:
+    ) -> Iterator[tuple[Array, list[Observation]]]:
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -232,7 +237,7 @@ class Regression:
             made = [o for o in seen if o is not None]
             least = len(self.chain.names) + LEAST_OUTPUTS
             if len(made) == len(seen) and sum(o.measured.size for o in made) >= least:
-                yield values, self._columns(values, made)
+                yield values, made
 
     # Noise
 
@@ -533,6 +538,7 @@ def _filtered(o: Observation, columns: Sequence[Array]) -> Array:
     """Filter columns ``(N,)``; those of other recordings, which are nothing here, are not asked."""
     there = [i for i, column in enumerate(columns) if column.any()]
     out = np.zeros((o.filter.n_outputs, len(columns)))
-    raw = np.stack([columns[i] for i in there])
-    out[:, there] = o.filter.apply(np.where(np.isfinite(raw), raw, 0.0)).T
+    raw = np.stack([columns[i] for i in there], axis=1)
+    raw[~np.isfinite(raw)] = 0.0
+    out[:, there] = o.filter.apply(raw.T).T
     return out

@@ -27,8 +27,7 @@ from bayesfric.identifiability.virtual_recording import pace
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.own_term import Term, written_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later, lowpass
 from bayesfric.recordings.measurement import Measurement
@@ -53,12 +52,12 @@ class NoTwin(Exception):
     """A joint that no torque moves in one way only."""
 
 
-def _position(motor: State) -> float:
-    return float(motor.position)
+def _position(position: float, _speed: float, _way: float, _time: float, _shape: float) -> float:
+    return position
 
 
-def _speed(motor: State) -> float:
-    return float(motor.speed)
+def _speed(_position: float, speed: float, _way: float, _time: float, _shape: float) -> float:
+    return speed
 
 
 @dataclass(frozen=True)
@@ -184,10 +183,9 @@ class _Held:
     ) -> None:
         self._recording, self._observation, self._spring = recording, observation, spring
         motor = chain.elements[0].name
-        # compiled once: the columns are functions of this module
         terms = (
-            Term(f"{motor}.replay_stiffness", _position, positive=True),
-            Term(f"{motor}.replay_damping", _speed, positive=True),
+            Term(f"{motor}.replay_stiffness", written_out(_position), positive=True),
+            Term(f"{motor}.replay_damping", written_out(_speed), positive=True),
         )
         self._given, self._ratio = chain, chain.ratio
         # the torque that acts is taken when it does, and recorded earlier by a delay
