@@ -76,6 +76,8 @@ _BY_ENCODER = 0.5
 # Most that is taken out while noise is chosen, and what each costs there: twice the log of how
 # many candidates there are.
 _PICKS, _DEAR = 8, 10.0
+# Columns that are laid out at once: as many as stand in one line of a cache.
+_LINE = 8
 # Hz below which a tone may be the noise's wander.
 _SLOW = 1.0
 
@@ -538,7 +540,9 @@ def _filtered(o: Observation, columns: Sequence[Array]) -> Array:
     """Filter columns ``(N,)``; those of other recordings, which are nothing here, are not asked."""
     there = [i for i, column in enumerate(columns) if column.any()]
     out = np.zeros((o.filter.n_outputs, len(columns)))
-    raw = np.stack([columns[i] for i in there], axis=1)
-    raw[~np.isfinite(raw)] = 0.0
-    out[:, there] = o.filter.apply(raw.T).T
+    for first in range(0, len(there), _LINE):
+        some = there[first : first + _LINE]
+        raw = np.stack([columns[i] for i in some], axis=1)
+        raw[~np.isfinite(raw)] = 0.0
+        out[:, some] = o.filter.apply(raw.T).T
     return out
