@@ -33,7 +33,7 @@ from bayesfric.recordings.filters import later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.resolution import finest_step
+from bayesfric.recordings.resolution import Resolution, finest_step
 from bayesfric.recordings.timing import timed
 
 # Steps of the simulation a sample. The torque between samples is a cubic: a straight line would
@@ -294,15 +294,18 @@ def _observed(
     processing: Processing,
 ) -> Observation | None:
     """Filter what was read, and refine its motion, as the recording's was."""
+    told, looked = observation.settings, None
+    if told["motion"] != "refined":  # what the position resolves is not asked then
+        looked = Resolution(
+            float(told["band"]), "asked", float(told["noise_seen"]), *2 * (math.inf,)
+        )
     try:
-        found = observe(seen, processing)
-        late = observation.settings.get("delay")
+        found = observe(seen, processing, looked)
+        late = told.get("delay")
         found = found if late is None else timed(found, seen, float(late))
     except BadInput:  # with these parameters the joint hardly moves
         return None
-    if observation.settings["motion"] != "refined":
-        return found
-    return fine_motion(chain, values, seen, found)
+    return found if looked else fine_motion(chain, values, seen, found)
 
 
 def _sensed(

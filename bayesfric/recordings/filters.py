@@ -142,7 +142,7 @@ def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
 
 
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:
-    """Differentiate a signal (n,) in every segment of at least three samples; else it is 0.
+    """Differentiate signals (..., n) in every segment of at least three samples; else it is 0.
 
     ``reach`` counts the neighbours on either side, see :func:`differentiator`; 1 for central
     differences. Nearer to a segment's end as many count as there are, and at the end itself the
@@ -152,15 +152,16 @@ def derivative(values: Array, segments: Segments, period: float, reach: int = 1)
     for a, b in segments:
         if b - a < 3:
             continue
-        part, out = values[a:b], result[a:b]
-        out[:] = np.gradient(part, period, edge_order=2)
+        part, out = values[..., a:b], result[..., a:b]
+        out[...] = np.gradient(part, period, edge_order=2, axis=-1)
         for k in range(2, min(reach, (b - a - 1) // 2) + 1):
             weights = differentiator(k) / period
             if k < reach:  # one sample at either end
-                out[k] = weights @ part[: 2 * k + 1]
-                out[-1 - k] = weights @ part[-1 - 2 * k :]
-            else:
-                out[k : b - a - k] = np.correlate(part, weights, mode="valid")
+                out[..., k] = part[..., : 2 * k + 1] @ weights
+                out[..., -1 - k] = part[..., -1 - 2 * k :] @ weights
+                continue
+            for row in np.ndindex(part.shape[:-1]):
+                out[row][k : b - a - k] = np.correlate(part[row], weights, mode="valid")
     return result
 
 
