@@ -83,7 +83,7 @@ _SLOW = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Choice:
+class Choice:
     """What one round chose, and all that it knew."""
 
     kind: str
@@ -93,7 +93,7 @@ class _Choice:
     z: float
     p: float
     largest: float  # z of all candidates
-    limit: float  # that it must exceed
+    limit: float  # what it must exceed
     worth: Array  # of every candidate, scans last
     scan: Scan | None = None
 
@@ -108,18 +108,11 @@ class Twin:
     layout: Layout
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Step(Choice):
     """One candidate that is taken in."""
 
-    kind: str
-    shape: str
-    z: float
-    p: float
-    largest: float  # z of all candidates, and what it must exceed
-    limit: float
     share: float
-    sure: bool
     recording: str  # that a push is in; else empty
     span: tuple[float, float] | None  # s, of a push
     coefficients: Array  # of its own columns
@@ -336,7 +329,7 @@ class Regression:
             free=free,
         )
 
-    def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[_Choice, list[int]]]:
+    def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[Choice, list[int]]]:
         """Take in one candidate after the other; gives each with the columns taken before it.
 
         While the noise is being chosen it counts as white, and only what was found is taken.
@@ -352,7 +345,7 @@ class Regression:
                 family = [i for i, k in keys if k.kind == choice.kind and not k.delay]
                 extra += [i for i in family if i not in extra]
 
-    def _best(self, extra: list[int], choosing: bool) -> _Choice:
+    def _best(self, extra: list[int], choosing: bool) -> Choice:
         """Choose the candidate that explains most of those that are no chance."""
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
@@ -382,12 +375,12 @@ class Regression:
         told = sure, float(z[best]), p, float(z.max()), limit, worth
         if best < len(self._groups):
             key, own = self._groups[best]
-            return _Choice(key.kind, key.shape, own, *told)
+            return Choice(key.kind, key.shape, own, *told)
         scan = self._placed(mine.scans[best - len(self._groups)], extra)
         own = self._with_scan(scan) if sure or not choosing else []
-        return _Choice(scan.kind, self._shape(scan), own, *told, scan)
+        return Choice(scan.kind, self._shape(scan), own, *told, scan)
 
-    def _step(self, choice: _Choice, extra: Sequence[int]) -> Step:
+    def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
         # of what is one recording's alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None
@@ -396,20 +389,14 @@ class Regression:
             recording = self.observations[choice.scan.recording].name
             span = place - width, place + width
         return Step(
-            kind=choice.kind,
-            shape=choice.shape,
-            z=choice.z,
-            p=choice.p,
-            largest=choice.largest,
-            limit=choice.limit,
-            sure=choice.sure,
+            **vars(choice),
             recording=recording,
             span=span,
             alike=tuple(self._alike(choice, extra)) if choice.sure else (),
             **self._moved(choice.own, extra),
         )
 
-    def _alike(self, choice: _Choice, extra: Sequence[int]) -> Iterator[str]:
+    def _alike(self, choice: Choice, extra: Sequence[int]) -> Iterator[str]:
         """Name other kinds that this motion does not tell from the one that was chosen."""
         white = self.data.whitened
         z = without(basis_of(white.beside(extra)), white.others)

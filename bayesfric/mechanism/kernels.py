@@ -161,9 +161,11 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
     """
     n = elements.shape[0]
     out = np.empty((n, samples.speed.shape[0]))
+    if n == 0:
+        return out
     low = _low_speeds(elements, samples.speed)
     for i in prange(n):
-        inverse_one(elements[i], load[i], carried[i], samples, out[i], elements[0], low)
+        inverse_one(elements[i], load[i], carried[i], samples, low, elements[0], out[i])
     return out
 
 
@@ -191,9 +193,9 @@ def inverse_one(
     load: Array,
     carried: Array,
     samples: Samples,
-    out: Array,
-    first: Array,
     low: Array,
+    first: Array,
+    out: Array,
 ) -> None:
     """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``.
 
@@ -201,7 +203,7 @@ def inverse_one(
     """
     n = out.shape[0]
     sin_q, cos_q = samples.sin_q, samples.cos_q
-    speed, acceleration = samples.speed, samples.acceleration
+    acceleration = samples.acceleration
     inertia = load[LOAD_INERTIA] + samples.added_inertia
     moment = samples.added_moment
     for j in range(n):
@@ -210,7 +212,7 @@ def inverse_one(
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]
-        _through_element(elements[k], to_input, speed, acceleration, out, first[k], low[k])
+        _through_element(elements[k], first[k], to_input, samples, low[k], out)
         _carry(carried, samples, k, out)
     for j in range(n):
         out[j] = (out[j] + load[OFFSET]) / load[GAIN]
@@ -238,15 +240,10 @@ def _carry(carried: Array, samples: Samples, place: int, out: Array) -> None:
 
 @njit(cache=True)
 def _through_element(
-    element: Array,
-    to_input: float,
-    speed: Array,
-    acceleration: Array,
-    out: Array,
-    first: Array,
-    low: Array,
+    element: Array, first: Array, to_input: float, samples: Samples, low: Array, out: Array
 ) -> None:
     """Carry all samples through one element: ``out`` goes from its output to its input."""
+    speed, acceleration = samples.speed, samples.acceleration
     to_torque = 1.0 / element[RATIO]
     # of the joint's speed instead of the input's
     scaled = element.copy()
