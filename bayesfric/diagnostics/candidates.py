@@ -178,7 +178,7 @@ class Along:
         )
 
     def rate(self, x: Array) -> Array:
-        """Differentiate."""
+        """Differentiate signals ``(..., N)``."""
         reach = int(self.o.settings["reach"])
         return derivative(x, self.recording.segments, self.recording.period, reach)
 
@@ -232,16 +232,15 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     if a.chain.delay:
         return {}
     torque = a.smooth(a.o.torque)
-    return {d: _changed(a, torque, d) for late in FAR_DELAYS for d in (late, -late)}
-
-
-def _changed(a: Along, torque: Array, delay: float) -> tuple[Array, Array]:
-    samples = delay / a.recording.period
-    then, known = np.empty_like(torque), np.zeros_like(torque)
-    for begin, end in a.recording.segments:
-        then[begin:end] = later(torque[begin:end], samples)
-        known[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
-    return (torque - then) * known, a.rate(then) * known
+    delays = [d for late in FAR_DELAYS for d in (late, -late)]
+    then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
+    for delay, row, there in zip(delays, then, known, strict=True):
+        samples = delay / a.recording.period
+        for begin, end in a.recording.segments:
+            row[begin:end] = later(torque[begin:end], samples)
+            there[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
+    both = zip((torque - then) * known, a.rate(then) * known, strict=True)
+    return dict(zip(delays, both, strict=True))
 
 
 def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
@@ -295,9 +294,10 @@ def _gap(a: Along) -> Sets:
         for times in _FLIGHTS:
             half = 0.5 * a.scales.need * (times / (2.0 * np.pi * a.scales.band)) ** 2
             found[f"{label}, {half:.2g}"] = in_gap(need, a.recording.period, half, begins)
-    if found:
-        found = dict(zip(found, a.smooth(np.array([*found.values()])), strict=True))
-    return {key: [a.rate(a.rate(place))] for key, place in found.items()}
+    if not found:
+        return {}
+    columns = a.rate(a.rate(a.smooth(np.array([*found.values()]))))
+    return {key: [column] for key, column in zip(found, columns, strict=True)}
 
 
 def _elastic(a: Along) -> Sets:
@@ -437,7 +437,7 @@ KINDS: tuple[Kind, ...] = (
     Kind(
         "elastic",
         lambda a: a.elastic,
-        lambda a: [a.rate(column) for sets in a.elastic.values() for column in sets],
+        lambda a: [*a.rate(np.concatenate([*a.elastic.values()]))],
     ),
     Kind("backlash", _gap),
     Kind("presliding", _bristles, loss=True),

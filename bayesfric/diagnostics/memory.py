@@ -9,7 +9,7 @@ those of a random walk's or 1/f noise's, stands for what no few predecessors hol
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,28 +65,37 @@ class Layout:
         return sum(a.size for a in self.at)
 
     @cached_property
+    def grid(self) -> tuple[float, float, int, Index]:
+        """Step and span, s, of even grids, a recording each, their size, and outputs' places."""
+        steps = [float(np.median(np.diff(t))) for t in self.stamps if t.size > 1]
+        step, span = float(np.median(steps)), max(float(np.ptp(t)) for t in self.stamps)
+        size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
+        places = [
+            np.minimum(np.round((t - t[0]) / step).astype(np.int64), size - 1) + k * size
+            for k, t in enumerate(self.stamps)
+        ]
+        return step, span, size, np.concatenate(places)
+
+    @cached_property
     def members(self) -> list[Array]:
         """Ones where a recording's outputs are, ``(n,)`` for each recording."""
         number = np.repeat(np.arange(len(self.at)), [a.size for a in self.at])
         return [(number == k).astype(np.float64) for k in range(len(self.at))]
 
     @cached_property
-    def waves(self) -> Array:
-        """Cosines ``(n, K)`` of each recording's clock, falling as one over the frequency's root.
+    def waves(self) -> list[Array]:
+        """Cosines ``(M, K)`` of each recording's clock, falling as one over the frequency's root.
 
         That is the spectrum of 1/f noise.
         """
-        columns, first = [], 0
+        columns = []
         for t in self.stamps:
             span = float(np.ptp(t)) or 1.0
             many = int(min(max(2 * _SLOW * span, 4), t.size / _EACH, _WAVES))
-            x = np.zeros((self.outputs, many))
             order = np.arange(1, many + 1)
             phase = np.pi * order * (t - t[0])[:, None] / span
-            x[first : first + t.size] = np.cos(phase) / np.sqrt(order)
-            columns.append(x)
-            first += t.size
-        return np.concatenate(columns, axis=1)
+            columns.append(np.cos(phase) / np.sqrt(order))
+        return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +107,17 @@ class Memory:
 
     def whitened(self, x: Array, layout: Layout) -> Array:
         """Take from every row of ``(n, m)`` what the rows before it foretell, over its sd."""
-        x = _whitened(x, self.partial, layout)[0]
-        if not self.slow:
-            return x
-        wave = _whitened(layout.waves, self.partial, layout)[0] * self.slow
-        size, vectors = np.linalg.eigh(wave.T @ wave)
-        kept = size > _NOTHING
-        u, size = (wave @ vectors[:, kept]) / np.sqrt(size[kept]), size[kept]
-        return np.asarray(x - u @ ((1.0 - 1.0 / np.sqrt(1.0 + size))[:, None] * (u.T @ x)))
+        out, unforetold = [], _unforetold(self.partial)
+        for part, at, waves in zip(layout.split(x), layout.at, layout.waves, strict=True):
+            white = unforetold(part, at)[0]
+            if self.slow:
+                wave = unforetold(waves, at)[0] * self.slow
+                size, vectors = np.linalg.eigh(wave.T @ wave)
+                kept = size > _NOTHING
+                u, size = (wave @ vectors[:, kept]) / np.sqrt(size[kept]), size[kept]
+                white = white - u @ ((1.0 - 1.0 / np.sqrt(1.0 + size))[:, None] * (u.T @ white))
+            out.append(white)
+        return np.concatenate(out)
 
     def drawn(self, layout: Layout, rng: np.random.Generator) -> Array:
         """Draw one series ``(n,)`` whose innovations have sd one."""
@@ -115,13 +127,16 @@ class Memory:
             parts.append(ar.simulated(self.partial, joined, 1, rng)[0][at])
         x = np.concatenate(parts)
         if self.slow:
-            x = x + self.slow * (layout.waves @ rng.standard_normal(layout.waves.shape[1]))
+            wander = [waves @ rng.standard_normal(waves.shape[1]) for waves in layout.waves]
+            x = x + self.slow * np.concatenate(wander)
         return x
 
     def variance(self, layout: Layout) -> float:
         """Variance of an output, in the innovations'."""
         found = float(ar.variances(self.partial[None])[0][0])
-        return found + self.slow**2 * float((layout.waves**2).sum()) / layout.outputs
+        return (
+            found + self.slow**2 * sum(float((w**2).sum()) for w in layout.waves) / layout.outputs
+        )
 
 
 WHITE = Memory(np.zeros(0))
@@ -141,11 +156,7 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
         partial = ar.burg(layout.split(rest), layout.runs, order)
         costs = n * np.cumsum(np.log1p(-(partial**2))) + np.arange(1, order + 1) * math.log(n)
         partial = partial[: int(np.argmin(np.append(0.0, costs)))]
-        white, logs = _whitened(left[:, None], partial, layout)
-        power, cost = float((white**2).sum()), logs
-        if size:
-            _, taken, more = _wandering(left, partial, size, layout)
-            power, cost = power - taken, cost + more
+        _, power, cost = _wandering(left, partial, size, layout)
         bic = n * math.log(max(power, 1e-300) / n) + cost + partial.size * math.log(n)
         if bic < least:
             least, found = bic, Memory(partial, size)
@@ -157,30 +168,31 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
 def _wandering(
     left: Array, partial: Array, size: float, layout: Layout
 ) -> tuple[Array, float, float]:
-    """Give the expected wander ``(n,)``, the power it takes, and the log of its determinant."""
-    both = _whitened(np.column_stack([layout.waves * size, left]), partial, layout)[0]
-    wave, y = both[:, :-1], both[:, -1]
-    inner = wave.T @ wave + np.eye(wave.shape[1])
-    taken = wave.T @ y
-    shares = np.linalg.solve(inner, taken)
-    return (
-        size * (layout.waves @ shares),
-        float(taken @ shares),
-        float(np.linalg.slogdet(inner)[1]),
-    )
+    """Give the expected wander ``(n,)``, the power it leaves, and the log of the determinant."""
+    wander, power, logs, unforetold = [], 0.0, 0.0, _unforetold(partial)
+    for part, at, waves in zip(layout.split(left), layout.at, layout.waves, strict=True):
+        white, log = unforetold(np.column_stack([waves * size, part] if size else [part]), at)
+        wave, y = white[:, :-1], white[:, -1]
+        inner = wave.T @ wave + np.eye(wave.shape[1])
+        taken = wave.T @ y
+        shares = np.linalg.solve(inner, taken)
+        if size:
+            wander.append(size * (waves @ shares))
+        power += float(y @ y - taken @ shares)
+        logs += log + float(np.linalg.slogdet(inner)[1])
+    return np.concatenate(wander or [left]), power, logs
 
 
-def _whitened(x: Array, partial: Array, layout: Layout) -> tuple[Array, float]:
-    """Whiten rows ``(n, m)``; the second is the log of the determinant of what that divides by."""
+def _unforetold(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]:
+    """Make what takes from rows ``(n, m)`` of a recording what the rows before them foretell.
+
+    Also the log of the determinant of what that divides by.
+    """
     if partial.size == 0:
-        return x, 0.0
+        return lambda x, _: (x, 0.0)
     phi = np.ascontiguousarray(ar.predictors(partial[None])[-1][0])
     stationary = toeplitz(ar.autocovariance(partial)[:-1])
-    made = [
-        _innovations(np.ascontiguousarray(part), at, phi, stationary)
-        for part, at in zip(layout.split(x), layout.at, strict=True)
-    ]
-    return np.concatenate([one[0] for one in made]), sum(one[1] for one in made)
+    return lambda x, at: _innovations(np.ascontiguousarray(x), at, phi, stationary)
 
 
 @njit(cache=True, error_model="numpy")

@@ -76,12 +76,14 @@ _BY_ENCODER = 0.5
 # Most that is taken out while noise is chosen, and what each costs there: twice the log of how
 # many candidates there are.
 _PICKS, _DEAR = 8, 10.0
+# Columns that are laid out at once: as many as stand in one line of a cache.
+_LINE = 8
 # Hz below which a tone may be the noise's wander.
 _SLOW = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Choice:
+class Choice:
     """What one round chose, and all that it knew."""
 
     kind: str
@@ -91,7 +93,7 @@ class _Choice:
     z: float
     p: float
     largest: float  # z of all candidates
-    limit: float  # that it must exceed
+    limit: float  # what it must exceed
     worth: Array  # of every candidate, scans last
     scan: Scan | None = None
 
@@ -106,18 +108,11 @@ class Twin:
     layout: Layout
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Step(Choice):
     """One candidate that is taken in."""
 
-    kind: str
-    shape: str
-    z: float
-    p: float
-    largest: float  # z of all candidates, and what it must exceed
-    limit: float
     share: float
-    sure: bool
     recording: str  # that a push is in; else empty
     span: tuple[float, float] | None  # s, of a push
     coefficients: Array  # of its own columns
@@ -170,7 +165,7 @@ class Regression:
         self._groups = testable(self.data)
         vectors = self._near(np.random.default_rng(draws))
         self.modelled = self._modelled(probes)
-        made = list(self._twins(vectors, others))
+        made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
         self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
         self.twins = [twin for _, twin in made]
         if len(self.twins) < _ENOUGH * self.number:
@@ -180,20 +175,24 @@ class Regression:
 
     # What is compared
 
-    def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
-        """Make the columns of recordings, at parameters ``(n_parameters,)``."""
+    def _own(self, values: Array, observations: Sequence[Observation]) -> Columns:
+        """Make the model's columns of recordings, at parameters ``(n_parameters,)``."""
         chain = self.chain
         free = np.array([name not in self.known for name in chain.names])
         steps = free * _STEP * np.maximum(np.abs(values), 1.0)
         base = torque_jacobian(chain, observations, values, steps)
+        left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
+        nothing = np.empty((len(base), 0))
+        return Columns(base, nothing, np.concatenate(left), Layout.of(observations), ())
+
+    def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
+        """Put those of candidates beside them."""
         blocks = []
         for o, r in zip(observations, self.recordings, strict=True):
-            made = dict(_made(Along(chain, values, o, r, self.scales)))
-            keys = tuple(made)
+            made = dict(_made(Along(self.chain, values, o, r, self.scales)))
             blocks.append(_filtered(o, list(made.values())))
-        left = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
-        layout = Layout.of(observations)
-        return Columns(base, np.concatenate(blocks), np.concatenate(left), layout, keys)
+        own = self._own(values, observations)
+        return replace(own, others=np.concatenate(blocks), keys=tuple(made))
 
     def _near(self, rng: np.random.Generator) -> Array:
         """Draw vectors ``(number, n_parameters)`` that the recordings hold possible.
@@ -214,13 +213,14 @@ class Regression:
         """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
         some = np.tile(self.values, (_PROBES, 1))
         self.modelled = False
-        own = [mean_square(t.rest([])) for _, t in self._twins(some, stream)]
+        made = self._twins(some, stream)
+        own = [mean_square(self._own(v, seen).rest([])) for v, seen in made]
         mine = mean_square(self.data.rest([]))
         return bool(own) and float(np.mean(own)) <= _BY_ENCODER * mine
 
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
-    ) -> Iterator[tuple[Array, Columns]]:
+    ) -> Iterator[tuple[Array, list[Observation]]]:
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -232,7 +232,7 @@ class Regression:
             made = [o for o in seen if o is not None]
             least = len(self.chain.names) + LEAST_OUTPUTS
             if len(made) == len(seen) and sum(o.measured.size for o in made) >= least:
-                yield values, self._columns(values, made)
+                yield values, made
 
     # Noise
 
@@ -329,7 +329,7 @@ class Regression:
             free=free,
         )
 
-    def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[_Choice, list[int]]]:
+    def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[Choice, list[int]]]:
         """Take in one candidate after the other; gives each with the columns taken before it.
 
         While the noise is being chosen it counts as white, and only what was found is taken.
@@ -345,7 +345,7 @@ class Regression:
                 family = [i for i, k in keys if k.kind == choice.kind and not k.delay]
                 extra += [i for i in family if i not in extra]
 
-    def _best(self, extra: list[int], choosing: bool) -> _Choice:
+    def _best(self, extra: list[int], choosing: bool) -> Choice:
         """Choose the candidate that explains most of those that are no chance."""
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
@@ -375,12 +375,12 @@ class Regression:
         told = sure, float(z[best]), p, float(z.max()), limit, worth
         if best < len(self._groups):
             key, own = self._groups[best]
-            return _Choice(key.kind, key.shape, own, *told)
+            return Choice(key.kind, key.shape, own, *told)
         scan = self._placed(mine.scans[best - len(self._groups)], extra)
         own = self._with_scan(scan) if sure or not choosing else []
-        return _Choice(scan.kind, self._shape(scan), own, *told, scan)
+        return Choice(scan.kind, self._shape(scan), own, *told, scan)
 
-    def _step(self, choice: _Choice, extra: Sequence[int]) -> Step:
+    def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
         # of what is one recording's alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None
@@ -389,20 +389,14 @@ class Regression:
             recording = self.observations[choice.scan.recording].name
             span = place - width, place + width
         return Step(
-            kind=choice.kind,
-            shape=choice.shape,
-            z=choice.z,
-            p=choice.p,
-            largest=choice.largest,
-            limit=choice.limit,
-            sure=choice.sure,
+            **vars(choice),
             recording=recording,
             span=span,
             alike=tuple(self._alike(choice, extra)) if choice.sure else (),
             **self._moved(choice.own, extra),
         )
 
-    def _alike(self, choice: _Choice, extra: Sequence[int]) -> Iterator[str]:
+    def _alike(self, choice: Choice, extra: Sequence[int]) -> Iterator[str]:
         """Name other kinds that this motion does not tell from the one that was chosen."""
         white = self.data.whitened
         z = without(basis_of(white.beside(extra)), white.others)
@@ -533,6 +527,9 @@ def _filtered(o: Observation, columns: Sequence[Array]) -> Array:
     """Filter columns ``(N,)``; those of other recordings, which are nothing here, are not asked."""
     there = [i for i, column in enumerate(columns) if column.any()]
     out = np.zeros((o.filter.n_outputs, len(columns)))
-    raw = np.stack([columns[i] for i in there])
-    out[:, there] = o.filter.apply(np.where(np.isfinite(raw), raw, 0.0)).T
+    for first in range(0, len(there), _LINE):
+        some = there[first : first + _LINE]
+        raw = np.stack([columns[i] for i in some], axis=1)
+        raw[~np.isfinite(raw)] = 0.0
+        out[:, some] = o.filter.apply(raw.T).T
     return out

@@ -6,7 +6,6 @@ chance makes of that the twins' largest tell.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -39,15 +38,9 @@ class Scan:
 
 def tone(y: Array, layout: Layout) -> Scan:
     """Find the largest peak of a whitened residual's periodogram, over what it leaves."""
-    steps = [float(np.median(np.diff(t))) for t in layout.stamps if t.size > 1]
-    step = float(np.median(steps))
-    span = max(float(np.ptp(t)) for t in layout.stamps)
-    size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
-    power = np.zeros(size // 2 + 1)
-    for t, x in zip(layout.stamps, layout.split(y), strict=True):
-        row = np.zeros(size)
-        np.add.at(row, np.minimum(np.round((t - t[0]) / step).astype(int), size - 1), x)
-        power += np.abs(np.fft.rfft(row)) ** 2
+    step, span, size, at = layout.grid
+    rows = np.bincount(at, y, len(layout.at) * size).reshape(-1, size)
+    power = (np.abs(np.fft.rfft(rows)) ** 2).sum(axis=0)
     f = np.fft.rfftfreq(size, step)
     inside = (f >= _PERIODS / span) & (f <= _NYQUIST / step)
     power = np.where(inside, power, 0.0) / (0.5 * float(y @ y))

@@ -159,57 +159,56 @@ def asked(
     """
     white = d.whitened
     basis = basis_of(white.beside(extra))
-    z, y = white.others, without(basis, white.left)
+    y = without(basis, white.left)
+    z = without(basis, white.others)
     delay = Scan(DELAY, 0.0, 0.0)
     if not any(d.keys[i].delay for i in extra):  # there is one
-        delay = _delayed(d.keys, basis, z, y)
-    size = np.sqrt((z**2).sum(axis=0))
-    z = without(basis, without(basis, z))
-    rest = np.sqrt((z**2).sum(axis=0))
+        delay = _delayed(d.keys, z, y, y.size - basis.shape[1])
+    again = basis.T @ z  # what rounding has left of the basis
+    size = np.sqrt(np.einsum("ij,ij->j", white.others, white.others))
+    rest = np.sqrt(np.maximum(np.einsum("ij,ij->j", z, z) - (again**2).sum(axis=0), 0.0))
     told = (rest >= TESTABLE * np.maximum(size, 1e-300)) & (rest > 0.0)
-    z = z / np.where(rest > 0.0, rest, 1.0)
+    unit = np.where(rest > 0.0, rest, 1.0)
     free = y.size - basis.shape[1]
     power = float(y @ y)
-    slopes = z.T @ y
-    # most groups are single columns: all at once
-    single = np.maximum(power - slopes**2, 1e-12 * power) / max(free - 1, 1)
-    t_single, gain_single = slopes / np.sqrt(single), slopes**2 / single
-    found, gains = [], np.zeros(len(groups))
-    for i, (_, own) in enumerate(groups):
-        if not told[own].all():
-            found.append(np.full(len(own), np.nan))
-            continue
-        if len(own) == 1:
-            found.append(t_single[own])
-            gains[i] = gain_single[own[0]]
-            continue
-        gram = z[:, own].T @ z[:, own]
-        if np.linalg.eigvalsh(gram)[0] < _SINGULAR:
-            found.append(np.full(len(own), np.nan))
-            continue
-        inverse = np.linalg.inv(gram)
-        b = inverse @ slopes[own]
-        taken = float(b @ slopes[own])
-        variance = max(power - taken, 1e-12 * power) / max(free - len(own), 1)
-        found.append(b / np.sqrt(np.maximum(variance * np.diag(inverse), 1e-300)))
-        gains[i] = taken / variance
+    slopes = (z.T @ y - again.T @ (basis.T @ y)) / unit
+    found, gains = [np.full(len(own), np.nan) for _, own in groups], np.zeros(len(groups))
+    columns, again = np.ascontiguousarray(z.T), again.T
+    for k in {len(own) for _, own in groups}:  # all of a size at once
+        chosen = np.array([i for i, (_, own) in enumerate(groups) if len(own) == k])
+        own = np.array([groups[i][1] for i in chosen])
+        gram = np.ones((len(own), 1, 1))
+        if k > 1:
+            gram = columns[own] @ columns[own].mT - again[own] @ again[own].mT
+            gram /= unit[own][:, :, None] * unit[own][:, None, :]
+        least, axes = np.linalg.eigh(gram)
+        some = told[own].all(axis=1) & (least[:, 0] >= _SINGULAR)
+        inverse = (axes[some] / least[some][:, None]) @ axes[some].mT
+        slope = slopes[own[some]]
+        b = np.einsum("gij,gj->gi", inverse, slope)
+        taken = (b * slope).sum(axis=1)
+        variance = np.maximum(power - taken, 1e-12 * power) / max(free - k, 1)
+        spread = variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)
+        gains[chosen[some]] = taken / variance
+        for i, t in zip(chosen[some], b / np.sqrt(np.maximum(spread, 1e-300)), strict=True):
+            found[i] = t
     return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width), delay))
 
 
-def _delayed(keys: Sequence[Key], basis: Array, z: Array, y: Array) -> Scan:
+def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
     """Find the delay that leaves least, a coefficient of one and how fast the torque changed."""
-    best, power = Scan(DELAY, 0.0, 0.0), float(y @ y)
-    free = y.size - basis.shape[1]
-    for i, key in enumerate(keys):
-        if key.delay and key.number == 0:
-            changed, rate = without(basis, z[:, i : i + 2]).T
-            left = y - changed
-            left = left - rate * (float(rate @ left) / max(float(rate @ rate), 1e-300))
-            rest = max(float(left @ left), 1e-12 * power)
-            gain = (power - rest) / rest * (free - 2)
-            if gain > best.peak:
-                best = Scan(DELAY, gain, key.delay)
-    return best
+    first = [i for i, key in enumerate(keys) if key.delay and key.number == 0]
+    if not first:
+        return Scan(DELAY, 0.0, 0.0)
+    rate = z[:, np.add(first, 1)]
+    left = y[:, None] - z[:, first]
+    size = np.maximum(np.einsum("ij,ij->j", rate, rate), 1e-300)
+    left = left - rate * (np.einsum("ij,ij->j", rate, left) / size)
+    power = float(y @ y)
+    rest = np.maximum(np.einsum("ij,ij->j", left, left), 1e-12 * power)
+    gains = (power - rest) / rest * (free - 2)
+    best = int(np.argmax(gains))
+    return Scan(DELAY, max(float(gains[best]), 0.0), keys[first[best]].delay)
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,13 @@ from bayesfric.identifiability.virtual_recording import pace
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.own_term import Term, written_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.resolution import finest_step
+from bayesfric.recordings.resolution import Resolution, finest_step
 from bayesfric.recordings.timing import timed
 
 # Steps of the simulation a sample. The torque between samples is a cubic: a straight line would
@@ -53,28 +52,19 @@ class NoTwin(Exception):
     """A joint that no torque moves in one way only."""
 
 
-def _position(motor: State) -> float:
-    return float(motor.position)
+def _position(position: float, _speed: float, _way: float, _time: float, _shape: float) -> float:
+    return position
 
 
-def _speed(motor: State) -> float:
-    return float(motor.speed)
+def _speed(_position: float, speed: float, _way: float, _time: float, _shape: float) -> float:
+    return speed
 
 
-@dataclass(frozen=True)
-class Spring:
-    """What holds a simulated motor to the recorded motion; critically damped.
+def spring_of(chain: Joint, values: Array, observation: Observation) -> tuple[float, float]:
+    """Choose what holds a simulated motor to the recorded motion: stiffness and damping.
 
-    ``stiffness`` and ``damping`` are in measured torque per motor's rad (or m) and rad/s.
-    """
-
-    hertz: float
-    stiffness: float
-    damping: float
-
-
-def spring_of(chain: Joint, values: Array, observation: Observation) -> Spring:
-    """Choose a spring well below the band, and above how often the joint goes to and fro.
+    In measured torque per motor's rad (or m) and rad/s; the damping is critical. It swings well
+    below the band, and above how often the joint goes to and fro.
 
     Below the band it leaves alone what the comparison is about; above the pace it keeps the
     simulated motion, and with it reversals and rests, where the recorded one is. ``values``
@@ -95,7 +85,7 @@ def spring_of(chain: Joint, values: Array, observation: Observation) -> Spring:
     if band := float(observation.settings["band"]):
         hertz = min(hertz, _HIGHEST * band)
     omega = 2.0 * math.pi * hertz
-    return Spring(hertz, inertia * omega**2, 2.0 * inertia * omega)
+    return inertia * omega**2, 2.0 * inertia * omega
 
 
 def twins(
@@ -162,15 +152,6 @@ def settled_as(processing: Processing, observation: Observation) -> Processing:
     return processing.model_copy(update=numbers)
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """A simulated motion and the torque that made it, at the samples, ``(N,)`` each."""
-
-    q: Array
-    qd: Array
-    torque: Array
-
-
 class _Held:
     """The joint on its spring, and what drives the two."""
 
@@ -179,15 +160,14 @@ class _Held:
         chain: Joint,
         recording: Measurement,
         observation: Observation,
-        spring: Spring,
+        spring: tuple[float, float],
         driver: Array | None,
     ) -> None:
         self._recording, self._observation, self._spring = recording, observation, spring
         motor = chain.elements[0].name
-        # compiled once: the columns are functions of this module
         terms = (
-            Term(f"{motor}.replay_stiffness", _position, positive=True),
-            Term(f"{motor}.replay_damping", _speed, positive=True),
+            Term(f"{motor}.replay_stiffness", written_out(_position), positive=True),
+            Term(f"{motor}.replay_damping", written_out(_speed), positive=True),
         )
         self._given, self._ratio = chain, chain.ratio
         # the torque that acts is taken when it does, and recorded earlier by a delay
@@ -210,11 +190,15 @@ class _Held:
 
     def _pull(self, q: Array, qd: Array) -> Array:
         """Torque of spring and damper at a motion of the joint."""
-        spring = self._spring
-        return self._ratio * (spring.stiffness * q + spring.damping * qd)
+        stiffness, damping = self._spring
+        return self._ratio * (stiffness * q + damping * qd)
 
-    def simulated(self, values: Array, phase: float) -> _Motion:
-        """Simulate a vector ``(n_parameters,)``, ``phase`` samples late; NaN if that cannot be."""
+    def simulated(self, values: Array, phase: float) -> tuple[Array, Array, Array]:
+        """Simulate a vector ``(n_parameters,)``, ``phase`` samples late.
+
+        Gives position, speed and the torque that makes them at the samples, ``(N,)`` each; NaN if
+        that cannot be.
+        """
         recording, observation = self._recording, self._observation
         vectors = self._with_spring(values[None])
         driver = self._shifted(self._driver, phase)
@@ -238,19 +222,19 @@ class _Held:
         if self._given.delay:
             late = float(self._given.delays(values[None])[0])
             torque = self._shifted(torque, -late / recording.period)
-        return _Motion(q, qd, torque)
+        return q, qd, torque
 
     def _with_spring(self, values: Array) -> Array:
         """Add spring and damper to vectors of the joint's own parameters."""
-        given, spring = self._given, self._spring
+        given = self._given
         gain = np.ones(len(values))
         for p, column in zip(given.parameters, values.T, strict=True):
             if p.quantity == "gain":  # the driver is in measured torque, the terms are not
                 gain = column
         found = dict(zip(given.names, values.T, strict=True))
         motor = given.elements[0].name
-        found[f"{motor}.replay_stiffness"] = spring.stiffness * gain
-        found[f"{motor}.replay_damping"] = spring.damping * gain
+        for name, size in zip(("replay_stiffness", "replay_damping"), self._spring, strict=True):
+            found[f"{motor}.{name}"] = size * gain
         return np.stack([found[name] for name in self._chain.names], axis=1)
 
 
@@ -265,23 +249,25 @@ def _finely(x: Array) -> Array:
 
 
 def _seen(
-    recording: Measurement, observation: Observation, motion: _Motion, rng: np.random.Generator
+    recording: Measurement,
+    observation: Observation,
+    motion: tuple[Array, Array, Array],
+    rng: np.random.Generator,
 ) -> Measurement | None:
     """Read a motion with the recording's sensors, without noise of the torque's."""
-    if not np.isfinite(motion.q).all():
+    q, qd, torque = motion
+    if not np.isfinite(q).all():
         return None
     noise = float(observation.settings["noise_seen"])
     moved = recording.velocity is None
-    position = _sensed(recording.position, motion.q, noise if moved else 0.0, rng)
-    velocity = (
-        None if recording.velocity is None else _sensed(recording.velocity, motion.qd, noise, rng)
-    )
+    position = _sensed(recording.position, q, noise if moved else 0.0, rng)
+    velocity = None if recording.velocity is None else _sensed(recording.velocity, qd, noise, rng)
     # what it is driven by goes smoothly from sample to sample, and no maker has filtered it
     return replace(
         recording,
         position=position,
         velocity=velocity,
-        torque=motion.torque,
+        torque=torque,
         held=None,
         torque_lag=None,
         velocity_lag=None,
@@ -296,15 +282,18 @@ def _observed(
     processing: Processing,
 ) -> Observation | None:
     """Filter what was read, and refine its motion, as the recording's was."""
+    told, looked = observation.settings, None
+    if told["motion"] != "refined":  # what the position resolves is not asked then
+        looked = Resolution(
+            float(told["band"]), "asked", float(told["noise_seen"]), *2 * (math.inf,)
+        )
     try:
-        found = observe(seen, processing)
-        late = observation.settings.get("delay")
+        found = observe(seen, processing, looked)
+        late = told.get("delay")
         found = found if late is None else timed(found, seen, float(late))
     except BadInput:  # with these parameters the joint hardly moves
         return None
-    if observation.settings["motion"] != "refined":
-        return found
-    return fine_motion(chain, values, seen, found)
+    return found if looked else fine_motion(chain, values, seen, found)
 
 
 def _sensed(

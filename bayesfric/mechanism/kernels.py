@@ -106,6 +106,20 @@ def element_torque(
 ) -> float:
     """Section 2.2 with eq. (2); ``torque`` is the output's, brought to the input side."""
     rise, load_rise = rises(element, speed)
+    return risen_torque(element, torque, sign, speed, acceleration, rise, load_rise)
+
+
+@njit(cache=True, inline="always")
+def risen_torque(
+    element: Row,
+    torque: float,
+    sign: float,
+    speed: float,
+    acceleration: float,
+    rise: float,
+    load_rise: float,
+) -> float:
+    """Give the same with the factors of :func:`rises`."""
     drive, back = load_losses(element, sign, speed, load_rise)
     power = torque * sign
     constant = element[COULOMB_POSITIVE] if sign > 0.0 else element[COULOMB_NEGATIVE]
@@ -147,17 +161,49 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
     """
     n = elements.shape[0]
     out = np.empty((n, samples.speed.shape[0]))
+    if n == 0:
+        return out
+    low = _low_speeds(elements, samples.speed)
     for i in prange(n):
-        inverse_one(elements[i], load[i], carried[i], samples, out[i])
+        inverse_one(elements[i], load[i], carried[i], samples, low, elements[0], out[i])
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def inverse_one(elements: Array, load: Array, carried: Array, samples: Samples, out: Array) -> None:
-    """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``."""
+def _low_speeds(elements: Array, speed: Array) -> Array:
+    """Share of the Stribeck rise ``(n_elements, N)`` with what shapes it in the first vector.
+
+    Most vectors of a derivative have the same, and its exponential takes ten times the rest.
+    """
+    low = np.zeros((elements.shape[1], speed.shape[0]))
+    to_input = 1.0
+    for k in range(elements.shape[1] - 1, -1, -1):
+        first = elements[0, k]
+        to_input *= first[RATIO]
+        if elements[:, k, STRIBECK_RATIO].any() or elements[:, k, STRIBECK_LOAD_RATIO].any():
+            width = first[STRIBECK_VELOCITY] / to_input
+            for j in range(speed.shape[0]):
+                low[k, j] = low_speed(speed[j], width, first[STRIBECK_EXPONENT])
+    return low
+
+
+@njit(cache=True, error_model="numpy")
+def inverse_one(
+    elements: Array,
+    load: Array,
+    carried: Array,
+    samples: Samples,
+    low: Array,
+    first: Array,
+    out: Array,
+) -> None:
+    """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``.
+
+    ``first`` are the elements of which ``low`` is, see :func:`_low_speeds`.
+    """
     n = out.shape[0]
     sin_q, cos_q = samples.sin_q, samples.cos_q
-    speed, acceleration = samples.speed, samples.acceleration
+    acceleration = samples.acceleration
     inertia = load[LOAD_INERTIA] + samples.added_inertia
     moment = samples.added_moment
     for j in range(n):
@@ -166,7 +212,7 @@ def inverse_one(elements: Array, load: Array, carried: Array, samples: Samples, 
     to_input = 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         to_input *= elements[k, RATIO]
-        _through_element(elements[k], to_input, speed, acceleration, out)
+        _through_element(elements[k], first[k], to_input, samples, low[k], out)
         _carry(carried, samples, k, out)
     for j in range(n):
         out[j] = (out[j] + load[OFFSET]) / load[GAIN]
@@ -194,9 +240,10 @@ def _carry(carried: Array, samples: Samples, place: int, out: Array) -> None:
 
 @njit(cache=True)
 def _through_element(
-    element: Array, to_input: float, speed: Array, acceleration: Array, out: Array
+    element: Array, first: Array, to_input: float, samples: Samples, low: Array, out: Array
 ) -> None:
     """Carry all samples through one element: ``out`` goes from its output to its input."""
+    speed, acceleration = samples.speed, samples.acceleration
     to_torque = 1.0 / element[RATIO]
     # of the joint's speed instead of the input's
     scaled = element.copy()
@@ -207,7 +254,16 @@ def _through_element(
     scaled[STRIBECK_VELOCITY] /= to_input
     # a tuple, or the compiler must assume that writing `out` changes it
     own = _as_tuple(scaled, _SLOTS)
+    constant, load = own[STRIBECK_RATIO], own[STRIBECK_LOAD_RATIO]
+    known = (
+        first[STRIBECK_VELOCITY] == element[STRIBECK_VELOCITY]
+        and first[STRIBECK_EXPONENT] == element[STRIBECK_EXPONENT]
+    )
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        out[j] = element_torque(own, out[j] * to_torque, sign, v, acceleration[j])
+        if known:
+            rise, load_rise = 1.0 + constant * low[j], 1.0 + load * low[j]
+        else:
+            rise, load_rise = rises(own, v)
+        out[j] = risen_torque(own, out[j] * to_torque, sign, v, acceleration[j], rise, load_rise)

@@ -145,13 +145,16 @@ class _Numbers:
         return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
 
 
-def observe(recording: Measurement, processing: Processing) -> Observation:
+def observe(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> Observation:
     """Filter, differentiate and decimate a recording.
 
-    What is None in ``processing`` is settled from the recording. A cut-off that the sampling rate
+    What is None in ``processing`` is settled from the recording, whose ``resolution`` is looked at
+    where it is not given. A cut-off that the sampling rate
     cannot carry, and settings that leave no output, are bad input.
     """
-    numbers, made = _laid(recording, processing)
+    numbers, made = _laid(recording, processing, resolution)
     if made.filter.n_outputs == 0:
         raise BadInput(
             f"recording '{recording.name}', dead_zone",
@@ -334,9 +337,11 @@ class _Prepared:
     parts: Segments  # of the recording, without its ends and what is excluded
 
 
-def _laid(recording: Measurement, processing: Processing) -> tuple[_Numbers, _Prepared]:
+def _laid(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> tuple[_Numbers, _Prepared]:
     """Settle the filters and lay the windows, in whichever way leaves enough of them."""
-    numbers = _settle(recording, processing)
+    numbers = _settle(recording, processing, resolution)
     made = _prepared(recording, processing, numbers, SMALL_SHARE)
     count = made.filter.n_outputs
     if count < max(_LEFT * (count + made.dropped["dropped_dead_zone"]), _LEAST_LEFT):
@@ -348,7 +353,9 @@ def _laid(recording: Measurement, processing: Processing) -> tuple[_Numbers, _Pr
     return numbers, made
 
 
-def _settle(recording: Measurement, processing: Processing) -> _Numbers:
+def _settle(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> _Numbers:
     fs = 1 / recording.period
     where = f"recording '{recording.name}'"
     cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
@@ -372,7 +379,7 @@ def _settle(recording: Measurement, processing: Processing) -> _Numbers:
             factor = max(1, round(fs / cutoff)) if cutoff else 1
         factor = min(factor, len(recording.time))  # larger ones leave no output either
         half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
-        resolution = resolve(recording, half if band is None else band)
+        resolution = resolution or resolve(recording, half if band is None else band)
     if cutoff:
         check_cutoff(cutoff, fs, f"{where}, lowpass")
     reach = reach_of(processing.differentiation, cutoff, fs)

@@ -185,8 +185,8 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
 )
 def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, alike, named, hint):
     step = Step(
-        kind, "0.5", 6.0, 0.04, 6.0, 4.0, 0.1, sure=True, recording="", span=None,
-        coefficients=np.array([-1.0]), moves={}, alike=alike,
+        kind, "0.5", own=[0], sure=True, z=6.0, p=0.04, largest=6.0, limit=4.0, worth=np.zeros(1),
+        share=0.1, recording="", span=None, coefficients=np.array([-1.0]), moves={}, alike=alike,
     )  # fmt: skip
     found = finding(axis(), step)
     assert (found.kind, found.hint) == (named, hint)

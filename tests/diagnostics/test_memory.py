@@ -41,7 +41,7 @@ def test_whitening_takes_out_the_wander_too():
     where = layout(80, gaps=[30, 31])
     memory = Memory(np.array([0.4]), slow=1.5)
     exact = covariance(memory.partial, where.at[0])
-    exact = exact + memory.slow**2 * where.waves @ where.waves.T
+    exact = exact + memory.slow**2 * where.waves[0] @ where.waves[0].T
     white = memory.whitened(np.linalg.cholesky(exact), where)
     np.testing.assert_allclose(white @ white.T, np.eye(len(exact)), atol=1e-5)
     assert memory.variance(where) == pytest.approx(np.mean(np.diag(exact)))
