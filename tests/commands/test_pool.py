@@ -45,7 +45,7 @@ def test_it_prints_what_python_returns(bench):
     # of 3.3 sds, 100 independent draws leave a median uncertain by an eighth of one
     for true, run in zip(VISCOUS, viscous["jointly"]["runs"], strict=True):
         assert abs(run["median"] - true) < run["high"] - run["low"]
-    text = filled("pool.txt.j2", found=pooled)
+    text = filled("pool.txt.j2", found=pooled, findings=[])
     assert "the next recording" in text
     assert f"{pooled.cpu_seconds:.1f} s of CPU time; 90 % intervals" in text
     assert "Shared by all recordings" in text
