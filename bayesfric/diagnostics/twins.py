@@ -128,21 +128,12 @@ def modelled_driver(
     would be true torque.
     """
     o, told = observation, observation.settings
-    taken = without_delay(chain, values)
-    torque = inverse_torque(*taken, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
+    now = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
+    torque = inverse_torque(chain, now, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
     fs = 1.0 / recording.period
     cutoff = min(_ABOVE * float(told["band"] or told["lowpass"]), _HIGHEST_SHARE * fs)
     torque = np.where(np.isfinite(torque), torque, o.compared)
     return lowpass(torque, recording.segments, fs, cutoff, int(told["order"]))
-
-
-def without_delay(chain: Joint, values: Array) -> tuple[Joint, Array]:
-    """Give a joint whose position is not late, and its vector."""
-    if not chain.delay:
-        return chain, values
-    bare = replace(chain, delay=False)
-    found = dict(zip(chain.names, values, strict=True))
-    return bare, np.array([found[name] for name in bare.names])
 
 
 def settled_as(processing: Processing, observation: Observation) -> Processing:

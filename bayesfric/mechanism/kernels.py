@@ -44,6 +44,7 @@ LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12,
 LOAD_SPEED, LOAD_SQUARE = 14, 15
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
 Row = Array | tuple[float, ...]  # of one element
+Factors = tuple[float, float]  # of the constant and of the load loss
 _SLOTS = len(ELEMENT_SLOTS)
 _as_tuple: Any = to_fixed_tuple
 
@@ -82,7 +83,7 @@ def low_speed(speed: float, width: float, exponent: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def rises(element: Row, speed: float) -> tuple[float, float]:
+def rises(element: Row, speed: float) -> Factors:
     """Factors ``1 + c exp(-|v/v0|^a)`` of the constant and of the load loss, at the input speed."""
     constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
     if constant == 0.0 and load == 0.0:
@@ -105,21 +106,15 @@ def element_torque(
     element: Row, torque: float, sign: float, speed: float, acceleration: float
 ) -> float:
     """Section 2.2 with eq. (2); ``torque`` is the output's, brought to the input side."""
-    rise, load_rise = rises(element, speed)
-    return risen_torque(element, torque, sign, speed, acceleration, rise, load_rise)
+    return risen_torque(element, torque, sign, speed, acceleration, rises(element, speed))
 
 
 @njit(cache=True, inline="always")
 def risen_torque(
-    element: Row,
-    torque: float,
-    sign: float,
-    speed: float,
-    acceleration: float,
-    rise: float,
-    load_rise: float,
+    element: Row, torque: float, sign: float, speed: float, acceleration: float, risen: Factors
 ) -> float:
     """Give the same with the factors of :func:`rises`."""
+    rise, load_rise = risen
     drive, back = load_losses(element, sign, speed, load_rise)
     power = torque * sign
     constant = element[COULOMB_POSITIVE] if sign > 0.0 else element[COULOMB_NEGATIVE]
@@ -255,15 +250,10 @@ def _through_element(
     # a tuple, or the compiler must assume that writing `out` changes it
     own = _as_tuple(scaled, _SLOTS)
     constant, load = own[STRIBECK_RATIO], own[STRIBECK_LOAD_RATIO]
-    known = (
-        first[STRIBECK_VELOCITY] == element[STRIBECK_VELOCITY]
-        and first[STRIBECK_EXPONENT] == element[STRIBECK_EXPONENT]
-    )
+    shape = slice(STRIBECK_VELOCITY, STRIBECK_EXPONENT + 1)
+    known = (element[shape] == first[shape]).all()
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        if known:
-            rise, load_rise = 1.0 + constant * low[j], 1.0 + load * low[j]
-        else:
-            rise, load_rise = rises(own, v)
-        out[j] = risen_torque(own, out[j] * to_torque, sign, v, acceleration[j], rise, load_rise)
+        risen = (1.0 + constant * low[j], 1.0 + load * low[j]) if known else rises(own, v)
+        out[j] = risen_torque(own, out[j] * to_torque, sign, v, acceleration[j], risen)
