@@ -68,7 +68,7 @@ def test_every_estimate_finds_it(model, method):
 
 def test_identification_says_that_it_can_be_told(model):
     row = model.identify().loc["motor.cogging"]
-    assert row["verdict"] == "data"
+    assert row["status"] == "identified"
     assert row["data_sd"] < 0.01
 
 

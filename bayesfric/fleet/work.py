@@ -51,8 +51,8 @@ class Task(TypedDict):
 class _Record(BaseModel):
     """What is kept of a unit; see :func:`~bayesfric.fleet.results.record_of`."""
 
-    status: str
-    warnings: list[str]
+    outcome: str
+    findings: list[str]
     error: str | None
     rows: list[dict[str, str | float | bool | None]]
 

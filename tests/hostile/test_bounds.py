@@ -286,8 +286,8 @@ def test_a_limit_of_memory_is_one(process, tmp_path, size):
 
 @pytest.mark.parametrize(
     "record",
-    [{}, 3, {"status": "reliable"}, {"status": 1, "warnings": [], "error": None, "rows": []},
-     {"status": "reliable", "warnings": None, "error": None, "rows": [[1]]}],
+    [{}, 3, {"outcome": "good"}, {"outcome": 1, "findings": [], "error": None, "rows": []},
+     {"outcome": "good", "findings": None, "error": None, "rows": [[1]]}],
 )  # fmt: skip
 def test_what_came_of_a_unit_is_done_again_where_it_is_damaged(tmp_path, record):
     from bayesfric.fleet.results import failure

@@ -79,7 +79,7 @@ def to_mujoco_and_a_controller(text):
 
 
 def a_fleet(text):
-    assert "24 units: {'reliable': 24} failed: {}" in text
+    assert "24 units: {'good': 24} failed: {}" in text
     outliers = re.findall(r"^(axis-\d\d): motor.viscous, probability ([\d.]+)$", text, re.M)
     assert sorted(name for name, _ in outliers) == ["axis-05", "axis-17"]
     assert min(float(p) for _, p in outliers) > 0.99
