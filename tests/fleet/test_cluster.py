@@ -161,7 +161,7 @@ def test_a_cluster_of_its_own_gives_the_table_that_local_workers_give(tmp_path, 
     write_fleet(tmp_path)
     given = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
     # whoever cannot show its credentials is refused
-    with LocalCluster(**given, security=told == "cluster") as cluster:
+    with LocalCluster(**given, security=told == "cluster" or None) as cluster:
         scheduler = cluster if told == "cluster" else cluster.scheduler_address
         if told == "cluster":
             with pytest.raises(BadInput, match="no scheduler answers"):
