@@ -34,9 +34,7 @@ class Result:
     summary: Summary  # what summary.json holds, but for the place of recordings
 
     def __repr__(self) -> str:
-        from bayesfric.report.terminal import fit_text
-
-        return "\n".join(fit_text(self.summary))
+        return str(self.summary)
 
     @property
     def recordings(self) -> list[Measurement]:

@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import BaseModel
+
 from bayesfric.errors import BadInput
 from bayesfric.fleet.fleet_units import Unit
 from bayesfric.report.summary.record import Summary
@@ -38,6 +40,15 @@ _SHARE = 0.02
 Record = Mapping[str, Any]
 
 
+class Kept(BaseModel):
+    """What a fleet keeps of a unit."""
+
+    outcome: str
+    findings: list[str]
+    error: str | None
+    rows: list[dict[str, str | float | bool | None]]
+
+
 def record_of(summary: Summary) -> dict[str, Any]:
     """Give what a fleet keeps of a finished run: strings, numbers, lists and dicts."""
     rows = []
@@ -59,12 +70,13 @@ def record_of(summary: Summary) -> dict[str, Any]:
             }
         )
     found = [finding.kind for finding in summary.findings]
-    return {"outcome": summary.verdict.outcome, "findings": found, "error": None, "rows": rows}
+    kept = Kept(outcome=summary.verdict.outcome, findings=found, error=None, rows=rows)
+    return kept.model_dump()
 
 
 def failure(error: str) -> dict[str, Any]:
     """Give what a fleet keeps of a unit that failed: its one line."""
-    return {"outcome": FAILED, "findings": [], "error": error, "rows": []}
+    return Kept(outcome=FAILED, findings=[], error=error, rows=[]).model_dump()
 
 
 class Results:

@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 from filelock import FileLock
-from pydantic import BaseModel
 
 from bayesfric.errors import BadInput
-from bayesfric.fleet.results import failure, record_of
+from bayesfric.fleet.results import Kept, failure, record_of
 from bayesfric.model import Model
 from bayesfric.opened import read_json
 from bayesfric.problem.config import Config, parse_config
@@ -46,15 +45,6 @@ class Task(TypedDict):
     place: str  # of the template; file names are relative to its folder
     folder: str  # run directory to make
     draws: int | None  # of a light run
-
-
-class _Record(BaseModel):
-    """What is kept of a unit; see :func:`~bayesfric.fleet.results.record_of`."""
-
-    outcome: str
-    findings: list[str]
-    error: str | None
-    rows: list[dict[str, str | float | bool | None]]
 
 
 class Done(TypedDict):
@@ -139,7 +129,7 @@ def _stored(folder: Path, facts: dict[str, Any]) -> dict[str, Any] | None:
     """Read what came of the same unit before."""
     try:
         found = read_json(folder / UNIT)
-        _Record.model_validate(found["record"], strict=True)
+        Kept.model_validate(found["record"], strict=True)
         return dict(found["record"]) if found["of"] == facts else None
     except (BadInput, ValueError, LookupError, TypeError):
         return None
