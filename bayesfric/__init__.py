@@ -13,41 +13,43 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from bayesfric.version import __version__ as __version__
+from bayesfric.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from bayesfric import plot
-    from bayesfric.check_report import check
+    from bayesfric.base.errors import BadInput
     from bayesfric.export.exported import export
+    from bayesfric.fit.check_report import check
+    from bayesfric.fit.model import Model
+    from bayesfric.fit.result import report, summary
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
-    from bayesfric.model import Model
     from bayesfric.recordings.recording import Recording
-    from bayesfric.result import report, summary
     from bayesfric.rollouts.rollout import rollout
 
 __all__ = [
-    "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check", "export", "plot",
-    "report", "rollout", "summary",
+    "BadInput", "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check",
+    "export", "plot", "report", "rollout", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
 _HOMES = {
+    "BadInput": "base.errors",
     "Element": "mechanism.element",
     "Fleet": "fleet.fleet",
     "Joint": "mechanism.joint",
     "Load": "mechanism.element",
-    "Model": "model",
+    "Model": "fit.model",
     "Recording": "recordings.recording",
     "Term": "mechanism.own_term",
-    "check": "check_report",
+    "check": "fit.check_report",
     "export": "export.exported",
     "plot": "plot",
-    "report": "result",
+    "report": "fit.result",
     "rollout": "rollouts.rollout",
-    "summary": "result",
+    "summary": "fit.result",
 }
 
 

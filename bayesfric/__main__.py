@@ -1,6 +1,6 @@
 """``python -m bayesfric``."""
 
-from bayesfric.cli import main
+from bayesfric.commands.cli import main
 
 # the processes of a fleet import this, under another name
 if __name__ == "__main__":

@@ -7,10 +7,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.fit.result import result_of
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.figures.rollout import rollout_figure
-from bayesfric.result import result_of
 from bayesfric.results.roll_out import RollOut
 
 

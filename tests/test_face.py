@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
@@ -296,13 +296,13 @@ def test_a_joint_is_its_text(name):
 
 
 def test_importing_it_imports_nothing_heavy():
-    assert brought("bayesfric, bayesfric.cli", "numpy") == "[]"
+    assert brought("bayesfric, bayesfric.commands.cli", "numpy") == "[]"
 
 
 def test_numbers_on_a_terminal_wait_for_no_library_of_figures_and_tables():
     """Tables for print brought Matplotlib, 0.4 s of it, before the first number of a fit."""
     heavy = ("matplotlib", "pandas", "arviz", "xarray")
-    assert brought("bayesfric.commands.fit, bayesfric.model", *heavy) == "[]"
+    assert brought("bayesfric.commands.fit, bayesfric.fit.model", *heavy) == "[]"
 
 
 def test_an_element_that_does_nothing_stays_in_the_chain():

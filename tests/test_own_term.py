@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from tests.axis import recording_of
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

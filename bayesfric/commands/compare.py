@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.report.comparison.comparison import (
     Comparison,
     comparison,
@@ -33,13 +33,13 @@ def compare(
         return comparison(summaries, estimates=estimates)
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
+    from bayesfric.base.written import check_free, made_beside
     from bayesfric.problem.config import chain_of
     from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
     from bayesfric.report.paper.tables import methods_latex
-    from bayesfric.written import check_free, made_beside
 
     check_free(output, force=None)
     found = comparison(summaries, estimates=estimates)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.report.summary.summary import estimate_summary
 
 # Robust sds over plain ones beyond which the plain one means nothing.

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.errors import BadInput
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.errors import BadInput
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.report.terminal import wrapped
 from bayesfric.report.words import clause, doubt_text, filled, line_of
 

@@ -8,14 +8,14 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.written import check_free
 from bayesfric.commands.unfinished import unfinished
-from bayesfric.errors import BadInput
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.problem.config import Config, read_config
-from bayesfric.progress import Progress, Shown, silent
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text as fit_text
-from bayesfric.written import check_free
 
 
 def fit(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bayesfric.base.errors import Interrupted
+from bayesfric.base.progress import Shown, silent
 from bayesfric.commands.unfinished import asked_to_stop
-from bayesfric.errors import Interrupted
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
 from bayesfric.fleet.fleet_population import sure
 from bayesfric.population.population import Interval
-from bayesfric.progress import Shown, silent
 from bayesfric.report.words import filled
 
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.base.errors import BadInput
+from bayesfric.base.written import write_beside
 from bayesfric.diagnostics.before_a_fit import little_explained
-from bayesfric.errors import BadInput
+from bayesfric.fit.model import Model
 from bayesfric.identifiability.identification import Identification
 from bayesfric.identifiability.next_recording import Ranking
 from bayesfric.identifiability.sentences import page
-from bayesfric.model import Model
 from bayesfric.report.words import doubt_text
-from bayesfric.written import write_beside
 
 
 def identify_record(found: Identification, model: Model) -> dict[str, Any]:

@@ -8,14 +8,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.templates import environment
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config_text import toml_value
 from bayesfric.recordings.recognition import Chosen, Log, recognise
 from bayesfric.recordings.tables import read_table
 from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import OPEN
-from bayesfric.templates import environment
 
 # What is written in place of a preset.
 FLEET = "fleet"

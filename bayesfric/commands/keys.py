@@ -11,8 +11,8 @@ from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
+from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET
-from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Reference
 from bayesfric.fleet.plan import FleetTables
 from bayesfric.mechanism.presets import PRESETS

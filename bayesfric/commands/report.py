@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 from typing import Any
 
-from bayesfric.errors import BadInput
-from bayesfric.progress import Progress, Shown, silent
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.written import put_into, write_beside
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
-from bayesfric.written import put_into, write_beside
 
 
 def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[
 
 def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> list[str]:
     """Add texts to write, and draw; give the files drawn."""
-    from bayesfric.finished_run import fit_of
+    from bayesfric.fit.finished_run import fit_of
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw

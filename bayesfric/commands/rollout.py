@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_text
+from bayesfric.base.progress import Shown
+from bayesfric.base.written import put_into, write_beside
 from bayesfric.commands.report import report
-from bayesfric.errors import BadInput
-from bayesfric.opened import read_text
-from bayesfric.progress import Shown
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
@@ -19,7 +20,6 @@ from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.summary.rows import RollOutPart, rollout_part
 from bayesfric.report.words import filled, line_of
 from bayesfric.rollouts.rollout import rollout as played
-from bayesfric.written import put_into, write_beside
 
 
 def rollout(

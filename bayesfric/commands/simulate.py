@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.version import __version__
+from bayesfric.base.written import write_beside
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config
-from bayesfric.version import __version__
-from bayesfric.written import write_beside
 
 # A few minutes to simulate and some hundred megabytes of text; more is a mistyped duration.
 _MOST_SAMPLES = 10_000_000

@@ -21,12 +21,12 @@ from types import FrameType
 
 from filelock import FileLock, Timeout
 
-from bayesfric.errors import BadInput, Interrupted
+from bayesfric.base.errors import BadInput, Interrupted
+from bayesfric.base.version import __version__
+from bayesfric.base.written import parents_made
+from bayesfric.fit.model import Model
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.model import Model
-from bayesfric.version import __version__
-from bayesfric.written import parents_made
 
 # How a disk without locks tells it: better one run without than none at all.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)

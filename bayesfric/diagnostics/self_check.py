@@ -14,14 +14,14 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from bayesfric.base.options import Options
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Twin
-from bayesfric.identifiability.local import units_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.local_units import units_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.forward import simulate
-from bayesfric.options import Options
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 

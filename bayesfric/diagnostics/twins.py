@@ -21,9 +21,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.fine_motion import fine_motion
-from bayesfric.identifiability.virtual_recording import pace
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -81,7 +80,7 @@ def spring_of(chain: Joint, values: Array, observation: Observation) -> tuple[fl
     inertia = float(still[1] - still[0]) / chain.ratio
     if not inertia > 0.0:
         raise NoTwin("the joint has no inertia, so a torque does not determine its motion")
-    hertz = _FOLLOWING * pace(observation)
+    hertz = _FOLLOWING * observation.pace
     if band := float(observation.settings["band"]):
         hertz = min(hertz, _HIGHEST * band)
     omega = 2.0 * math.pi * hertz

@@ -16,7 +16,7 @@ from itertools import islice
 import numpy as np
 from scipy import stats
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import totals_regressors
 from bayesfric.estimates.torque_form import shortest
 from bayesfric.mechanism.joint import Joint

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from bayesfric.options import Options
+from bayesfric.base.options import Options
 from bayesfric.recordings.units import in_unit
 
 

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge

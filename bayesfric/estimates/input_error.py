@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.estimation import Estimation

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.estimates.torque import places

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge

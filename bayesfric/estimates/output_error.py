@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import LEAST_GROUPS, Information

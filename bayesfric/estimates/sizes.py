@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.version import __version__
+from bayesfric.base.written import check_free, made_beside
 from bayesfric.export.at_joint import (
     NUMBERS,
     AtJoint,
@@ -25,7 +27,7 @@ from bayesfric.export.carried import AROUND, carried, law_lost, lost_terms
 from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
-from bayesfric.finished_run import Finished, finished
+from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -33,8 +35,6 @@ from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
-from bayesfric.version import __version__
-from bayesfric.written import check_free, made_beside
 
 # Draws that intervals are told from.
 _DRAWS = 400

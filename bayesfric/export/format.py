@@ -12,13 +12,13 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.templates import environment
 from bayesfric.export.at_joint import Moved
 from bayesfric.export.central import Vectors
-from bayesfric.finished_run import Finished
+from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.templates import environment
 
 Files = dict[str, str | bytes]
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.law import Formula, Statements, Unwritten, of_time

@@ -15,8 +15,8 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from bayesfric import threads
-from bayesfric.errors import BadInput
+from bayesfric.base import threads
+from bayesfric.base.errors import BadInput
 from bayesfric.fleet.plan import ClusterOptions
 from bayesfric.fleet.work import Done, Task, do_unit
 

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.configuration_errors import configuration_error
-from bayesfric.errors import BadInput
+from bayesfric.base.configuration_errors import configuration_error
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Progress, Shown, progress_shown
+from bayesfric.base.written import parents_made, write_beside
 from bayesfric.fleet.crew import check_engine, work_through
 from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
 from bayesfric.fleet.fleet_units import read_units, units_of
@@ -27,8 +29,6 @@ from bayesfric.fleet.plan import (
 )
 from bayesfric.fleet.results import FAILED, Record, Results, failure
 from bayesfric.fleet.work import Done, Task
-from bayesfric.progress import Progress, Shown, progress_shown
-from bayesfric.written import parents_made, write_beside
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesfric.errors import BadInput, nearest
-from bayesfric.opened import check_ordinary, matching, read_text
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.opened import check_ordinary, matching, read_text
 from bayesfric.recordings.tables.table import check_names
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from bayesfric.base.version import __version__
 from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity, sure
 from bayesfric.fleet.fleet_units import Unit
@@ -21,7 +22,6 @@ from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import save
 from bayesfric.report.page.rendering import PageFigure, page_figure, render
-from bayesfric.version import __version__
 
 # Columns of the units that there is room for.
 _MOST = 6

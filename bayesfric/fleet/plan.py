@@ -10,7 +10,8 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.base.errors import BadInput, Unfit, nearest
+from bayesfric.base.options import Options
 from bayesfric.fleet.fleet_units import (
     LONGEST_TEXT,
     PLACEHOLDER,
@@ -21,7 +22,6 @@ from bayesfric.fleet.fleet_units import (
     read_units,
 )
 from bayesfric.fleet.results import COLUMNS
-from bayesfric.options import Options
 from bayesfric.problem.config import checked_toml, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import document_text
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.written import place_beside
 from bayesfric.fleet.fleet_units import Unit
 from bayesfric.report.summary.record import Summary
-from bayesfric.written import place_beside
 
 if TYPE_CHECKING:
     import pyarrow as pa

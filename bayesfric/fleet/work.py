@@ -19,15 +19,15 @@ from typing import Any, TypedDict
 
 from filelock import FileLock
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_json
+from bayesfric.base.version import __version__
+from bayesfric.base.written import write_beside
+from bayesfric.fit.model import Model
 from bayesfric.fleet.results import Kept, failure, record_of
-from bayesfric.model import Model
-from bayesfric.opened import read_json
 from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.read import recorded_files
 from bayesfric.recordings.tables import sha256
-from bayesfric.version import __version__
-from bayesfric.written import write_beside
 
 # What the machine, not the unit, is to blame for: it may go well the next time.
 _MACHINE = {

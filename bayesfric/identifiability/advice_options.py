@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from bayesfric.errors import Unfit
-from bayesfric.options import Options
+from bayesfric.base.errors import Unfit
+from bayesfric.base.options import Options
 from bayesfric.recordings.units import Kilograms, Metres, in_unit
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

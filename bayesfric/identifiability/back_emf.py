@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.identifiability.local import units_of
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import scaled_jacobian, torque_noise
+from bayesfric.inference.local_units import units_of
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement

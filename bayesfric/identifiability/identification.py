@@ -19,11 +19,8 @@ from bayesfric.estimates.torque import typical_load
 from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
 from bayesfric.identifiability.local import (
-    KNOWN_BY,
     WEAK,
-    Known,
     LocalInformation,
-    Verdict,
     in_natural_units,
     local_information,
     verdict,
@@ -35,6 +32,7 @@ from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.arrays import Array
+from bayesfric.results.reported import KNOWN_BY, Determined, Status
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,7 +49,7 @@ class Prospect:
     data_sd: float  # what the data alone would leave, the noise being what fit takes it for
     expected_sd: float  # data and prior together
     prior_sd: float = float("nan")  # and these two of parameters alone
-    status: Known | None = None  # to be expected of a fit
+    status: Status | None = None  # to be expected of a fit
     on_bound: str | None = None  # lower or upper: a limit is what can be told
 
 
@@ -241,7 +239,7 @@ def _parameters(
     return tuple(rows)
 
 
-def _status(found: Verdict, bound: str | None) -> Known:
+def _status(found: Determined, bound: str | None) -> Status:
     return "limit" if bound and found != "prior" else KNOWN_BY[found]
 
 

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
-from bayesfric.estimates.assemble import alpha_way, open_directions
+from bayesfric.base.errors import BadInput
+from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.identifiability.sentences import Statement, stated
+from bayesfric.inference.local_units import LocalUnits, units_of
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-Verdict = Literal["data", "weak", "prior"]
-Known = Literal["identified", "limit", "prior", "unidentified"]
-# What a verdict is of a number that is reported.
-KNOWN_BY: dict[Verdict, Known] = {"data": "identified", "weak": "prior", "prior": "unidentified"}
+from bayesfric.results.reported import Determined
 
 # Central differences of a torque that is linear are wrong by rounding alone: some 1e-16 of
 # the torque over twice this step. That is 1e-10 of the largest singular value, a thousandth
@@ -31,10 +26,6 @@ KNOWN_BY: dict[Verdict, Known] = {"data": "identified", "weak": "prior", "prior"
 _STEP = 1e-6
 # A simulation's rounding is larger by the number of its steps, and it is not quite linear.
 _NULL_SIMULATED = 1e-6
-# Values below this share of their prior sd are next to zero: those that are zero or
-# positive, and those of either sign.
-_SMALL = 1e-3
-_SMALL_SIGNED = 1e-2
 # A direction along which the data leave more than this in a logarithm is weak: a factor
 # exp(0.5) = 1.6 either way.
 WEAK = 0.5
@@ -44,26 +35,6 @@ WIDE = 0.5
 _FELT = 0.1
 # Entries of a null direction smaller than this do not belong to it.
 _ROUNDING = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class LocalUnits:
-    """What counts as a change of one, in logarithms wherever there is one."""
-
-    names: tuple[str, ...]  # free parameters of the chain
-    labels: tuple[str, ...]  # what a change of one is called: the parameter, or its alpha
-    ways: NDArray[np.int_]  # (d,) 1 and -1 for losses with alpha_1 and alpha_2, else 0
-    # (d,) change of each parameter that counts as one: its own value, so that ones are changes of
-    # logarithms; something else where the value is next to zero
-    units: Array
-    shifted: Flags  # (d,) where it is something else
-
-    def moved(self, values: Array, step: Array) -> Array:
-        """Move free parameters ``(d,)`` by a step in these units, along logarithms."""
-        grown = np.exp(np.clip(step, -50.0, 50.0))
-        out = np.where(self.shifted, values + step * self.units, values * grown)
-        ways = self.ways
-        return np.where(ways, ways * ((1.0 + ways * values) / grown - 1.0), out)
 
 
 @dataclass(frozen=True)
@@ -207,7 +178,7 @@ def torque_changes(
     return torque_jacobian(chain, observations, values, steps)[:, columns]
 
 
-def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
+def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
     """Say whether data or prior determined a parameter.
 
     ``data``: the posterior is about as wide as the data alone would leave it and
@@ -225,32 +196,6 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Verdict:
     if left > 0.9 or share < (0.5 if data_sd > WIDE * width else 0.2):
         return "prior"
     return "data" if 0.85 < share < 1.5 and left < WIDE else "weak"
-
-
-def units_of(target: Target, parameters: Array) -> LocalUnits:
-    """Say what counts as one at sampled parameters ``(d,)``.
-
-    Logarithms for parameters that cannot be negative; for load losses the
-    logarithm of alpha, in which the paper's scaling is one straight line. A value next
-    to zero, as on a bound, has no logarithm worth the name: there the prior sd counts
-    as one.
-    """
-    chain, values = target.likelihood.chain, parameters[: len(target.free)]
-    free = [chain.parameters[chain.names.index(name)] for name in target.free]
-    ways = np.array([alpha_way(p) for p in free], dtype=np.int_)
-    labels = tuple(
-        f"{p.owner}.{p.quantity.replace('load', 'alpha')}" if way else p.name
-        for p, way in zip(free, ways, strict=True)
-    )
-    # alpha_1 = 1/(1 + mu_1) and alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
-    alpha = -ways * (1.0 + ways * values)
-    alpha = np.where((ways < 0) & (np.abs(alpha) <= 1e-3), 1e-3, alpha)
-    sds = np.array([p.sd() for p in target.priors[: len(free)]])
-    sds = np.where(np.isfinite(sds), sds, 1.0)
-    least = np.array([_SMALL if p.lower == 0.0 else _SMALL_SIGNED for p in free]) * sds
-    shifted = (ways == 0) & (np.abs(values) <= least)
-    units = np.where(shifted, sds, np.where(ways, alpha, values))
-    return LocalUnits(target.free, labels, ways, units, shifted)
 
 
 def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import directions
 from bayesfric.estimates.torque import typical_load

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
@@ -17,7 +17,6 @@ from bayesfric.identifiability.virtual_recording import (
     known_mass,
     longest_stretch,
     of_load,
-    pace,
     played,
     sample_period,
     sines,
@@ -217,7 +216,7 @@ def candidates(
     see :func:`try_out`.
     """
     base = longest(observations)
-    period, hertz = sample_period(base), pace(base)
+    period, hertz = sample_period(base), base.pace
     stretch = longest_stretch(base, None)
     peak = float(np.abs(base.measured).max())
     # noise of the measurement is no part of the torque there was

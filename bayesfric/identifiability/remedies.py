@@ -15,7 +15,6 @@ from bayesfric.identifiability.virtual_recording import (
     LINES,
     known_mass,
     longest_stretch,
-    pace,
     played,
     sample_period,
     scaled_jacobian,
@@ -87,7 +86,7 @@ def trials(
     base = observations[longest]
     noise = torque_noise(target, parameters, longest)
     rotary = chain.load.motion == "rotary"
-    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), pace(base)
+    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
     time = period * np.arange(measured.size, dtype=np.float64)
     peak = float(np.quantile(np.abs(measured), 0.99))
     told = {"peak": peak, "pace": hertz, "unit": "N m" if chain.motor_motion == "rotary" else "N"}

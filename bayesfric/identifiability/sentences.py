@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 
-from bayesfric.templates import environment
+from bayesfric.base.templates import environment
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesfric.identifiability.local import LocalUnits, torque_changes
+from bayesfric.identifiability.local import torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.local_units import LocalUnits
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.target import Target
@@ -85,15 +86,6 @@ def sines(time: Array, lines: Array) -> Array:
     """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
     made = excitation.multisine(time, 1.0, lines)
     return np.asarray(made / max(float(np.abs(made).max()), 1e-12))
-
-
-def pace(observation: Observation) -> float:
-    """How often the joint goes to and fro, Hz, rounded; at least five times a recording."""
-    at = observation.filter.centres
-    speed = observation.qd[at]
-    turns = np.count_nonzero(np.diff(np.sign(speed)) != 0) / 2.0
-    duration = max(observation.period * at.size, 1e-9)
-    return _two_digits(max(turns, 5.0) / duration)
 
 
 @dataclass(frozen=True, eq=False)

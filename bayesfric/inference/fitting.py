@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
@@ -29,7 +30,6 @@ from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
-from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 

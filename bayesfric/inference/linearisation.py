@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.static_friction import StaticFriction
 from bayesfric.recordings.measurement import Measurement

@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesfric.errors import nearest
+from bayesfric.base.errors import nearest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import CarriedTerm, Term, along

@@ -16,7 +16,7 @@ from pydantic import (
     field_validator,
 )
 
-from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.joint import Joint

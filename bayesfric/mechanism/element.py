@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from bayesfric.errors import nearest
+from bayesfric.base.errors import nearest
 from bayesfric.mechanism.quantities import (
     CHOICES,
     CYCLES,

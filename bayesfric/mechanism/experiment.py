@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate

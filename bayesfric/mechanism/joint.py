@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from bayesfric.configuration_errors import configuration_error
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.configuration_errors import configuration_error
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.notebook import html_table
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.notebook import html_table
 from bayesfric.recordings.inputs import AT_ROOM
 
 if TYPE_CHECKING:

@@ -15,9 +15,11 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
-from bayesfric.configuration_errors import configuration_error
+from bayesfric.base.configuration_errors import configuration_error
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_json, read_text
+from bayesfric.base.options import Options
 from bayesfric.diagnostics.self_check import SelfCheckOptions
-from bayesfric.errors import BadInput
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
@@ -28,8 +30,6 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.mechanism.joint import Joint
-from bayesfric.opened import read_json, read_text
-from bayesfric.options import Options
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS

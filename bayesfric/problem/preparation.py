@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
 from bayesfric.estimates.delay import own_delay
 from bayesfric.estimates.estimation import Estimation
@@ -35,7 +35,7 @@ _HARM = 1.05
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """See the attributes of :class:`bayesfric.model.Model`."""
+    """See the attributes of :class:`bayesfric.fit.model.Model`."""
 
     chain: Joint
     recordings: list[Measurement]

@@ -11,10 +11,11 @@ from typing import Any, Self
 
 import numpy as np
 
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.progress import Progress, Shown, by_method, silent
 from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
-from bayesfric.errors import BadInput, nearest
 from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -33,7 +34,6 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, read_config
 from bayesfric.problem.config_text import with_settings, with_terms
 from bayesfric.problem.preparation import prepare
-from bayesfric.progress import Progress, Shown, by_method, silent
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 

@@ -7,10 +7,10 @@ from statistics import NormalDist
 
 import numpy as np
 
+from bayesfric.base.robust import robust_sd
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import averaged, derivative, later
 from bayesfric.recordings.measurement import Lag, Measurement
-from bayesfric.robust import robust_sd
 
 # Chance of one bend or more that is none, in a whole recording.
 _SELDOM = 0.05

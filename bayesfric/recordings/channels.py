@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.source import (

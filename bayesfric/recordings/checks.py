@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.resolution import finest_step
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesfric.errors import BadInput, Unfit
+from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import channels, units
 from bayesfric.recordings.channels import CONSTANT, POSITION, TORQUE, VELOCITY, Drive
 from bayesfric.recordings.drive_law import Law

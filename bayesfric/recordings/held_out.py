@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from bayesfric.errors import BadInput, nearest
-from bayesfric.options import Options
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.options import Options
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing

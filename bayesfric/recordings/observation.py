@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.acting import acting, unlagged
 from bayesfric.recordings.arrays import Array, Flags, Segments
@@ -113,6 +113,13 @@ class Observation:
     def acceleration(self) -> Array:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
+
+    @property
+    def pace(self) -> float:
+        """How often the joint goes to and fro, Hz, two digits; at least five times in all."""
+        centres = self.filter.centres
+        turns = np.count_nonzero(np.diff(np.sign(self.qd[centres])) != 0) / 2.0
+        return float(f"{max(turns, 5.0) / max(self.period * centres.size, 1e-9):.2g}")
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from bayesfric.errors import Unfit
-from bayesfric.options import Options
+from bayesfric.base.errors import Unfit
+from bayesfric.base.options import Options
 from bayesfric.recordings import units
 from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds, in_unit
 

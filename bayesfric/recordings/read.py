@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.errors import BadInput
-from bayesfric.opened import matching
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import matching
 from bayesfric.recordings import channels, checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags, runs
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.tables.table import Table

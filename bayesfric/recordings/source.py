@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from bayesfric.errors import Unfit
-from bayesfric.options import Options
+from bayesfric.base.errors import Unfit
+from bayesfric.base.options import Options
 from bayesfric.recordings import units
 from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.tables.reader import TableOptions

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.processing import Processing

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.inputs import Signal

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold, Measurement

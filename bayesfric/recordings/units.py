@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field
 
-from bayesfric.errors import BadInput, Unfit
+from bayesfric.base.errors import BadInput, Unfit
 
 if TYPE_CHECKING:
     import pint

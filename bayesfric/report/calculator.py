@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_json
 from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import load_at_outputs
@@ -38,7 +39,6 @@ from bayesfric.mechanism.quantities import (
     CYCLES,
     LOAD_CHOICES,
 )
-from bayesfric.opened import read_json
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL
 

@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.version import __version__
+from bayesfric.base.written import made_beside
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
-from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.calculator import FILE, calculator, calculator_json
@@ -26,8 +28,6 @@ from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.derived_quantities import coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.version import __version__
-from bayesfric.written import made_beside
 
 # Draws kept of the groups that hold a number for every draw and every output.
 _POINTWISE_DRAWS = 400

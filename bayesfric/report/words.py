@@ -12,9 +12,9 @@ from typing import Any
 
 from jinja2 import Environment
 
-from bayesfric.progress import spent_text
+from bayesfric.base.progress import spent_text
+from bayesfric.base.templates import environment, percent, placed, two
 from bayesfric.report.numbers import p_text
-from bayesfric.templates import environment, percent, placed, two
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,14 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
-from bayesfric.identifiability.local import KNOWN_BY
-
 Status = Literal["identified", "limit", "prior", "unidentified", "doubtful"]
+# Who determined a number: the data, data and prior, or the prior; and what it is reported as.
+Determined = Literal["data", "weak", "prior"]
+KNOWN_BY: dict[Determined, Status] = {
+    "data": "identified",
+    "weak": "prior",
+    "prior": "unidentified",
+}
 # Statuses in the order in which tables have them.
 ORDER: tuple[Status, ...] = ("identified", "doubtful", "limit", "prior", "unidentified")
 

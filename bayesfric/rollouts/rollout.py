@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
-from bayesfric.finished_run import Finished, finished
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
 from bayesfric.mechanism.closed_loop import follow
@@ -20,7 +21,6 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
-from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Measurement

@@ -26,6 +26,7 @@ import numpy as np
 import problem
 from run_rivals import disagreement, run_rivals
 
+from bayesfric.base.progress import Progress
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
@@ -37,7 +38,6 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
-from bayesfric.progress import Progress
 
 # any first moment: it sets the scale that no torque tells, and where the search begins
 KNOWLEDGE = Knowledge(fixed={"load.first_moment": problem.PRIOR_MEDIANS["load.first_moment"]})

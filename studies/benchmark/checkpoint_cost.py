@@ -13,9 +13,9 @@ import time
 from pathlib import Path
 
 from bayesfric.commands.fit import demo_config
+from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.model import Model
 
 
 def main() -> None:

@@ -39,8 +39,8 @@ def demo(folder: Path) -> None:
     def end(part: str) -> None:
         ends[part] = time.time(), time.process_time()
 
+    from bayesfric.base.progress import Progress
     from bayesfric.commands.fit import demo_config, fit
-    from bayesfric.progress import Progress
 
     end("imports")
 

@@ -28,7 +28,7 @@ import numpy as np
 from bench import CASES, recorded
 
 from bayesfric import Model
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.problem.problem import starting_point

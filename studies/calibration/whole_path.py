@@ -25,7 +25,7 @@ import numpy as np
 from bench import CASES, recorded
 
 from bayesfric import Model
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.results.reported import ORDER
 

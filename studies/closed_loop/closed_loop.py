@@ -122,7 +122,7 @@ def _loop(path, speed, n, inertia, viscous, coulomb, offset, stiffness, damping,
 
 def fitted(recording: Recording) -> dict:
     """Fit a recording with the defaults, over a CSV file as users do; gives ``summary.json``."""
-    from bayesfric.model import Model
+    from bayesfric.fit.model import Model
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

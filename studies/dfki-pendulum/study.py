@@ -9,7 +9,7 @@ import json
 import time
 from pathlib import Path
 
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.problem.config import parse_config
 
 HERE = Path(__file__).resolve().parent

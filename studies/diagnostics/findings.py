@@ -27,7 +27,7 @@ import numpy as np
 from joints import BENCHES, recorded
 
 from bayesfric import Model
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 
 HERE = Path(__file__).resolve().parent
 SEED = 38

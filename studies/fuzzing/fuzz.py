@@ -23,8 +23,8 @@ READERS = ("csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag",
 _INSTRUMENTED = [
     "bayesfric.recordings",
     "bayesfric.problem.config",
-    "bayesfric.configuration_errors",
-    "bayesfric.errors",
+    "bayesfric.base.configuration_errors",
+    "bayesfric.base.errors",
     "json",
     "tomllib",
     "zipfile",
@@ -107,7 +107,7 @@ def _child(reader: str, folder: Path, seconds: int, seed: int) -> None:
 
     with atheris.instrument_imports(include=_INSTRUMENTED):
         target = _config_target(folder) if reader == "config" else _table_target(reader, folder)
-    from bayesfric.errors import BadInput
+    from bayesfric.base.errors import BadInput
 
     seen: set[str] = set()
 

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.fit.model import Model
 from bayesfric.mechanism.forward import simulate
-from bayesfric.model import Model
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.style import (

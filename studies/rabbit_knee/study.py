@@ -17,10 +17,10 @@ import numpy as np
 
 from bayesfric.commands.fit import fit
 from bayesfric.estimates.point_estimate import METHODS, Estimate
+from bayesfric.fit.model import Model
 from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.model import Model
 from bayesfric.problem.config import Config, read_config
 from bayesfric.report.figures.style import save
 from figures import cutoff_figure, fit_figure, forest

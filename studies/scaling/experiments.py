@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, measure
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.model import Model
 from bayesfric.problem.config import Config, parse_config, read_config
 
 # Far enough for the sd of an sd to be 2 %; a posterior that mixes slowly ends ``tentative``.

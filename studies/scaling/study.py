@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from experiments import experiments
 
+from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import Fit, fit
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.model import Model
 from bayesfric.problem.config import read_config
 from bayesfric.report.figures.ridge import ridge, ridge_figure
 from bayesfric.report.figures.style import save

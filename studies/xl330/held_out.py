@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.model import Model
 from bayesfric.problem.config import parse_config
 from bayesfric.report.summary.validation_part import validation_record
 

@@ -16,7 +16,7 @@ from bayesfric import Element, Joint
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.problem.config import parse_config
 
 PATH = Path(__file__).with_name("xl330-held-out.toml")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric import cli
+from bayesfric.commands import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory

@@ -6,7 +6,7 @@ Waiting costs the test machine nothing, and changes no number.
 import sys
 import time
 
-from bayesfric import cli
+from bayesfric.commands import cli
 from bayesfric.inference.target import Target
 from bayesfric.report import run_directory
 

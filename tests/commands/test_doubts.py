@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.check_report import check
 from bayesfric.commands.fit import fit_text
 from bayesfric.diagnostics.before_a_fit import doubts_before
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.fit.check_report import check
+from bayesfric.fit.model import Model
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.model import Model
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.summary.doubts import _accelerates, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary

@@ -5,9 +5,9 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.model import Model
 from bayesfric.problem.config import read_config
 
 from .bench import SMALL, cases, has

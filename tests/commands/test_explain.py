@@ -3,7 +3,7 @@
 import pytest
 
 import bayesfric as bf
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 from bayesfric.problem.config_text import with_settings
 

@@ -10,11 +10,11 @@ import time
 import numpy as np
 import pytest
 
+from bayesfric.base.progress import Spent
 from bayesfric.commands.fit import demo_config, fit, fit_text
+from bayesfric.fit.model import Model
 from bayesfric.inference.archive import read_archive
-from bayesfric.model import Model
 from bayesfric.problem.config import read_config
-from bayesfric.progress import Spent
 
 from .bench import SMALL, simulated, without_figures
 
@@ -111,7 +111,7 @@ def test_who_reads_only_the_first_lines_has_the_run(folder):
     read, write = os.pipe()
     os.close(read)
     undrawn = (
-        "from bayesfric import cli; from bayesfric.diagnostics import explanation; "
+        "from bayesfric.commands import cli; from bayesfric.diagnostics import explanation; "
         "from bayesfric.report import run_directory; "
         "explanation.LONGEST = 0; run_directory.FIGURES = {}; cli.main()"
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.identify import identify_record, identify_text
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 
 from ..conftest import DATA, REPOSITORY

@@ -13,9 +13,9 @@ import pytest
 from pydantic import BaseModel
 
 import bayesfric
+from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET, configuration
 from bayesfric.commands.keys import key_tables, schema_of
-from bayesfric.errors import BadInput
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Tables, parse_config

@@ -14,9 +14,9 @@ import time
 import numpy as np
 import pytest
 
+from bayesfric.base.errors import BadInput, Interrupted
 from bayesfric.commands.fit import fit
 from bayesfric.commands.unfinished import alone_in
-from bayesfric.errors import BadInput, Interrupted
 from bayesfric.inference.sampling import checkpoint
 from bayesfric.problem.config import read_config
 from bayesfric.report import run_directory
@@ -301,7 +301,7 @@ def test_signals_in_processes_of_their_own(here, whole, numbers):
 def test_an_interrupted_import_ends_like_anything_else(tmp_path):
     """A dataclass is made by an exec of text; after that ``-m`` would end by the signal itself."""
     (tmp_path / "within.py").write_text(
-        "from bayesfric import cli\n"
+        "from bayesfric.commands import cli\n"
         "cli.app = lambda **_: exec('raise KeyboardInterrupt')\n"
         "cli.main()\n",
         encoding="utf-8",
@@ -338,7 +338,7 @@ def test_handlers_are_put_back(here, number):
 
 
 def test_before_sampling_nothing_is_kept(here, monkeypatch):
-    from bayesfric import fit as method
+    from bayesfric.fit import fit as method
 
     def interrupted(*_, **__):
         os.kill(os.getpid(), signal.SIGTERM)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import typer
 
-from bayesfric import cli
+from bayesfric.base.errors import BadInput
+from bayesfric.commands import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.conclusion import may_be_simulated
-from bayesfric.errors import BadInput
+from bayesfric.fit.conclusion import may_be_simulated
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.recordings import Processing

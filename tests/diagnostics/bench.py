@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 import bayesfric as bf
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from tests.axis import recording_of
 
 TRUTH = {

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
 from bayesfric.diagnostics.explanation import finding, setting_of
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.scans import TONE, Scan
 from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
+from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.model import Model
-from bayesfric.templates import placed
 from tests.axis import recording_of
 from tests.diagnostics.bench import axis, model, recording, table
 

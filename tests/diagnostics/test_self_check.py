@@ -10,8 +10,8 @@ import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.policy import TWINS
 from bayesfric.diagnostics.self_check import self_check
+from bayesfric.fit.model import Model
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.model import Model
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.self_check_part import self_check_part
 from bayesfric.report.terminal import fit_text

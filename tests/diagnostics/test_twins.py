@@ -7,8 +7,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.diagnostics.twins import NoTwin, settled_as, spring_of, twins
+from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.model import Model
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.resolution import finest_step
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model

@@ -5,7 +5,7 @@ import math
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.collinear_losses import collinear_losses
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 

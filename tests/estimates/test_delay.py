@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.delay import found_delay
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.mechanism.excitation import current_loop, multisine

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.mechanism.presets import PRESETS
 

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.output_error import output_error

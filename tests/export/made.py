@@ -8,7 +8,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.export.at_joint import Moved
 from bayesfric.export.central import vectors
-from bayesfric.finished_run import Finished
+from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque

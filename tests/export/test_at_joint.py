@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.export.at_joint import (
     NUMBERS,
     Moved,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.export.at_joint import Moved, torque_along
 from bayesfric.export.central import vectors
 from bayesfric.export.format import filled

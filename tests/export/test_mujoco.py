@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.export.formats.mujoco import patched
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 
 from .made import write_fleet
 

@@ -5,7 +5,7 @@ import json
 import pandas as pd
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.fleet.fleet_units import places_of, units_of
 from tests.report.made_fleet import WORN, write_fleet
 from tests.report.made_summaries import LEG

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.fleet.fleet_units import find_units, read_units
 from bayesfric.fleet.plan import read_plan
 

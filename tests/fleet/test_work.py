@@ -8,8 +8,8 @@ import time
 import pytest
 
 import bayesfric as bf
+from bayesfric.base.errors import BadInput
 from bayesfric.commands.fleet import fleet_text
-from bayesfric.errors import BadInput
 from bayesfric.fleet import work
 from bayesfric.fleet.fleet import _Course
 from bayesfric.fleet.plan import read_plan

@@ -15,7 +15,7 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from unittest import mock
 
-from bayesfric import cli
+from bayesfric.commands import cli
 from tests.commands.bench import has
 
 # Of the processor; what waits for something takes none, and may take this much longer.

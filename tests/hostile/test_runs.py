@@ -9,8 +9,15 @@ import h5py
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
-from bayesfric.opened import array_of, opened_hdf5, parse_json, read_bytes, read_json, read_text
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import (
+    array_of,
+    opened_hdf5,
+    parse_json,
+    read_bytes,
+    read_json,
+    read_text,
+)
 from tests.commands.bench import SAMPLED, simulated
 from tests.conftest import REPOSITORY
 from tests.hostile.rule import run
@@ -273,7 +280,7 @@ def test_what_cannot_be_written_is_not_simulated(bad, monkeypatch):
     shutil.rmtree(bad / "figures")
     (bad / "figures").write_text("")
     (bad / ".figures").mkdir()
-    monkeypatch.setattr("bayesfric.written.place_beside", lambda _: bad / ".figures")
+    monkeypatch.setattr("bayesfric.base.written.place_beside", lambda _: bad / ".figures")
     outcome = ran(bad.parent, "rollout", "bad")
     assert outcome.code == 2, outcome
     assert "cannot be written" in outcome.err

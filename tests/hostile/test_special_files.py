@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Processing, Recording, Source
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.tables import read_table

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import ranking

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesfric.templates import percent, two
+from bayesfric.base.templates import percent, two
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,11 @@ import time
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Progress
 from bayesfric.inference.sampling import checkpoint as module
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.checkpoint import Checkpoint, Manifest, StepFile, Steps
-from bayesfric.progress import Progress
 from tests.conftest import REPOSITORY
 from tests.inference.two_valleys import FACTS, SETTINGS, TwoValleys, run
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.sizes import Scales, measured_scales
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES

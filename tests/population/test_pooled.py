@@ -55,7 +55,7 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
         drawn = np.tile([scores.get(name, 0.0) for name in target.free], (10, 1))
         return Pull(1.0, drawn, None)
 
-    monkeypatch.setattr("bayesfric.pooled_fit.pull", pulled)
+    monkeypatch.setattr("bayesfric.fit.pooled_fit.pull", pulled)
     before, after = (
         {one.name: one.value for one in pool.shared}["offset"]
         for pool in (found, model().pool(seed=1))
@@ -107,11 +107,11 @@ def test_the_same_seed_gives_the_same_numbers():
     ],
 )
 def test_what_cannot_be_pooled_is_refused(given, said):
-    with pytest.raises(bf.errors.BadInput, match=r"pooling|likelihood|recordings") as error:
+    with pytest.raises(bf.BadInput, match=r"pooling|likelihood|recordings") as error:
         model(**given).pool()
     assert said in str(error.value)
 
 
 def test_only_recordings_are_varied_over():
-    with pytest.raises(bf.errors.BadInput, match=r"motor\.viscous"):
+    with pytest.raises(bf.BadInput, match=r"motor\.viscous"):
         bf.Model(AXIS, recording(0, 0.1), vary={"motor.viscous": "day"})

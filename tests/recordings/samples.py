@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import (
     Channel,
     Position,

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.tables import Table, read_table
 from bayesfric.recordings.tables.reader import TableOptions
 from tests.recordings import logs

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Channel, Current, Position, Torque, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers

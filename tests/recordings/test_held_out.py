@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.observation import observe

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 
 from .samples import measured, swing
 

@@ -89,6 +89,6 @@ def test_fields_by_path(tmp_path):
     assert torque.tolist() == [0.5, 1.5, 2.5, 3.5, 4.5]
     data = read_table(tmp_path / "bag", TableOptions(table="/data")).column("data[2]")
     assert data.tolist() == [2.0, 2.25, 2.5, 2.75, 3.0]
-    with pytest.raises(bf.errors.BadInput) as caught:
+    with pytest.raises(bf.BadInput) as caught:
         read_table(tmp_path / "bag", TableOptions())
     has(str(caught.value), "'/ft'", "'/data'", "table")

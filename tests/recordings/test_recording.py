@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Channel, Processing, Recording, Source, Torque
 
 from .samples import has, lines, measured, source, swing, write

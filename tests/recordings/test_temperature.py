@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.inputs import Inputs, Signal
 from tests.axis import swing

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
-from bayesfric.errors import BadInput
+from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.model import Model
 from bayesfric.problem.config import parse_config
 from bayesfric.report.comparison.between_runs import between_runs
 from bayesfric.report.comparison.comparison import comparison

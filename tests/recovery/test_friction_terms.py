@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from bayesfric.commands.simulate import simulate
+from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.prior.priors import fixed
 from bayesfric.inference.sampling.start import climb
-from bayesfric.model import Model
 from bayesfric.problem.config import parse_config
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

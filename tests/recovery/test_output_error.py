@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
-from bayesfric.errors import BadInput
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
 from tests.commands.bench import SMALL, simulated

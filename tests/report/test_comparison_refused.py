@@ -4,7 +4,7 @@ import copy
 
 import pytest
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.report.comparison.comparison import comparison
 
 from .made_summaries import estimated, knee, posterior_row

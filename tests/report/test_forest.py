@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Annotation
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.style import COLUMN, PAGE

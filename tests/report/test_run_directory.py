@@ -14,12 +14,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import bayesfric
+from bayesfric.base.errors import BadInput
+from bayesfric.base.written import check_free
 from bayesfric.commands.fit import fit
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
-from bayesfric.errors import BadInput
+from bayesfric.fit.model import Model
 from bayesfric.inference.archive import read_archive
-from bayesfric.model import Model
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.comparison.comparison import comparison
@@ -31,7 +32,6 @@ from bayesfric.report.paper.tables import (
 )
 from bayesfric.report.run_directory import write_run
 from bayesfric.report.summary.summary import summarise
-from bayesfric.written import check_free
 
 from .page_reader import read_page
 

@@ -11,14 +11,14 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.commands.rollout import rollout_text
-from bayesfric.finished_run import finished
+from bayesfric.fit.finished_run import finished
+from bayesfric.fit.result import result_of
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rows import rollout_part
-from bayesfric.result import result_of
 from bayesfric.results.roll_out import LEVEL
 from bayesfric.rollouts.rollout import (
     Recorded,

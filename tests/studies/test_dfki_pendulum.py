@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from bayesfric.model import Model
+from bayesfric.fit.model import Model
 from bayesfric.problem.config import parse_config
 from tests.conftest import REPOSITORY, imported
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.fit.model import Model
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.model import Model
 from bayesfric.problem.config import read_config
 from bayesfric.report.summary.validation_part import validation_record
 from tests.conftest import DATA, REPOSITORY

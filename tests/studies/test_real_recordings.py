@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
-from bayesfric.model import Model
 from bayesfric.problem.config import parse_config, read_config
 from tests.conftest import REPOSITORY
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.export.at_joint import (
     Moved,
     at_joint,

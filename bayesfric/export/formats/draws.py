@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS
 from bayesfric.export.format import Content, Format
 from bayesfric.recordings.arrays import Array

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.opened import read_text
 from bayesfric.export.format import Content, Files, Format
 from bayesfric.export.written_law import law, unwritten
-from bayesfric.opened import read_text
 
 # Step of the model that is written, s. With a friction constraint as stiff as two steps allow,
 # motion is that of the fitted joint to a tenth of a milliradian.

@@ -24,7 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps, step_error
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise.position import PositionNoise

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from bayesfric.errors import BadInput, nearest
+from bayesfric.base.errors import BadInput, nearest
 from bayesfric.mechanism.parameter import TURN, turned
 from bayesfric.recordings.arrays import Array
 

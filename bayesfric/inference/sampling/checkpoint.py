@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
-from bayesfric.opened import read_json
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_json
 from bayesfric.recordings.arrays import Array
 
 # As numpy.random.RandomState gives and takes it.

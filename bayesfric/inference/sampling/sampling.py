@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
+from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.sampling.checkpoint import Checkpoint
@@ -27,7 +28,6 @@ from bayesfric.inference.sampling.moves import (
 from bayesfric.inference.sampling.proposal import Proposal
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
-from bayesfric.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.units import in_unit
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table, check_names, column_cells, is_number, row_name
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
-from bayesfric.opened import array_of
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import array_of
 from bayesfric.recordings.tables.matlab_elements import check_elements
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table, row_name
 

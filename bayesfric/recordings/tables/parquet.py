@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
-from bayesfric.opened import check_size
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import check_size
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 

@@ -17,9 +17,9 @@ from typing import Any, Literal, Self
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from bayesfric.errors import BadInput, Unfit
-from bayesfric.opened import refuse_special, unreadable
-from bayesfric.options import Options
+from bayesfric.base.errors import BadInput, Unfit
+from bayesfric.base.opened import refuse_special, unreadable
+from bayesfric.base.options import Options
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import in_unit
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import array_of, opened_hdf5
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.opened import array_of, opened_hdf5
 from bayesfric.population.population import (
     Interval,
     Likelihood,

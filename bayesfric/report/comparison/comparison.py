@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from io import StringIO
 from typing import Any, Literal
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.identifiability.sentences import capital
 from bayesfric.mechanism.parameter import quantity_of, scales_with_torque, turned

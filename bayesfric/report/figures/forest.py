@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerLine2D
 from matplotlib.lines import Line2D
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import HALF
 from bayesfric.report.comparison.cell import Cell
 from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import Field
 
-from bayesfric.errors import BadInput
-from bayesfric.opened import opened_hdf5, parse_json, read_text
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import opened_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.calculator import Calculator, read_calculator

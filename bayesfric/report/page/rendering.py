@@ -20,9 +20,10 @@ from urllib.parse import quote
 from jinja2 import Environment
 from markupsafe import Markup, escape
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_text
+from bayesfric.base.templates import environment
 from bayesfric.identifiability.sentences import capital, factor
-from bayesfric.opened import read_text
 from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
@@ -30,7 +31,6 @@ from bayesfric.report.numbers import HTML
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.words import FILTERS, clause
-from bayesfric.templates import environment
 
 _GREEK = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "eta": "η",

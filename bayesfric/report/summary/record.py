@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, FiniteFloat
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import read_json
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.inference.likelihood.noise_choice import EVIDENCE
-from bayesfric.opened import read_json
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,

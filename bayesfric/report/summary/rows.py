@@ -7,11 +7,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from bayesfric.configuration_errors import configuration_error
-from bayesfric.errors import BadInput
+from bayesfric.base.configuration_errors import configuration_error
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
-from bayesfric.identifiability.local import Verdict
-from bayesfric.results.reported import Reported, Spread
+from bayesfric.results.reported import Determined, Reported, Spread
 from bayesfric.results.roll_out import Input, RollOut, tells_nothing
 from bayesfric.results.roll_out import Part as Which
 
@@ -132,7 +131,7 @@ class PosteriorRow(Drawn, Described):
     prior_interval: Pair | None = None
     contraction: FiniteFloat | None = None
     data_sd: NotNegative | None = None
-    verdict: Verdict
+    verdict: Determined
     at_bound: Bound | None = None
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
@@ -141,7 +140,7 @@ class PosteriorRow(Drawn, Described):
     undefined_share: Share | None = None
     gauge_free: bool | None = None
     doubted: list[str] = Field(default_factory=list)
-    undoubted: Verdict | None = None
+    undoubted: Determined | None = None
     given_by: list[str] = Field(default_factory=list)
     mirrored: Share | None = None
     model_error_interval: Pair | None = None

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.base.version import __version__
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driven
@@ -37,7 +38,6 @@ from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import line_of
-from bayesfric.version import __version__
 
 # Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
 _SELDOM = 0.1

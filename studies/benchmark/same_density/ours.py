@@ -10,11 +10,11 @@ from given import Given
 from measured import Measured
 from numpy.typing import NDArray
 
+from bayesfric.base.progress import Progress
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.target import Target
-from bayesfric.progress import Progress
 
 Array = NDArray[np.float64]
 

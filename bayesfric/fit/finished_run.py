@@ -9,16 +9,16 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.opened import LARGEST_NUMBER, array_of, opened_hdf5
+from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
-from bayesfric.opened import LARGEST_NUMBER, array_of, opened_hdf5
 from bayesfric.problem.problem import Problem
 from bayesfric.report.summary.record import Summary, read_summary_file
-from bayesfric.result import Result, result_of
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.notebook import html_table
+from bayesfric.base.progress import Progress, Shown, by_method, progress_shown, silent
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Method
-from bayesfric.fit import fit
+from bayesfric.fit.fit import fit
+from bayesfric.fit.pooled_fit import Pooled, pooled
+from bayesfric.fit.result import Result
 from bayesfric.identifiability.at_estimate import estimate_point
 from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.identification import Identification, identify
@@ -24,15 +28,11 @@ from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
-from bayesfric.notebook import html_table
-from bayesfric.pooled_fit import Pooled, pooled
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
-from bayesfric.progress import Progress, Shown, by_method, progress_shown, silent
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.recording import Recording
 from bayesfric.report.summary.summary import estimate_summary
-from bayesfric.result import Result
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,17 +8,17 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 from weakref import ref
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Shown, silent
+from bayesfric.base.written import check_free
 from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.problem.config_text import saved_name
 from bayesfric.problem.problem import Problem
-from bayesfric.progress import Shown, silent
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
 from bayesfric.report import shown
 from bayesfric.report.summary.record import Summary, read_summary_file
-from bayesfric.written import check_free
 
 # Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
 # what was read from a file, may have been changed.

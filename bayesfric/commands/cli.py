@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bayesfric.errors import BadInput, Interrupted
+from bayesfric.base.errors import BadInput, Interrupted
+from bayesfric.base.progress import Spent, progress_shown
+from bayesfric.base.threads import QUIET
+from bayesfric.base.version import __version__
 from bayesfric.estimates.point_estimate import METHODS
-from bayesfric.progress import Spent, progress_shown
-from bayesfric.threads import QUIET
-from bayesfric.version import __version__
 
 if TYPE_CHECKING:
-    from bayesfric.model import Model
+    from bayesfric.fit.model import Model
 
 # Commands import what they need when they run, so that --help answers at once.
 app = typer.Typer(
@@ -83,9 +83,9 @@ def init(
     as_json: AsJson = False,
 ) -> None:
     """Write a commented configuration."""
+    from bayesfric.base.written import write_beside
     from bayesfric.commands.init import configuration, configuration_from, open_text
     from bayesfric.commands.keys import reference_text
-    from bayesfric.written import write_beside
 
     options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
     asked, found = [name for name, given in options.items() if given], None
@@ -134,7 +134,7 @@ def simulate(
 @app.command()
 def check(config: ConfigFile, verbose: Verbose = False, as_json: AsJson = False) -> None:
     """Read everything; print what is measured, its quality and its problems."""
-    from bayesfric.check_report import check as run
+    from bayesfric.fit.check_report import check as run
 
     found = run(config)
     _print(found.as_json(), as_json, found.text(verbose=verbose).splitlines())
@@ -215,7 +215,7 @@ def explain(
             found = model.explain(progress=progress)
         record, text = command.explain_record(found, model), command.explain_text(found, model)
     else:
-        from bayesfric.written import write_beside
+        from bayesfric.base.written import write_beside
 
         command.refuse_other_place(output, model)
         with _progress() as progress:
@@ -437,7 +437,7 @@ class _Stopped(Exception):
 
 
 def _model(config: Path) -> Model:
-    from bayesfric.model import Model
+    from bayesfric.fit.model import Model
 
     return Model.from_config(config)
 

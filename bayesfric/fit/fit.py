@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from bayesfric.conclusion import Examination, conclude
+from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Progress, Shown
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
-from bayesfric.errors import BadInput
 from bayesfric.estimates.collinear_losses import collinear_losses
+from bayesfric.fit.conclusion import Examination, conclude
+from bayesfric.fit.result import Result
 from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.inference import fitting
@@ -22,8 +24,6 @@ from bayesfric.inference.rests_beyond import rests_beyond
 from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
-from bayesfric.progress import Progress, Shown
-from bayesfric.result import Result
 
 
 def fit(

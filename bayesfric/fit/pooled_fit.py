@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from bayesfric.check_report import check
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.progress import Progress, Shown, Spent
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.errors import BadInput, nearest
+from bayesfric.fit.check_report import check
 from bayesfric.inference.discrepancy import pull
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Status
@@ -17,7 +18,6 @@ from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point
-from bayesfric.progress import Progress, Shown, Spent
 from bayesfric.results.verdict import Outcome, verdict
 
 LEVEL = 0.9

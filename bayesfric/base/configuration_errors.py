@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.errors import BadInput, Unfit, nearest
+from bayesfric.base.errors import BadInput, Unfit, nearest
 
 _LONGEST = 60
 

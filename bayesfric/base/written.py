@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from bayesfric.errors import BadInput
+from bayesfric.base.errors import BadInput
 
 
 @contextmanager

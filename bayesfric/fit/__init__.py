@@ -1,0 +1,1 @@
+"""Recordings and a joint in, a concluded posterior out: one page a step."""

@@ -1,0 +1,63 @@
+"""Units in which a change of every parameter counts alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.estimates.assemble import alpha_way
+from bayesfric.inference.target import Target
+from bayesfric.recordings.arrays import Array, Flags
+
+# Values below this share of their prior sd are next to zero: those that are zero or
+# positive, and those of either sign.
+_SMALL = 1e-3
+_SMALL_SIGNED = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class LocalUnits:
+    """What counts as a change of one, in logarithms wherever there is one."""
+
+    names: tuple[str, ...]  # free parameters of the chain
+    labels: tuple[str, ...]  # what a change of one is called: the parameter, or its alpha
+    ways: NDArray[np.int_]  # (d,) 1 and -1 for losses with alpha_1 and alpha_2, else 0
+    # (d,) change of each parameter that counts as one: its own value, so that ones are changes of
+    # logarithms; something else where the value is next to zero
+    units: Array
+    shifted: Flags  # (d,) where it is something else
+
+    def moved(self, values: Array, step: Array) -> Array:
+        """Move free parameters ``(d,)`` by a step in these units, along logarithms."""
+        grown = np.exp(np.clip(step, -50.0, 50.0))
+        out = np.where(self.shifted, values + step * self.units, values * grown)
+        ways = self.ways
+        return np.where(ways, ways * ((1.0 + ways * values) / grown - 1.0), out)
+
+
+def units_of(target: Target, parameters: Array) -> LocalUnits:
+    """Say what counts as one at sampled parameters ``(d,)``.
+
+    Logarithms for parameters that cannot be negative; for load losses the
+    logarithm of alpha, in which the paper's scaling is one straight line. A value next
+    to zero, as on a bound, has no logarithm worth the name: there the prior sd counts
+    as one.
+    """
+    chain, values = target.likelihood.chain, parameters[: len(target.free)]
+    free = [chain.parameters[chain.names.index(name)] for name in target.free]
+    ways = np.array([alpha_way(p) for p in free], dtype=np.int_)
+    labels = tuple(
+        f"{p.owner}.{p.quantity.replace('load', 'alpha')}" if way else p.name
+        for p, way in zip(free, ways, strict=True)
+    )
+    # alpha_1 = 1/(1 + mu_1) and alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
+    alpha = -ways * (1.0 + ways * values)
+    alpha = np.where((ways < 0) & (np.abs(alpha) <= 1e-3), 1e-3, alpha)
+    sds = np.array([p.sd() for p in target.priors[: len(free)]])
+    sds = np.where(np.isfinite(sds), sds, 1.0)
+    least = np.array([_SMALL if p.lower == 0.0 else _SMALL_SIGNED for p in free]) * sds
+    shifted = (ways == 0) & (np.abs(values) <= least)
+    units = np.where(shifted, sds, np.where(ways, alpha, values))
+    return LocalUnits(target.free, labels, ways, units, shifted)
