@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of one reader, or of the configuration.
+"""Coverage-guided fuzzing of one reader, of the configuration, of what a run or a fleet reads back.
 
 ``python studies/fuzzing/fuzz.py READER --seconds N`` lets atheris (libFuzzer for Python) change
 the bytes of good files, keeping what reaches new lines of this package and of the Python
@@ -11,15 +11,21 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-READERS = ("csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag", "db3", "config")
+READERS = (
+    "csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag", "db3", "config",
+    "posterior", "summary", "fleet",
+)  # fmt: skip
 _INSTRUMENTED = [
     "bayesfric.recordings",
     "bayesfric.problem.config",
@@ -34,8 +40,17 @@ _INSTRUMENTED = [
     "scipy.io.matlab._miobase",
     "rosbags",
 ]
+# Kernels cannot be compiled with what atheris puts in.
+_INSTRUMENTED_OF_RUNS = [
+    "bayesfric.base",
+    "bayesfric.fit.finished_run",
+    "bayesfric.fleet",
+    "bayesfric.report.summary",
+    "json",
+    "tomllib",
+]
 # The smallest database of SQLite takes more.
-_MOST_BYTES = {"db3": 64_000}
+_MOST_BYTES = {"db3": 64_000, "posterior": 400_000, "summary": 64_000}
 _MOST_BYTES_ELSE = 16_000
 # Twice what the tests allow: on a busy machine a stall is no finding.
 _SECONDS_A_RUN = 20
@@ -57,6 +72,7 @@ def main() -> int:
         _child(options.reader, folder, options.seconds, options.seed)
         return 0
     corpus, findings = folder / "corpus", folder / "findings"
+    shutil.rmtree(folder / "input", ignore_errors=True)  # as the last input left it
     for path in (corpus, findings, folder / "input"):
         path.mkdir(parents=True, exist_ok=True)
     for old in findings.iterdir():
@@ -89,7 +105,11 @@ def main() -> int:
 def _seed(reader: str, corpus: Path) -> None:
     from tests.hostile import good
 
-    if reader == "config":
+    if reader in ("posterior", "summary"):
+        texts = [(_run(corpus.parent) / _IN_A_RUN[reader]).read_bytes()]
+    elif reader == "fleet":
+        texts = [_FLEET.encode()]
+    elif reader == "config":
         texts = [good.config("run.csv").encode(), good.LONG_CONFIG.encode()]
     else:
         # short ones: most changes of a long file hit its numbers
@@ -102,11 +122,47 @@ def _seed(reader: str, corpus: Path) -> None:
         (corpus / f"seed{number}").write_bytes(text)
 
 
+_IN_A_RUN = {"posterior": "posterior.nc", "summary": "summary.json"}
+_FLEET = """
+[template.mechanism]
+preset = "motor-axis"
+[[template.recordings]]
+file = "{file}"
+name = "{unit}-{serial}"
+time = { column = "t", unit = "s" }
+[units]
+table = "units.csv"
+name = "{unit}"
+joint = "serial"
+over = "day"
+[runs]
+draws = 300
+[cluster]
+workers = 2
+memory_limit = "1 GiB"
+"""
+
+
+def _run(folder: Path) -> Path:
+    """Fit a small simulated recording, once, with few draws: a short ``posterior.nc``."""
+    from tests.commands.bench import SAMPLED, simulated
+
+    run = folder / "input" / "run"
+    if not run.exists():
+        simulated(run.parent / "small.toml", SAMPLED)
+        command = [sys.executable, "-m", "bayesfric", "fit", "small.toml", "-o", "run"]
+        subprocess.run(command, cwd=run.parent, env={**os.environ, "PYTHONPATH": str(REPOSITORY)})
+    return run
+
+
 def _child(reader: str, folder: Path, seconds: int, seed: int) -> None:
     import atheris
 
-    with atheris.instrument_imports(include=_INSTRUMENTED):
-        target = _config_target(folder) if reader == "config" else _table_target(reader, folder)
+    of_runs = reader == "fleet" or reader in _IN_A_RUN
+    with atheris.instrument_imports(include=_INSTRUMENTED_OF_RUNS if of_runs else _INSTRUMENTED):
+        special = {"config": _config_target, "fleet": _fleet_target}
+        special |= dict.fromkeys(_IN_A_RUN, partial(_run_target, reader))
+        target = special.get(reader, partial(_table_target, reader))(folder)
     from bayesfric.base.errors import BadInput
 
     seen: set[str] = set()
@@ -183,6 +239,42 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
                 Recording(source, path.parent), ratio=1.0, motion="rotary", processing=processing
             ):
                 observe(recording, processing)
+
+    return target
+
+
+def _run_target(reader: str, folder: Path) -> Callable[[bytes], None]:
+    """Read a run back, as ``export`` and ``compare`` do, with one file changed; recordings once."""
+    from bayesfric.base.opened import read_json
+    from bayesfric.fit import finished_run
+    from bayesfric.report.summary.record import Summary
+
+    run = _run(folder)
+    path = run / _IN_A_RUN[reader]
+    problem = finished_run.Problem.from_config(run / "config.toml")
+    finished_run.Problem.from_config = lambda _: problem
+
+    def target(data: bytes) -> None:
+        path.write_bytes(data)
+        if reader == "summary":
+            Summary.read(read_json(path), str(path))
+        else:
+            finished_run.finished(run)
+
+    return target
+
+
+def _fleet_target(folder: Path) -> Callable[[bytes], None]:
+    """Read a fleet's plan and its units."""
+    from bayesfric.fleet.plan import read_plan
+
+    place = folder / "input"
+    (place / "units.csv").write_text("unit,file,serial,day\na,a.csv,7,1\nb,b.csv,7,2\n")
+    path = place / "fleet.toml"
+
+    def target(data: bytes) -> None:
+        path.write_bytes(data)
+        read_plan(path)
 
     return target
 
