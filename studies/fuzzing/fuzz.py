@@ -26,28 +26,12 @@ READERS = (
     "csv", "json", "npz", "mat", "parquet", "jsonl", "h5", "mcap", "bag", "db3", "config",
     "posterior", "summary", "fleet",
 )  # fmt: skip
-_INSTRUMENTED = [
-    "bayesfric.recordings",
-    "bayesfric.problem.config",
-    "bayesfric.base.configuration_errors",
-    "bayesfric.base.errors",
-    "json",
-    "tomllib",
-    "zipfile",
-    "numpy.lib._format_impl",
-    "numpy.lib._npyio_impl",
-    "scipy.io.matlab._mio",
-    "scipy.io.matlab._miobase",
-    "rosbags",
-]
-# Kernels cannot be compiled with what atheris puts in.
-_INSTRUMENTED_OF_RUNS = [
-    "bayesfric.base",
-    "bayesfric.fit.finished_run",
-    "bayesfric.fleet",
-    "bayesfric.report.summary",
-    "json",
-    "tomllib",
+# Packages, whole, but what numba compiles.
+_INSTRUMENTED = ["bayesfric", "json", "tomllib", "zipfile", "numpy", "scipy", "rosbags"]
+_COMPILED = [
+    ".".join(path.relative_to(REPOSITORY).with_suffix("").parts)
+    for path in (REPOSITORY / "bayesfric").rglob("*.py")
+    if "njit" in path.read_text(encoding="utf-8")
 ]
 # The smallest database of SQLite takes more.
 _MOST_BYTES = {"db3": 64_000, "posterior": 400_000, "summary": 64_000}
@@ -158,8 +142,7 @@ def _run(folder: Path) -> Path:
 def _child(reader: str, folder: Path, seconds: int, seed: int) -> None:
     import atheris
 
-    of_runs = reader == "fleet" or reader in _IN_A_RUN
-    with atheris.instrument_imports(include=_INSTRUMENTED_OF_RUNS if of_runs else _INSTRUMENTED):
+    with atheris.instrument_imports(include=_INSTRUMENTED, exclude=_COMPILED):
         special = {"config": _config_target, "fleet": _fleet_target}
         special |= dict.fromkeys(_IN_A_RUN, partial(_run_target, reader))
         target = special.get(reader, partial(_table_target, reader))(folder)
