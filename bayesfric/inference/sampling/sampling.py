@@ -152,7 +152,7 @@ def sample(
         straight = IndependenceMove(_straight_proposal(target, positions, last=True))
         moves = [(learning, 0.25), (_straight(target, straight), 0.25)]
         moves += [(search, 0.25), (_straight(target, search), 0.25)]
-    warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
+    warm = _Ensembles(target, moves, positions, random, checkpoint)
     # threads that share a small matrix wait for each other: on two busy cores seven times the work
     with threadpool_limits(1, "blas"):
         half, settled = _warm_up(warm, learning, straight, settings, rng, progress)
@@ -168,7 +168,7 @@ def sample(
                 (_straight(target, move), share)
                 for move, (_, share) in zip((straight, search), moves, strict=True)
             ]
-        main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
+        main = _Ensembles(target, moves, warm.positions(), random, checkpoint)
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
@@ -305,10 +305,9 @@ class _Ensembles:
         positions: Array,
         random: np.random.RandomState,
         checkpoint: Checkpoint | None,
-        phase: str,
     ) -> None:
         self.steps = 0
-        self.target, self._checkpoint, self._phase = target, checkpoint, phase
+        self.target, self._checkpoint = target, checkpoint
         self._shape = positions.shape
         ensembles, walkers, d = positions.shape
         self._sampler = emcee.EnsembleSampler(
@@ -325,7 +324,7 @@ class _Ensembles:
         recording: AbstractContextManager[Any] = nullcontext(lambda *_: None)
         if self._checkpoint is not None:
             self._replay(self._checkpoint, steps)
-            recording = self._checkpoint.recording(self._phase, accepted)
+            recording = self._checkpoint.recording(accepted)
         if self.steps < end:
             walk = self._sampler.sample(
                 self._state, iterations=end - self.steps, skip_initial_state_check=True
@@ -345,13 +344,12 @@ class _Ensembles:
         backend, first = self._sampler.backend, self.steps
         self.steps += len(stored)
         backend.grow(len(stored), None)
-        backend.chain[first : self.steps] = stored.coordinates
-        backend.log_prob[first : self.steps] = stored.log_density
-        backend.accepted += stored.accepted.sum(axis=0)
+        backend.chain[first : self.steps] = stored["coordinates"]
+        backend.log_prob[first : self.steps] = stored["log_density"]
+        backend.accepted += stored["accepted"].sum(axis=0)
         backend.iteration = self.steps
-        self._state = emcee.State(
-            stored.coordinates[-1], log_prob=stored.log_density[-1], copy=True
-        )
+        last = stored[-1]
+        self._state = emcee.State(last["coordinates"], log_prob=last["log_density"], copy=True)
         stopped = checkpoint.where_it_stopped(lambda: self.target(self._state.coords))
         if stopped is not None:
             self._sampler.random_state, self.target.not_finite = stopped
