@@ -53,6 +53,11 @@ class GearboxCoordinates(Coordinates):
     :class:`BoundedCoordinates`, such a mu among them where it is known or may be above one.
     """
 
+    description = (
+        "torques felt while the motor drives, the load's shares of them, what is missing when the "
+        "load drives, and the scale that the gearbox leaves open"
+    )
+
     def __init__(
         self, chain: Joint, priors: Mapping[str, Prior], widths: Array | None = None
     ) -> None:
@@ -114,10 +119,6 @@ class GearboxCoordinates(Coordinates):
         self._ends = np.cumsum(sizes)[:-1]
         self._size = len(free)
         assert sum(sizes) == self._size
-        self.description = (
-            "torques felt while the motor drives, the load's shares of them, what is missing when "
-            f"the load drives, and {_SCALES[self._scale]}"
-        )
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`."""
@@ -270,19 +271,6 @@ class GearboxCoordinates(Coordinates):
             u += [] if kind in ("one", "known") else [lost[:, None]]
             u += [] if scale is None else [scale[:, None]]
         return np.concatenate(u, axis=1)
-
-
-_SCALES: dict[Scale, str] = {
-    "place": "the scale of load and alpha between the bounds that a passive gearbox sets",
-    "drive": "the scale by mu_1, which its prior tells",
-    "moment": "the scale by ml, which its prior tells",
-    "known leg": "the scale known from the load",
-    "known drive": "the scale known from mu_1",
-    "known back": "the scale known from mu_2",
-    "known": "known load losses",
-    "single": "one mu for both directions",
-    "one": "one mu for both directions",
-}
 
 
 def _scale_by(

@@ -23,7 +23,6 @@ from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
-from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
 from bayesfric.inference.noise.scale import NoiseScale
 from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
@@ -34,7 +33,6 @@ from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
-from bayesfric.recordings.units import in_unit
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -53,26 +51,11 @@ class NoiseOptions(Options):
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
     )
-    model: Literal["auto", "white", "autoregressive"] = Field(
+    model: Literal["auto", "white"] = Field(
         "auto",
         description="of torque residuals; auto is autoregressive with the order that the "
         "residuals of the estimate ask for, white where they ask for none",
     )
-    order: int | None = Field(
-        None,
-        ge=1,
-        le=MOST,
-        description="of the autoregressive noise; from the residuals if left out",
-    )
-
-    @property
-    def chosen(self) -> bool:
-        """Whether residuals are asked for the order."""
-        return self.model == "auto" or (self.model == "autoregressive" and self.order is None)
-
-    def of_order(self, chosen: int) -> Autoregressive:
-        """Make the noise; of order ``chosen`` where the configuration names none."""
-        return Autoregressive(0 if self.model == "white" else self.order or chosen)
 
 
 class LikelihoodOptions(Options):
@@ -82,13 +65,6 @@ class LikelihoodOptions(Options):
         "input-error",
         description="input-error: the torque, by the inverse model along the differentiated "
         "motion; output-error: the position, by simulation, nothing differentiated",
-    )
-    segment: float = Field(
-        0.5,
-        gt=0,
-        le=1e5,
-        description="s after which the output-error simulation starts anew",
-        json_schema_extra=in_unit("s"),
     )
 
 

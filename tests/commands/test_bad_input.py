@@ -69,7 +69,6 @@ def test_file(bench, file, parts):
         ("term", "preset", "elements.motor.inerta = true\npreset", ["r.inerta", "'inertia'?"]),
         ("delay", "preset", 'delay = "2 ms"\npreset', ["mechanism.delay"]),
         ("no-delay", PRIOR, '"drive.delay" = 0.004', ["priors.drive.delay", "no such parameter"]),
-        ("order", "scale =", 'model = "white"\norder = 2\nscale =', ["noise.order", "white"]),
         ("load", "preset", "load.first_momnt = true\npreset", ["momnt", "'first_moment'?"]),
         # wrong types and ranges, worded plainly
         ("ten", "order = 4", 'decimate = "ten"', ["decimate: got 'ten'"]),

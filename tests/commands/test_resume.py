@@ -27,12 +27,10 @@ from .test_fit import CONFIG, draws, without_seconds
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-# Few steps: what is tested is the bytes, not what they say. The noise remembers, so that there is
-# a second sampling, with white noise.
+# Few steps: what is tested is the bytes, not what they say.
 FEW = CONFIG.replace(
     "min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 10\nwalkers = 10\nensembles = 2"
 )
-FEW += '\n[noise]\nmodel = "autoregressive"\norder = 1\n'
 HIDDEN = ".run.checkpoint"
 
 

@@ -51,12 +51,9 @@ class TwoValleys:
         main = -0.5 * np.sum((u / self.scale) ** 2 / [1.0, 0.25, 0.0625], axis=1)
         far = np.abs(u[:, 0]) > 2.5
         lost = -80.0 - np.sum((np.abs(u) - [4.0, 0.0, 0.0]) ** 2, axis=1)
-        bad = self.no_number(u)
+        bad = (u[:, 1] > 1.0) & (u[:, 1] < 1.1)
         self.not_finite += int(bad.sum())
         return np.where(bad, -np.inf, np.where(far, lost, main)) + self.shift
-
-    def no_number(self, u):
-        return (u[:, 1] > 1.0) & (u[:, 1] < 1.1)
 
 
 def run(folder, *, settings=SETTINGS, facts=FACTS, target=None, **options):

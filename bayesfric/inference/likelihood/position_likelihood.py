@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps, step_error
+from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise.position import PositionNoise
 from bayesfric.mechanism.forward import simulate_segments
@@ -72,7 +72,7 @@ class PositionLikelihood(Likelihood):
 
     ``trajectories`` are the observed recordings, cut into segments; ``point`` ``(n_parameters,)``
     near the posterior's mode is where derivatives are taken and the integration steps per sample
-    chosen, if left out. BadInput if the joint cannot be simulated there.
+    chosen. BadInput if the joint cannot be simulated there.
     """
 
     method = "output-error"
@@ -84,11 +84,10 @@ class PositionLikelihood(Likelihood):
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         point: Array,
-        substeps: int | None = None,
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)
-        self._trajectories, self._given = tuple(trajectories), substeps
-        self._runs = [_Run(chain, t, point, substeps) for t in trajectories]
+        self._trajectories = tuple(trajectories)
+        self._runs = [_Run(chain, t, point) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
 
     @property
@@ -99,9 +98,7 @@ class PositionLikelihood(Likelihood):
 
     def about(self, values: Array) -> PositionLikelihood:
         """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
-        return PositionLikelihood(
-            self.chain, self._trajectories, self.observations, values, self._given
-        )
+        return PositionLikelihood(self.chain, self._trajectories, self.observations, values)
 
     @property
     def evaluation(self) -> str:
@@ -170,7 +167,7 @@ class PositionLikelihood(Likelihood):
 class _Run:
     """One recording: its segments and how noise and states move their positions."""
 
-    def __init__(self, chain: Joint, t: Trajectory, point: Array, substeps: int | None) -> None:
+    def __init__(self, chain: Joint, t: Trajectory, point: Array) -> None:
         lengths = np.diff(t.segments, axis=1)[:, 0]
         self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
         # two states come off each segment; what has hardly more outputs says nothing
@@ -187,11 +184,9 @@ class _Run:
         for _ in range(_ROUNDS):
             self._settle_states(point)
         small = float(np.ptp(self._shooting.measured)) * _DISCRETISATION
-        if substeps is None:
-            substeps, self.step_error = choose_substeps(self._shooting, point, self._states, small)
-        else:
-            self.step_error = step_error(self._shooting, point, self._states, substeps)[0]
-        self._shooting.substeps = self.substeps = substeps
+        chosen = choose_substeps(self._shooting, point, self._states, small)
+        self.substeps, self.step_error = chosen
+        self._shooting.substeps = self.substeps
         self._segments = self._linearised(point)
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)

@@ -34,15 +34,6 @@ Weights = Callable[[Array], Array]  # (n, m) what multiplies them, for parameter
 
 # Samples of a recording from which the size of its columns is judged.
 _TRIED = 20_000
-# Quantities that shape a torque which still is of this form.
-_SHAPING = frozenset(
-    (
-        *("gain", "gravity_angle", "power_exponent", "warming_time", "stribeck_velocity"),
-        *("stribeck_ratio", "stribeck_change", "stribeck_constant", "stribeck_load"),
-        *("stribeck_exponent", "load_speed", "load_square", "load_difference"),
-        *("load_drive_difference", "load_back_difference"),
-    )
-)
 
 
 @dataclass(frozen=True)
@@ -381,16 +372,12 @@ def linear_torque(
         or with a known mass at an unknown angle.
     """
     values = np.empty((0, len(chain.names))) if draws is None else draws
-    angled = "load.gravity_angle" in chain.names
-    forms = [(i, p.quantity) for i, p in enumerate(chain.parameters) if p.row.role == "form"]
-    if torque_form(chain, times_gain=True, any_shape=True) is None or (
-        angled and any(o.inputs.known_load for o in observations)
-    ):
+    if torque_form(chain, times_gain=True, any_shape=True) is None:
         return None
-    for i, quantity in forms:
-        if quantity not in _SHAPING:
-            return None
-        if quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:
+    if "load.gravity_angle" in chain.names and any(o.inputs.known_load for o in observations):
+        return None
+    for i, p in enumerate(chain.parameters):
+        if p.quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:
             return None
     return LinearTorque(chain, observations, values)
 

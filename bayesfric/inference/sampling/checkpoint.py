@@ -115,8 +115,8 @@ class Checkpoint:
         except OSError as error:
             raise self._unreadable(error.strerror) from None
 
-    def where_it_stopped(self, log_density: Callable[[], Array]) -> tuple[RandomState, int] | None:
-        """Give the random state and how often there was no number, once all is replayed.
+    def where_it_stopped(self, log_density: Callable[[], Array]) -> RandomState | None:
+        """Give the random state once all is replayed.
 
         ``log_density`` evaluates the density of the last step again, ``(walkers,)``; BadInput if
         that is not what it was.
@@ -135,7 +135,7 @@ class Checkpoint:
                 float(now[worst]),
             )
         state = ("MT19937", last["key"].copy(), int(last["place"]), int(last["has_gauss"]))
-        return (*state, float(last["gauss"])), int(last["not_finite"])
+        return (*state, float(last["gauss"]))
 
     @contextmanager
     def recording(self, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:

@@ -45,16 +45,20 @@ _UNSETTLED = (
     "warm-up was still moving when it was cut off: raise sampling.max_steps, or give narrower "
     "priors"
 )
-# Places looked at: a share of 1 % is then known to a fifth of itself.
-_PLACES = 2000
-# Seed of these places, beside those of the other draws that one seed gives.
-_SPAWN = 2**31 + 1
-# Share of such places that may lie beside the posterior. The proposal is the posterior's
-# own shape, so about this share of the posterior may be missing, and the tail beyond an end
-# of a 90 % interval, 5 %, may be off by as much. Below this it drowns in what chance leaves:
-# 2000 independent draws know that tail to 0.5 %. Warm-up starts far out on purpose, and what it
-# meets there says nothing.
+# Share of the proposals that may have no likelihood. Most are made of the posterior's own shape, so
+# about this share of it may be missing, and the tail beyond an end of a 90 % interval, 5 %, may be
+# off by as much. Below this it drowns in what chance leaves: 2000 independent draws know that tail
+# to 0.5 %. Warm-up starts far out on purpose, and what it meets there says nothing.
 TROUBLE = 0.01
+_STUCK = (
+    "{} of {} walkers never moved, and are left out of every interval: look at the trace; try "
+    "another sampling.seed, or narrower priors"
+)
+_UNDEFINED = (
+    "at {:.2g} % of the places beside the posterior the likelihood is no number; they count as "
+    "impossible: check units and columns of the recordings with 'bayesfric check', and do not "
+    "trust the intervals"
+)
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
@@ -169,6 +173,7 @@ def sample(
                 for move, (_, share) in zip((straight, search), moves, strict=True)
             ]
         main = _Ensembles(target, moves, warm.positions(), random, checkpoint)
+        before = target.not_finite
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
@@ -182,13 +187,11 @@ def sample(
         problems.insert(0, _given_up(target.names, look.needed, steps, settings.max_steps))
     if not settled:
         problems.append(_UNSETTLED)
-    # counted up to here: what follows looks at places that were never proposed
-    not_finite, share = target.not_finite, 0.0
-    warnings = [text for text, harmless in _standing(acceptance) if harmless]
-    if not_finite:
-        batch = settings.ensembles * walkers
-        share = share_undefined(target, frozen.proposal, settings.seed, batch)
-        warnings += filter(None, [undefined_warning(share)])
+    share = (target.not_finite - before) / (main.steps * settings.ensembles * walkers)
+    stuck = acceptance == 0.0
+    warnings = [_STUCK.format(stuck.sum(), stuck.size)] if stuck.any() and few(stuck) else []
+    if share >= TROUBLE:
+        warnings.append(_UNDEFINED.format(100 * share))
     return Posterior(
         names=target.names,
         priors=target.priors,
@@ -207,7 +210,7 @@ def sample(
             warmup=warm.steps,
             steps=main.steps,
             thin=thin,
-            not_finite=not_finite,
+            not_finite=target.not_finite,
             seconds=time.perf_counter() - began,
             not_finite_share=share,
             warnings=tuple(warnings),
@@ -352,7 +355,8 @@ class _Ensembles:
         self._state = emcee.State(last["coordinates"], log_prob=last["log_density"], copy=True)
         stopped = checkpoint.where_it_stopped(lambda: self.target(self._state.coords))
         if stopped is not None:
-            self._sampler.random_state, self.target.not_finite = stopped
+            self._sampler.random_state = stopped
+        self.target.not_finite = int(last["not_finite"])
 
     def bring_back_lost(self, rng: np.random.Generator) -> None:
         """Move walkers that hang on to a hopelessly improbable mode next to the others.
@@ -424,7 +428,8 @@ def _problems(
             "interval of; check the recording's units, or give wider priors"
         )
         return
-    yield from (text for text, harmless in _standing(moved) if not harmless)
+    if not few(moved == 0.0):
+        yield _STUCK.format(np.count_nonzero(moved == 0.0), moved.size)
     apart = names[rhat > settings.max_rhat]
     if apart.size:
         worst = int(rhat.argmax())
@@ -449,24 +454,6 @@ def _problems(
         )
 
 
-def _standing(acceptance: Array) -> Iterator[tuple[str, bool]]:
-    """Say how many walkers stood still, and whether they are too few to change an interval."""
-    for walkers, said in (
-        (
-            acceptance == 0.0,
-            "never moved, and left out of every interval: look at the trace; try another "
-            "sampling.seed, or narrower priors",
-        ),
-        (
-            (acceptance > 0.0) & (acceptance < 0.01),
-            "hardly ever moved: look at the trace; raise sampling.max_steps, or give narrower "
-            "priors",
-        ),
-    ):
-        if n := np.count_nonzero(walkers):
-            yield f"{n} walker{'s' if n > 1 else ''} of {walkers.size} {said}", few(walkers)
-
-
 def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int) -> str:
     """Say that a run was stopped because it could not converge, and what holds it up."""
     slowest = np.argsort(-needed, kind="stable")[:_NAMED]
@@ -477,28 +464,4 @@ def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int)
         f"stopped after {steps} steps: at this pace it would need {would} steps, "
         f"sampling.max_steps is {max_steps}; slowest are {', '.join(slow)}: give them "
         "narrower priors, or fix what is known"
-    )
-
-
-def share_undefined(target: Target, proposal: Proposal, seed: int, batch: int) -> float:
-    """Draw places as the sampler does that finds no number at some, and give their share.
-
-    ``proposal`` is fitted to the posterior and frozen; ``batch`` places are evaluated at once, as
-    in a step.
-    """
-    sequence = np.random.SeedSequence(seed, spawn_key=(_SPAWN,))
-    random = np.random.RandomState(np.random.MT19937(sequence))
-    u = proposal.draw(_PLACES, random)
-    bad = [target.no_number(u[begin : begin + batch]) for begin in range(0, _PLACES, batch)]
-    return float(np.concatenate(bad).mean())
-
-
-def undefined_warning(share: float) -> str | None:
-    """Say what share of these places has no likelihood, if that is enough to matter."""
-    if share < TROUBLE:
-        return None
-    return (
-        f"at {100 * share:.2g} % of the places beside the posterior the likelihood is no number; "
-        "they count as impossible: check units and columns of the recordings with 'bayesfric "
-        "check', and do not trust the intervals"
     )
