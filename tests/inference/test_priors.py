@@ -33,13 +33,6 @@ def test_a_number_fixes():
     assert prior.sd() == 0.0
 
 
-def test_a_range_is_uniform():
-    prior = positive([1.0, 3.0])
-    x = np.array([0.5, 1.0, 2.0, 3.0, 3.5])
-    np.testing.assert_allclose(prior.log_density(x), [-INF, *3 * [-math.log(2.0)], -INF])
-    assert prior.sd() == pytest.approx(2.0 / math.sqrt(12.0))
-
-
 FAMILIES = [
     ({"distribution": "norm", "loc": 2.0, "scale": 0.5}, stats.norm(2.0, 0.5)),
     ({"distribution": "halfnorm", "scale": 0.5}, stats.halfnorm(scale=0.5)),

@@ -98,11 +98,6 @@ def test_a_few_far_proposals_are_counted_and_nothing_more():
     assert d.status == "reliable", d.problems
 
 
-def test_without_any_there_is_nothing_to_tell():
-    d = sample(Normal(), NORMAL, ENOUGH).diagnostics
-    assert (d.not_finite, d.not_finite_share, d.warnings) == (0, 0.0, ())
-
-
 class OneSpike(Normal):
     """The first walker's start is a spike that no proposal beats: it stays there for ever."""
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
@@ -140,13 +139,6 @@ def test_a_part_of_the_circle_bounds_and_can_be_widened(tmp_path):
     assert row["at_bound"] == "upper"
     assert not row["bound_physical"]
     assert [text for text in summary["warnings"] if "widen priors.load.gravity_angle" in text]
-
-
-def test_more_than_a_turn_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="more than one turn") as caught:
-        Model.from_config(arm(tmp_path, 0.0, "[-4.0, 4.0]"))
-    assert ANGLE in caught.value.where
-    assert caught.value.mend
 
 
 def test_identify_draws_on_both_sides_of_pi(tmp_path):

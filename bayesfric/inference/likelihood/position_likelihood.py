@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
-from bayesfric.inference.noise.position import PositionNoise
+from bayesfric.inference.noise.position import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -76,7 +76,7 @@ class PositionLikelihood(Likelihood):
     """
 
     method = "output-error"
-    noise = PositionNoise()
+    noise = POSITION_NOISE
 
     def __init__(
         self,

@@ -11,10 +11,11 @@ from typing import Any
 
 import emcee
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
+from bayesfric.base.options import Options
 from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling import convergence
@@ -63,10 +64,8 @@ _UNDEFINED = (
 _KEPT_DRAWS = 20_000
 
 
-class Sampling(BaseModel):
+class Sampling(Options):
     """How the posterior is sampled; ``[sampling]`` in a configuration."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     seed: int = Field(1, ge=0, lt=2**63, description="everything random comes from this number")
     ensembles: int = Field(4, ge=2, le=64, description="independent groups of walkers")
