@@ -154,27 +154,13 @@ class Config(BaseModel):
     def folder(self) -> Path:
         """Folder that file names in the configuration are relative to.
 
-        That of a run's configuration is where it lay before, or where it is if all that was fitted
-        came along; bad input if what was fitted is at neither place.
+        That of a run's configuration is where it lay before, or where it is if not all that was
+        fitted is there any more.
         """
-        here, origin = self.path.parent, self.origin
-        fitted = origin.recordings if origin else {}
-        missing = [name for name, one in fitted.items() if not _is_there(one.file)]
-        if origin is None or not missing:
-            return origin.folder if origin else here
-        gone = [
-            name
-            for name in missing
-            if not _is_there(here / os.path.relpath(fitted[name].file, origin.folder))
-        ]
-        if not gone:
-            return here  # what is still where it was is named in full
-        one = fitted[gone[0]]
-        raise BadInput(
-            f"{self.path}: recording {gone[0]!r}",
-            f"{one.file} is not there any more",
-            f"put it back, or beside {self.path}; its SHA-256 is {one.sha256}",
-        )
+        origin = self.origin
+        if origin and all(_is_there(one.file) for one in origin.recordings.values()):
+            return origin.folder
+        return self.path.parent
 
     @staticmethod
     def origin_of(recordings: Sequence[Measurement], folder: Path) -> Origin:
@@ -291,7 +277,9 @@ def _document(text: str, path: Path, kind: str) -> tuple[dict[str, Any], str]:
         # take true for 1 or "yes" for true.
         as_json = json.dumps(document, default=str)
     except (ValueError, RecursionError) as error:
-        raise _no_toml(path, str(error)) from None
+        what = f"is no TOML ({str(error).partition(';')[0]})"
+        mend = 'write key = value, each key once, with text in "quotes"'
+        raise BadInput(str(path), what, mend) from None
     if _NUL.search(as_json):
         raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
@@ -299,11 +287,6 @@ def _document(text: str, path: Path, kind: str) -> tuple[dict[str, Any], str]:
     except ValueError:
         raise BadInput(str(path), f"is nested too deep for a {kind}", "correct the file") from None
     return document, as_json
-
-
-def _no_toml(path: Path, message: str) -> BadInput:
-    mend = 'write key = value, each key once, with text in "quotes"'
-    return BadInput(str(path), f"is no TOML ({message.partition(';')[0]})", mend)
 
 
 def _flatten(

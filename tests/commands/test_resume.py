@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("nothing_explained")
 
 # Few steps: what is tested is the bytes, not what they say.
 FEW = CONFIG.replace(
-    "min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 10\nwalkers = 10\nensembles = 2"
+    "min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nwalkers = 10\nensembles = 2"
 )
 HIDDEN = ".run.checkpoint"
 
@@ -136,7 +136,7 @@ def test_what_a_checkpoint_tells(here, whole):
     assert facts["version"].keys() == {"bayesfric", "python", "numpy", "scipy", "emcee", "numba"}
     assert re.fullmatch("[0-9a-f]{64}", facts["recording"]["small"])
     assert facts["configuration"]["sampling"]["seed"] == 3
-    assert steps(here.folder) == 50
+    assert steps(here.folder) == 60
     assert not list((here.folder / HIDDEN).glob("lock"))
 
 
@@ -336,7 +336,7 @@ def test_handlers_are_put_back(here, number):
     finally:
         signal.signal(number, previous)
     assert caught.value.signal == number
-    assert caught.value.saved == steps(here.folder) == 10
+    assert caught.value.saved == steps(here.folder) == 12
 
 
 def test_before_sampling_nothing_is_kept(here, monkeypatch):
@@ -375,7 +375,7 @@ def test_the_second_ctrl_c_does_not_wait(here, whole, monkeypatch):
     monkeypatch.setattr(checkpoint.Checkpoint, "begin", begin)
     ended = here.run("fit", "few.toml", "-o", "run", "--resume")
     assert ended.code == 130, ended
-    has(ended.err, "interrupted, 50 steps are kept")
+    has(ended.err, "interrupted, 60 steps are kept")
     assert steps(here.folder) == before
     monkeypatch.undo()
     monkeypatch.chdir(here.folder)
@@ -427,7 +427,7 @@ def test_the_folder_vanishes_midway(here):
     (here.folder / "out").mkdir()
 
     def progress(p):
-        if p.steps == 30:
+        if p.steps == 24:
             shutil.rmtree(here.folder / "out", ignore_errors=True)
 
     with pytest.raises(BadInput) as caught:

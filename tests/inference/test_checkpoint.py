@@ -85,11 +85,6 @@ def test_the_density_has_what_may_go_wrong(whole, monkeypatch):
     same(again, whole)
 
 
-def test_a_checkpoint_changes_nothing(whole, tmp_path):
-    found, _ = run(tmp_path)
-    same(found, whole)
-
-
 @pytest.mark.parametrize("block", range(1, n_blocks() + 1))
 def test_interrupted_after_every_block(whole, tmp_path, block):
     with pytest.raises(Stop):
@@ -100,13 +95,6 @@ def test_interrupted_after_every_block(whole, tmp_path, block):
     assert (
         run(tmp_path)[1].saved == kept.saved == found.diagnostics.warmup + found.diagnostics.steps
     )
-
-
-def test_interrupted_after_each_block_one_after_the_other(whole, tmp_path):
-    for block in range(1, n_blocks() + 1):
-        with pytest.raises(Stop):
-            run(tmp_path, progress=stopping_after(block))
-    same(run(tmp_path)[0], whole)
 
 
 @pytest.mark.parametrize("apart", [pytest.param(1, marks=pytest.mark.slow), 17, 41])

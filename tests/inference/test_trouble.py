@@ -20,7 +20,7 @@ from bayesfric.inference.sampling.sampling import TROUBLE, Sampling, sample
 from bayesfric.inference.sampling.start import Start
 
 NORMAL = Start(np.zeros(2), np.eye(2))
-SHORT = Sampling(seed=5, min_ess=300, max_steps=400, block=10, walkers=12, ensembles=2)
+SHORT = Sampling(seed=5, min_ess=300, max_steps=400, walkers=12, ensembles=2)
 ENOUGH = SHORT.model_copy(update={"min_ess": 4000, "max_steps": 4000, "walkers": 24})
 
 
@@ -165,7 +165,7 @@ class Islands(Normal):
 
 def test_ensembles_that_disagree_are_told_each_by_itself():
     wide = Start(np.zeros(8), 400.0 * np.eye(8))
-    more = {"ensembles": 4, "block": 60, "max_steps": 600}
+    more = {"ensembles": 4, "max_steps": 600}
     result = sample(Islands(), wide, SHORT.model_copy(update=more))
     d = result.diagnostics
     assert d.rhat.max() > 1.1

@@ -15,7 +15,7 @@ from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import Start
 
-SETTINGS = Sampling(seed=11, min_ess=1e6, max_steps=110, block=10, walkers=12, ensembles=2)
+SETTINGS = Sampling(seed=11, min_ess=1e6, max_steps=110, walkers=12, ensembles=2)
 FACTS = {"version": {"bayesfric": "0"}, "configuration": {"priors": {"x": [0.0, 1.0]}}}
 # so wide that most of what the first proposal makes lies in the hopeless peak
 START = Start(np.zeros(3), np.diag([400.0, 1.0, 0.25]))

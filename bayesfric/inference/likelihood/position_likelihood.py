@@ -107,11 +107,7 @@ class PositionLikelihood(Likelihood):
 
     def log_density(self, values: Array, scales: Array) -> Array:
         """Integrate the initial states out with flat priors; -inf where nothing is simulated."""
-        total = np.zeros(values.shape[0])
-        for r, run in enumerate(self._runs):
-            z = run.terms(values)
-            variance = run.variances(scales[:, r])
-            total += -0.5 * (z**2 / variance + np.log(2.0 * np.pi * variance)).sum(axis=1)
+        total = sum(terms.sum(axis=1) for terms in self.pointwise(values, scales))
         return np.where(np.isnan(total), -np.inf, total)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:

@@ -97,13 +97,6 @@ class Sampling(Options):
         description="steps after which sampling gives up; sooner where it cannot converge in "
         "twice as many",
     )
-    block: int | None = Field(
-        None,
-        ge=10,
-        le=100_000,
-        description="steps between two looks at convergence; default 100, or 25 where a step "
-        "simulates",
-    )
 
 
 def sample(
@@ -221,8 +214,8 @@ def sample(
 
 def _block(target: Target, settings: Sampling) -> int:
     """Count the steps between two looks."""
-    block = settings.block or (100 if target.likelihood.method == "input-error" else 25)
-    return min(block, max(settings.max_steps // 8, 10))
+    usual = 100 if target.likelihood.method == "input-error" else 25
+    return min(usual, max(settings.max_steps // 8, 10))
 
 
 def _warm_up(
