@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesfric.estimates.torque import filtered_torque, torque_jacobian
-from bayesfric.estimates.torque_form import torque_form
+from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
@@ -309,19 +308,6 @@ def test_a_sample_exactly_at_the_kink(make_observation):
         np.testing.assert_allclose(at_centre.at(row[None]).lagged, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_coefficients_are_those_of_the_form(make_observation):
-    chain = KNEE.chain()
-    o = make_observation(chain, KNEE.values)
-    form, linear = torque_form(chain), linear_torque(chain, [o])
-    rng = np.random.default_rng(0)
-    for values in chain.vector(KNEE.values) * rng.uniform(-1.5, 1.5, (20, len(chain.names))):
-        theta1, theta2 = form.thetas(values)
-        found = linear.coefficients(values[None]).all[0]
-        np.testing.assert_allclose(
-            found, -np.concatenate([[-1.0], theta1, theta2]), rtol=1e-12, atol=1e-15
-        )
-
-
 def test_within_its_ratio_a_sample_has_the_centres_sign():
     rng = np.random.default_rng(0)
     legs = np.array([3.0, 1.0, -2.0, 0.5]) + 0.2 * rng.standard_normal((500, 4))
@@ -347,24 +333,6 @@ def test_chains_without_the_form_stay_as_they_are(make_observation):
     likelihood = TorqueLikelihood(twice, [o])
     assert likelihood.prepared(twice.vector(names)[None]) is likelihood
     assert likelihood.evaluation == "every sample"
-
-
-def test_the_prepared_likelihood_says_what_it_does_and_changes_nothing(make_observation):
-    chain = KNEE.chain()
-    observations = knee_observations(make_observation, 4)
-    likelihood = TorqueLikelihood(chain, observations)
-    draws = draws_about(chain, KNEE.values, observations)
-    fast = likelihood.prepared(draws)
-    assert "moment matrices" in fast.evaluation
-    scales = np.full((len(draws), 2, 1), 0.01)
-    np.testing.assert_allclose(
-        fast.log_density(draws, scales), likelihood.log_density(draws, scales), rtol=1e-9
-    )
-    expected = np.stack(
-        [((o.measured - filtered_torque(chain, o, draws)) ** 2).sum(axis=1) for o in observations],
-        axis=1,
-    )
-    np.testing.assert_allclose(fast.sum_of_squares(draws), expected, rtol=1e-9)
 
 
 def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):

@@ -101,13 +101,6 @@ def test_a_loss_that_is_not_there_leans_on_its_bound(make_observation):
         assert abs((draws < cut.ppf(p)).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n) + 2e-3, p
 
 
-def test_too_few_steps_are_told(axis_target):
-    short = Sampling(seed=3, min_ess=1e6, max_steps=300)
-    result = fit(axis_target, short)
-    assert result.posterior.diagnostics.status == "tentative"
-    assert any("max_steps" in problem for problem in result.posterior.diagnostics.problems)
-
-
 def test_climbing_finds_the_peak_of_a_normal():
     rng = np.random.default_rng(0)
     root = rng.normal(size=(5, 5)) * np.geomspace(0.01, 100.0, 5)[:, None]

@@ -94,17 +94,3 @@ def test_the_edge_of_a_prior_that_is_infinite_there_is_impossible(make_observati
     assert np.isfinite(values[0])
     assert np.isneginf(values[1])
     assert target.not_finite == 0
-
-
-def test_coordinates_do_not_change_the_posterior(knee):
-    """Density over Jacobian is the same in every coordinates."""
-    chain, observations = knee
-    priors = read_priors(chain, {"motor.inertia": [1e-5, 1e-2]}, observations)
-    plain = make_target(chain, observations[:1], priors, "shared")
-    parameters = np.append(rows(chain, 1), 0.02)[None]
-    shaped = plain.with_widths(0.1 * parameters[0])
-    for target in (plain, shaped):
-        u = target.from_parameters(parameters)
-        density = target(u) - target.to_parameters(u)[1]
-        expected = target.log_prior(parameters) + target.log_likelihood(parameters)
-        np.testing.assert_allclose(density, expected, rtol=1e-10)

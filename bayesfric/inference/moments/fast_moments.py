@@ -111,14 +111,10 @@ class FastMoments:
             for i, m in enumerate(self._recordings):
                 flat[:, i] = self._one_recording(m, known, distance, inside)
         far = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
-        if not far.any():
-            return unpacked(flat, self.order)
-        self.outside += int(np.count_nonzero(far))
-        moments, beyond = unpacked(flat, self.order), self._plain.at(values[far])
-        moments.lagged[far] = beyond.lagged
-        for head, other in zip(moments.heads, beyond.heads, strict=True):
-            head[far] = other
-        return moments
+        if far.any():
+            self.outside += int(np.count_nonzero(far))
+            flat[far] = self._plain.flat(values[far])
+        return unpacked(flat, self.order)
 
     def _one_recording(
         self,
