@@ -55,7 +55,6 @@ class Posterior:
     priors: tuple[Prior, ...]
     draws: Array  # (ensembles, walkers, steps, d), in physical units, thinned
     log_density: Array  # in sampling coordinates, (ensembles, walkers, steps)
-    coordinates: str  # that were sampled, in words
     diagnostics: Diagnostics  # of the whole sample, before thinning
     seed: int
 

@@ -30,7 +30,7 @@ class Normal:
     names = ("x", "y")
     priors = ()
     likelihood = SimpleNamespace(cheap=False, method="input-error")
-    coordinates = SimpleNamespace(description="as they are", bends=False)
+    coordinates = SimpleNamespace(bends=False)
 
     def __init__(self):
         self.not_finite = 0

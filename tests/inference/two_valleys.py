@@ -32,7 +32,7 @@ class TwoValleys:
     names = ("x", "y", "z")
     priors = ()
     likelihood = SimpleNamespace(cheap=False, method="input-error")
-    coordinates = SimpleNamespace(description="as they are", bends=False)
+    coordinates = SimpleNamespace(bends=False)
 
     def __init__(self, pause=0.0, scale=1.0):
         self.pause, self.scale = pause, scale

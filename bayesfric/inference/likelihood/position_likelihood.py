@@ -90,20 +90,9 @@ class PositionLikelihood(Likelihood):
         self._runs = [_Run(chain, t, point) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
 
-    @property
-    def discretisation(self) -> tuple[int, float]:
-        """Most integration steps per sample of a recording, and the largest error they leave."""
-        steps = max(run.substeps for run in self._runs)
-        return steps, max(run.step_error for run in self._runs)
-
     def about(self, values: Array) -> PositionLikelihood:
         """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
         return PositionLikelihood(self.chain, self._trajectories, self.observations, values)
-
-    @property
-    def evaluation(self) -> str:
-        """How it is computed, in words."""
-        return "simulation of every segment"
 
     def log_density(self, values: Array, scales: Array) -> Array:
         """Integrate the initial states out with flat priors; -inf where nothing is simulated."""
@@ -180,8 +169,7 @@ class _Run:
         for _ in range(_ROUNDS):
             self._settle_states(point)
         small = float(np.ptp(self._shooting.measured)) * _DISCRETISATION
-        chosen = choose_substeps(self._shooting, point, self._states, small)
-        self.substeps, self.step_error = chosen
+        self.substeps, _ = choose_substeps(self._shooting, point, self._states, small)
         self._shooting.substeps = self.substeps
         self._segments = self._linearised(point)
         count = [s.state.shape[0] for s in self._segments]

@@ -64,8 +64,8 @@ class FastMoments:
     ----------
     radius
         The same, or less where a recording would have too many uncertain samples.
-    samples, uncertain_samples
-        Raw samples that outputs rest on, and those whose direction can differ in the region.
+    uncertain_samples
+        Raw samples whose direction can differ in the region.
     outside
         Vectors so far that were computed sample by sample.
     """
@@ -84,20 +84,8 @@ class FastMoments:
             moment_matrices(linear, o, plain.order, region, radius) for o in observations
         ]
         self.radius = min(m.radius for m in self._recordings)
-        self.samples = sum(m.samples for m in self._recordings)
         self.uncertain_samples = sum(m.ratios.size for m in self._recordings)
         self.outside = 0
-
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        if not self._linear.names2:
-            return "moment matrices: the torque is linear"
-        certain = 100.0 * (1.0 - self.uncertain_samples / max(self.samples, 1))
-        return (
-            f"moment matrices: {certain:.1f} % of samples certain within {self.radius:.3g} "
-            f"sds of the expected posterior, the others looked at one by one; every sample beyond"
-        )
 
     def at(self, values: Array) -> Moments:
         """Moments at parameter vectors ``(n, n_parameters)``."""

@@ -58,7 +58,6 @@ class MomentMatrices:
     arrays: tuple[Any, ...]
     padded: int  # length of rows, a multiple of four
     entries: int  # how many moments
-    samples: int  # how many raw samples outputs rest on
     radius: float  # distance up to which all this is complete
 
 
@@ -165,7 +164,7 @@ def moment_matrices(
         inner,
         cells.reshape(-1, CELL).all(axis=1),
     )
-    return MomentMatrices(to_columns, ratios, arrays, padded, len(matrices), covered.size, radius)
+    return MomentMatrices(to_columns, ratios, arrays, padded, len(matrices), radius)
 
 
 def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterator[_Chunk]:

@@ -131,8 +131,6 @@ class PlainMoments:
         ``(R, order)`` runs whose head has the length 1 to that.
     """
 
-    description = "every sample"
-
     def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order
         runs = [Runs.of(o, order) for o in observations]

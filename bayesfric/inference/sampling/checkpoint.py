@@ -92,9 +92,9 @@ class Checkpoint:
         self._replayed, self._resumed = 0, self.saved
         self._began = time.perf_counter()
 
-    def begin(self, walkers: int, dimension: int, coordinates: str) -> None:
+    def begin(self, walkers: int, dimension: int) -> None:
         """Tell what is going to be sampled; BadInput if a checkpoint's steps have another shape."""
-        self._head |= {"walkers": walkers, "parameters": dimension, "coordinates": coordinates}
+        self._head |= {"walkers": walkers, "parameters": dimension}
         if self.saved:
             self._compare(self._found, self._head)
         self._kind, self._began = _row(walkers, dimension), time.perf_counter()

@@ -117,9 +117,31 @@ def sample(
     roughly and nothing climbs or spreads any more. Then the proposal is fitted once
     more and frozen. Only steps after that count.
 
-    ``start`` is in the target's coordinates, ``progress`` is called after every block, and a
-    ``checkpoint`` keeps the steps on disk and gives back those of an interrupted run: the result
-    is the same, byte for byte.
+    Parameters
+    ----------
+    target
+        The log-posterior.
+    start
+        A normal about where it lies, in the target's coordinates.
+    settings
+        How many walkers, and when it is enough.
+    progress
+        Called after every block.
+    checkpoint
+        Keeps the steps on disk and gives back those of an interrupted run: the result is the same,
+        byte for byte.
+
+    Returns
+    -------
+    Posterior
+        Draws in physical units, thinned, and whether they can be trusted.
+
+    Raises
+    ------
+    RuntimeError
+        If nothing beside the start is possible.
+    BadInput
+        If the checkpoint's steps are of another target.
     """
     began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
@@ -136,7 +158,7 @@ def sample(
     around = (Start(centre, start.covariance) for centre in centres)
     positions = np.stack([one.draw(walkers, target, rng, spread=0.5) for one in around])
     if checkpoint is not None:
-        checkpoint.begin(positions.shape[0] * walkers, d, target.coordinates.description)
+        checkpoint.begin(positions.shape[0] * walkers, d)
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
     learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
@@ -189,7 +211,6 @@ def sample(
         priors=target.priors,
         draws=draws,
         log_density=main.log_density()[:, :, thin - 1 :: thin],
-        coordinates=target.coordinates.description,
         diagnostics=Diagnostics(
             status=look.status if problems else "reliable",
             problems=tuple(problems),
