@@ -173,20 +173,20 @@ def test_another_density_or_shape_is_refused(stopped):
         (b"{}\n", "checkpoint format was not there"),
         (b"[]\n", "steps.steps: cannot be resumed ("),
         (b"\x80\x04\x95\n", "steps.steps: cannot be resumed ("),
+        *(
+            (
+                json.dumps({"checkpoint format": 4, **FACTS, "parameters": 3} | more).encode()
+                + b"\n",
+                "steps.steps: cannot be resumed (",
+            )
+            for more in ({}, {"walkers": -1}, {"walkers": 10**12}, {"walkers": "3"})
+        ),
     ],
 )
 def test_what_is_no_checkpoint_is_refused(stopped, first, part):
     path = stopped / "steps.steps"
     path.write_bytes(first + path.read_bytes().partition(b"\n")[2])
     refused(stopped, part)
-
-
-@pytest.mark.parametrize("more", [{"walkers": -1}, {"walkers": 10**12}, {"parameters": "3"}])
-def test_a_shape_that_cannot_be_is_refused(stopped, more):
-    path = stopped / "steps.steps"
-    line = json.dumps(head(stopped) | more).encode() + b"\n"
-    path.write_bytes(line + path.read_bytes().partition(b"\n")[2])
-    refused(stopped, "cannot be resumed")
 
 
 # -- what is damaged is sampled again

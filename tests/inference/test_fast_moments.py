@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -221,30 +219,18 @@ NAMES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1), far=st.sampled_from([0.0, 0.5, 1.0, 4.0, 6.0, 30.0, 1e3]))
-def test_equal_near_at_the_edge_and_far(cases, name, seed, far):
-    case = cases[name]
-    rng = np.random.default_rng(seed)
+def away(case, rng, far):
+    """Draws near, at the edge and far."""
     centre = case.draws.mean(axis=0)
-    rows = case.draws[rng.integers(case.draws.shape[0], size=40)]
-    case.check(centre + far * (rows - centre))
+    return centre + far * (case.draws[rng.integers(case.draws.shape[0], size=40)] - centre)
 
 
-@pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1), log=st.floats(-3.0, 8.0))
-def test_equal_at_any_sign_and_size(cases, name, seed, log):
+def of_any_sign_and_size(case, rng, log):
     """Negative inertias, load losses that give energy, lambda_2 of zero."""
-    case = cases[name]
-    rng = np.random.default_rng(seed)
     names = case.chain.names
     values = case.draws[rng.integers(case.draws.shape[0], size=40)]
-    flipped = rng.random(values.shape) < 0.2
-    values = np.where(flipped, -values, values)
-    grown = rng.random(values.shape) < 0.2
-    values = np.where(grown, values * 10.0**log, values)
+    values = np.where(rng.random(values.shape) < 0.2, -values, values)
+    values = np.where(rng.random(values.shape) < 0.2, values * 10.0**log, values)
     values[rng.random(values.shape) < 0.05] = 0.0
     losses = [j for j, n in enumerate(names) if ".load_" in n or n.endswith(".load")]
     for j in losses:
@@ -252,20 +238,28 @@ def test_equal_at_any_sign_and_size(cases, name, seed, log):
         values[10:15, j] = 0.0
     if len(losses) == 2:
         values[15:20, losses[0]] = -values[15:20, losses[1]]
-    case.check(values)
+    return values
 
 
-@pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_what_is_no_number_is_the_same_no_number(cases, name, seed):
-    case = cases[name]
-    rng = np.random.default_rng(seed)
+def with_no_number(case, rng, _):
     values = case.draws[:30].copy()
     odd = np.array([np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200, 1e155, 1e-308, 0.0])
     at = rng.integers(values.shape[1], size=30)
     values[np.arange(30), at] = odd[rng.integers(odd.size, size=30)]
-    case.check(values)
+    return values
+
+
+TRIED = [
+    *((away, far) for far in (0.0, 0.5, 1.0, 4.0, 6.0, 30.0, 1e3)),
+    *((of_any_sign_and_size, log) for log in (-3.0, -0.5, 0.3, 1.0, 2.5, 5.0, 8.0)),
+    *((with_no_number, None) for _ in range(5)),
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_equal_wherever(cases, name):
+    for seed, (made, size) in enumerate(TRIED):
+        cases[name].check(made(cases[name], np.random.default_rng(seed), size))
 
 
 @pytest.mark.parametrize("name", NAMES)

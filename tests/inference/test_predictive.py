@@ -52,13 +52,6 @@ def test_mean_and_variance_are_those_of_draws(mixture):
     assert mixture.variance[3] == pytest.approx(y.var(), abs=4 * error)
 
 
-def test_blocks_change_nothing(mixture, monkeypatch):
-    whole = mixture.pit, mixture.log_score
-    monkeypatch.setattr("bayesfric.inference.predictive._BLOCK", 21)
-    for a, b in zip(whole, (mixture.pit, mixture.log_score), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.fixture(scope="module")
 def three():
     """Three recordings whose noise scales are 1, 2 and 4 times one."""
