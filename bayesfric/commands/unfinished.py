@@ -96,7 +96,7 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
     kept = False
     try:
         with parents_made(place), alone_in(place, folder):
-            there = any(place.glob("*.json"))
+            there = any(place.glob("*.steps"))
             if resume and not there:
                 done = (folder / "summary.json").is_file()
                 what = "is finished" if done else "there is no checkpoint to resume"
@@ -119,7 +119,7 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
                     saved = sum(c.saved for c in run.samplings)
                     raise Interrupted(run.asked.by, saved) from None
                 except OSError:
-                    kept = any(place.glob("*.json"))
+                    kept = any(c.saved for c in run.samplings)
                     if not kept:
                         _clear(place)
                     raise
@@ -149,8 +149,7 @@ def _set_aside(place: Path) -> None:
     while (old := place.with_name(f"{place.name}.old{k}")).exists():
         k += 1
     old.mkdir()
-    # the manifests last: with one of them there, it can still be told what this was
-    for path in sorted(place.iterdir(), key=lambda path: path.suffix == ".json"):
+    for path in list(place.iterdir()):
         if path.name != LOCK:
             path.rename(old / path.name)
 

@@ -103,7 +103,6 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
         priors=target.priors,
         draws=draws,
         log_density=groups["sample_stats"]["lp"].reshape(draws.shape[:-1]),
-        coordinates=told.coordinates,
         diagnostics=Diagnostics(
             status=cast(Status, told.status),
             problems=tuple(told.problems),

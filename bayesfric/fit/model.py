@@ -48,7 +48,7 @@ class Model(Problem):
     recordings
         One or more.
     noise
-        The model of the torque residuals (``"auto"``, ``"white"``, ``"autoregressive"``),
+        The model of the torque residuals (``"auto"``, ``"white"``),
         or a whole ``[noise]`` table.
     priors
         By parameter: a number fixes, a pair is uniform; a frozen distribution of

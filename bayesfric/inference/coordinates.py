@@ -26,8 +26,6 @@ _NEAR = -4.0
 class Coordinates(ABC):
     """A one-to-one map between ``u`` and the free parameters."""
 
-    description: str  # in words, for the record
-
     @property
     def bends(self) -> bool:
         """Whether there are others, in which a posterior that is bent here is straight."""
@@ -75,9 +73,6 @@ class BoundedCoordinates(Coordinates):
         self, lower: Sequence[float], upper: Sequence[float], widths: Array | None = None
     ) -> None:
         self._bend = widths is not None
-        self.description = "logarithm or normal quantile of each parameter between its bounds"
-        if self._bend:
-            self.description = "each parameter by itself, bent where it comes near a bound"
         self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
         low, high = np.isfinite(self.lower), np.isfinite(self.upper)
         span = np.where(low & high, self.upper - self.lower, np.inf)

@@ -115,10 +115,23 @@ def read_priors(
     observations: Sequence[Observation],
     noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
-    """Priors of every parameter of the chain: those that a configuration gives, and defaults.
+    """Give priors of every parameter of the chain: those that a configuration gives, and defaults.
 
-    ``noise`` names the scales that the likelihood has: ``sigma`` makes ``noise.sigma``. BadInput
-    if a name is unknown or a prior cannot be.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    texts
+        What is said of parameters, by name.
+    observations
+        The recordings, whose size sets the scale of defaults.
+    noise
+        Scales that the likelihood has: ``sigma`` makes ``noise.sigma``.
+
+    Raises
+    ------
+    BadInput
+        If a name is unknown or a prior cannot be.
     """
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
@@ -178,9 +191,27 @@ def fit(
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
-    The search starts from ``estimates`` already made. For ``checkpoint`` see
-    :func:`bayesfric.inference.sampling.sampling.sample`. BadInput if the motion cannot tell the
-    totals of eq. (11) apart, or the priors leave no place the search could start from.
+    Parameters
+    ----------
+    target
+        The log-posterior.
+    sampling
+        How it is sampled.
+    estimates
+        Already made, for the search to start from; least squares if there are none.
+    progress, checkpoint
+        See :func:`bayesfric.inference.sampling.sampling.sample`.
+
+    Returns
+    -------
+    Fit
+        The posterior, with the target in the coordinates that were sampled.
+
+    Raises
+    ------
+    BadInput
+        If the motion cannot tell the totals of eq. (11) apart, or the priors leave no place the
+        search could start from.
     """
     likelihood = target.likelihood
     if not estimates:

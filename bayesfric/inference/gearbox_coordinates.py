@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -86,14 +86,10 @@ class GearboxCoordinates(Coordinates):
         alone.sort(key=lambda b: b.lower != 0.0)
         self._positive = bool(alone) and alone[0].lower == 0.0
         self._scale = _scale_by(names, at, reference, [p.name for p in alone], priors)
-        self._front = np.array([at[a.name] for a, _ in pairs], dtype=int)
-        self._leg = np.array([at[b.name] for _, b in pairs], dtype=int)
-        self._alone = np.array([at[b.name] for b in alone], dtype=int)
-        self._beside = np.array([at[a.name] for a, _ in beside], dtype=int)
-        self._front_worth = np.array([_worth(chain, a) for a, _ in pairs])
-        self._leg_worth = np.array([_worth(chain, b) for _, b in pairs])
-        self._alone_worth = np.array([_worth(chain, b) for b in alone])
-        self._beside_worth = np.array([_worth(chain, a) for a, _ in beside])
+        self._front, self._front_worth = _placed(chain, at, [a for a, _ in pairs])
+        self._leg, self._leg_worth = _placed(chain, at, [b for _, b in pairs])
+        self._alone, self._alone_worth = _placed(chain, at, alone)
+        self._beside, self._beside_worth = _placed(chain, at, [a for a, _ in beside])
         self._beside_leg = np.array([_worth(chain, b) * known[b.name] for _, b in beside])
         self._reference = 1.0
         if reference is not None:
@@ -114,10 +110,6 @@ class GearboxCoordinates(Coordinates):
         self._ends = np.cumsum(sizes)[:-1]
         self._size = len(free)
         assert sum(sizes) == self._size
-        self.description = (
-            "torques felt while the motor drives, the load's shares of them, what is missing when "
-            f"the load drives, and {_SCALES[self._scale]}"
-        )
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`."""
@@ -272,19 +264,6 @@ class GearboxCoordinates(Coordinates):
         return np.concatenate(u, axis=1)
 
 
-_SCALES: dict[Scale, str] = {
-    "place": "the scale of load and alpha between the bounds that a passive gearbox sets",
-    "drive": "the scale by mu_1, which its prior tells",
-    "moment": "the scale by ml, which its prior tells",
-    "known leg": "the scale known from the load",
-    "known drive": "the scale known from mu_1",
-    "known back": "the scale known from mu_2",
-    "known": "known load losses",
-    "single": "one mu for both directions",
-    "one": "one mu for both directions",
-}
-
-
 def _scale_by(
     losses: list[str],
     at: Mapping[str, int],
@@ -315,6 +294,14 @@ def _sides(chain: Joint) -> tuple[list[Parameter], list[Parameter]]:
     after = {element.name for element in chain.elements[last + 1 :]} | {"load"}
     own = [p for p in chain.parameters if p.row.role == "own"]
     return [p for p in own if p.owner in before], [p for p in own if p.owner in after]
+
+
+def _placed(
+    chain: Joint, at: Mapping[str, int], parameters: Sequence[Parameter]
+) -> tuple[NDArray[np.int_], Array]:
+    """Say where free parameters are, and what each is worth at the motor."""
+    places = np.array([at[p.name] for p in parameters], dtype=int)
+    return places, np.array([_worth(chain, p) for p in parameters])
 
 
 def _worth(chain: Joint, p: Parameter) -> float:

@@ -36,7 +36,7 @@ class Diagnostics:
     thin: int  # which steps are kept in the draws
     not_finite: int  # likelihoods that came out as no number, those of warm-up included
     seconds: float  # wall-clock time of sampling
-    not_finite_share: float = 0.0  # of places beside the posterior
+    not_finite_share: float = 0.0  # of the proposals after warm-up
     warnings: tuple[str, ...] = ()  # on a sample that has converged, with the mend
     max_rhat: float = 1.01  # largest nested R-hat that was accepted
 
@@ -55,7 +55,6 @@ class Posterior:
     priors: tuple[Prior, ...]
     draws: Array  # (ensembles, walkers, steps, d), in physical units, thinned
     log_density: Array  # in sampling coordinates, (ensembles, walkers, steps)
-    coordinates: str  # that were sampled, in words
     diagnostics: Diagnostics  # of the whole sample, before thinning
     seed: int
 

@@ -60,7 +60,10 @@ class Prediction:
 
         Uniform between 0 and 1 where predictions are right (Dawid, JRSS A 147, 1984).
         """
-        return self._probability(self.measured)
+        found = np.empty(self.measured.size)
+        for part in self._blocks():
+            found[part] = self.noise.cdf(self.measured[part] - self.torque[:, part]).mean(axis=0)
+        return found
 
     @cached_property
     def log_score(self) -> Array:
@@ -69,13 +72,6 @@ class Prediction:
         for part in self._blocks():
             density = self.noise.logpdf(self.measured[part] - self.torque[:, part])
             found[part] = logsumexp(density, axis=0) - np.log(len(self.torque))
-        return found
-
-    def _probability(self, x: Array) -> Array:
-        """Predictive probability of less than ``x`` ``(M,)``."""
-        found = np.empty(x.size)
-        for part in self._blocks():
-            found[part] = self.noise.cdf(x[part] - self.torque[:, part]).mean(axis=0)
         return found
 
     def _blocks(self) -> list[slice]:

@@ -38,16 +38,6 @@ class LogPosterior(ABC):
 
     def __call__(self, u: Array) -> Array:
         """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
-        density, bad = self._density(u)
-        self.not_finite += int(bad.sum())
-        return density
-
-    def no_number(self, u: Array) -> NDArray[np.bool_]:
-        """Say where, in coordinates ``(n, d)``, only the likelihood is no number; not counted."""
-        return self._density(u)[1]
-
-    def _density(self, u: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Log posterior density, and where priors allow what the likelihood cannot tell."""
         parameters, jacobian = self.to_parameters(u)
         out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
         out[~np.isfinite(parameters).all(axis=1)] = -np.inf
@@ -55,12 +45,12 @@ class LogPosterior(ABC):
         out[possible] += self.log_prior(parameters[possible])
         possible = np.isfinite(out)
         out[~possible] = -np.inf
-        bad = np.zeros(out.size, dtype=np.bool_)
         if possible.any():
             density = self.log_likelihood(parameters[possible])
-            bad[possible] = ~np.isfinite(density)
-            out[possible] += np.where(np.isfinite(density), density, -np.inf)
-        return out, bad
+            number = np.isfinite(density)
+            self.not_finite += int(np.count_nonzero(~number))
+            out[possible] += np.where(number, density, -np.inf)
+        return out
 
 
 class Target(LogPosterior):

@@ -23,7 +23,6 @@ from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
-from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
 from bayesfric.inference.noise.scale import NoiseScale
 from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
@@ -34,7 +33,6 @@ from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.source import Source
-from bayesfric.recordings.units import in_unit
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
@@ -53,26 +51,11 @@ class NoiseOptions(Options):
     scale: NoiseScale = Field(
         "per-recording", description="one noise scale for each recording, or one shared by all"
     )
-    model: Literal["auto", "white", "autoregressive"] = Field(
+    model: Literal["auto", "white"] = Field(
         "auto",
         description="of torque residuals; auto is autoregressive with the order that the "
         "residuals of the estimate ask for, white where they ask for none",
     )
-    order: int | None = Field(
-        None,
-        ge=1,
-        le=MOST,
-        description="of the autoregressive noise; from the residuals if left out",
-    )
-
-    @property
-    def chosen(self) -> bool:
-        """Whether residuals are asked for the order."""
-        return self.model == "auto" or (self.model == "autoregressive" and self.order is None)
-
-    def of_order(self, chosen: int) -> Autoregressive:
-        """Make the noise; of order ``chosen`` where the configuration names none."""
-        return Autoregressive(0 if self.model == "white" else self.order or chosen)
 
 
 class LikelihoodOptions(Options):
@@ -82,13 +65,6 @@ class LikelihoodOptions(Options):
         "input-error",
         description="input-error: the torque, by the inverse model along the differentiated "
         "motion; output-error: the position, by simulation, nothing differentiated",
-    )
-    segment: float = Field(
-        0.5,
-        gt=0,
-        le=1e5,
-        description="s after which the output-error simulation starts anew",
-        json_schema_extra=in_unit("s"),
     )
 
 
@@ -178,27 +154,13 @@ class Config(BaseModel):
     def folder(self) -> Path:
         """Folder that file names in the configuration are relative to.
 
-        That of a run's configuration is where it lay before, or where it is if all that was fitted
-        came along; bad input if what was fitted is at neither place.
+        That of a run's configuration is where it lay before, or where it is if not all that was
+        fitted is there any more.
         """
-        here, origin = self.path.parent, self.origin
-        fitted = origin.recordings if origin else {}
-        missing = [name for name, one in fitted.items() if not _is_there(one.file)]
-        if origin is None or not missing:
-            return origin.folder if origin else here
-        gone = [
-            name
-            for name in missing
-            if not _is_there(here / os.path.relpath(fitted[name].file, origin.folder))
-        ]
-        if not gone:
-            return here  # what is still where it was is named in full
-        one = fitted[gone[0]]
-        raise BadInput(
-            f"{self.path}: recording {gone[0]!r}",
-            f"{one.file} is not there any more",
-            f"put it back, or beside {self.path}; its SHA-256 is {one.sha256}",
-        )
+        origin = self.origin
+        if origin and all(_is_there(one.file) for one in origin.recordings.values()):
+            return origin.folder
+        return self.path.parent
 
     @staticmethod
     def origin_of(recordings: Sequence[Measurement], folder: Path) -> Origin:
@@ -315,7 +277,9 @@ def _document(text: str, path: Path, kind: str) -> tuple[dict[str, Any], str]:
         # take true for 1 or "yes" for true.
         as_json = json.dumps(document, default=str)
     except (ValueError, RecursionError) as error:
-        raise _no_toml(path, str(error)) from None
+        what = f"is no TOML ({str(error).partition(';')[0]})"
+        mend = 'write key = value, each key once, with text in "quotes"'
+        raise BadInput(str(path), what, mend) from None
     if _NUL.search(as_json):
         raise BadInput(str(path), "holds a NUL character", "leave it out")
     try:
@@ -323,11 +287,6 @@ def _document(text: str, path: Path, kind: str) -> tuple[dict[str, Any], str]:
     except ValueError:
         raise BadInput(str(path), f"is nested too deep for a {kind}", "correct the file") from None
     return document, as_json
-
-
-def _no_toml(path: Path, message: str) -> BadInput:
-    mend = 'write key = value, each key once, with text in "quotes"'
-    return BadInput(str(path), f"is no TOML ({message.partition(';')[0]})", mend)
 
 
 def _flatten(

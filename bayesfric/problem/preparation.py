@@ -16,7 +16,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.noise.autoregressive import MOST
+from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
@@ -212,10 +212,7 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     tables = config.tables
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities
-    noise = tables.noise
-    if noise.order is not None and noise.model == "white":
-        raise BadInput("noise.order", f"{noise.model} noise has none", "leave it out")
-    return noise.of_order(MOST).quantities
+    return Autoregressive(MOST if tables.noise.model == "auto" else 0).quantities
 
 
 def _read(config: Config, chain: Joint, recording: Recording, number: int) -> list[Measurement]:

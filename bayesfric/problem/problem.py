@@ -37,6 +37,9 @@ from bayesfric.problem.preparation import prepare
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 
+# Seconds after which the simulation of the output-error likelihood starts anew.
+_SEGMENT = 0.5
+
 
 class Problem:
     """What a configuration asks of recordings; :class:`bayesfric.Model` has its attributes."""
@@ -282,7 +285,7 @@ class Problem:
         elif point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
         else:
-            whole = self.trajectories(tables.likelihood.segment)
+            whole = self.trajectories(_SEGMENT)
             with self.config.named():
                 likelihood = PositionLikelihood(
                     self.chain, whole, self.observations, self.chain.vector(point)
@@ -291,8 +294,9 @@ class Problem:
 
     def remembering(self, choice: Choice | None) -> tuple[Autoregressive, dict[str, Prior]]:
         """Give the torque's noise of a choice, and priors in which it remembers as that says."""
-        noise = self.config.tables.noise.of_order(choice.order if choice else 0)
-        return noise, choice.priors(self.priors) if choice else self.priors
+        if choice is None:
+            return Autoregressive(), self.priors
+        return Autoregressive(choice.order), choice.priors(self.priors)
 
     def white_target(self) -> Target:
         """Log-posterior of the torque with white noise, whatever the configuration asks for."""
@@ -309,7 +313,7 @@ class Problem:
     @property
     def _chooses_noise(self) -> bool:
         tables = self.config.tables
-        return tables.noise.chosen and tables.likelihood.method == "input-error"
+        return tables.noise.model == "auto" and tables.likelihood.method == "input-error"
 
 
 @dataclass(frozen=True)

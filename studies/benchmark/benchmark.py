@@ -93,7 +93,6 @@ def ours(n: int, order: int, ess: float) -> dict[str, Any]:
         "ess_per_second": float(d.ess.min()) / sampling,
         "ess_per_second_with_everything": float(d.ess.min()) / (end - begin),
         "microseconds_a_draw": 1e6 * sampling / drawn,
-        "evaluation": found.target.likelihood.evaluation,
         "mean": dict(zip(found.posterior.names, flat.mean(axis=0).tolist(), strict=True)),
         "sd": dict(zip(found.posterior.names, flat.std(axis=0).tolist(), strict=True)),
     }

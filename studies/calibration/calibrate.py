@@ -54,7 +54,7 @@ DURATION = 4.0  # s
 RANKED = 99
 # Log-normal priors with this sd of the logarithm, about Table 3.
 PRIOR_SD = 0.3
-SETTINGS = Sampling(min_ess=500.0, max_steps=4000, block=25, walkers=64, max_rhat=1.02)
+SETTINGS = Sampling(min_ess=500.0, max_steps=4000, walkers=64, max_rhat=1.02)
 
 
 @dataclass(frozen=True)

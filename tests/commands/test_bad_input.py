@@ -69,7 +69,6 @@ def test_file(bench, file, parts):
         ("term", "preset", "elements.motor.inerta = true\npreset", ["r.inerta", "'inertia'?"]),
         ("delay", "preset", 'delay = "2 ms"\npreset', ["mechanism.delay"]),
         ("no-delay", PRIOR, '"drive.delay" = 0.004', ["priors.drive.delay", "no such parameter"]),
-        ("order", "scale =", 'model = "white"\norder = 2\nscale =', ["noise.order", "white"]),
         ("load", "preset", "load.first_momnt = true\npreset", ["momnt", "'first_moment'?"]),
         # wrong types and ranges, worded plainly
         ("ten", "order = 4", 'decimate = "ten"', ["decimate: got 'ten'"]),
@@ -84,7 +83,7 @@ def test_file(bench, file, parts):
         ("walkers", "seed = 1", "walkers = 3", ["walkers: got 3"]),
         ("ensembles", "seed = 1", "ensembles = 1", ["ensembles: got 1"]),
         ("nan", "seed = 1", "max_rhat = nan", ["max_rhat: got nan"]),
-        ("date", "seed = 1", "block = 2020-01-01", ["block: got '2020-01-01'"]),
+        ("date", "seed = 1", "seed = 2020-01-01", ["seed: got '2020-01-01'"]),
         ("noise", '"shared"', '"share"', ["noise.scale: got 'share'; did you mean 'shared'?"]),
         ("hyphen", '"shared"', '"per-recoding"', ["did you mean 'per-recording'?"]),
         ("sign", '"rad"', '"rad", sign = 2', [".sign: got 2"]),

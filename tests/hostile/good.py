@@ -68,7 +68,6 @@ min_samples = 20
 
 [likelihood]
 method = "output-error"
-segment = 0.5
 
 [noise]
 scale = "per-recording"

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from bayesfric.inference.archive import as_chains, read_archive, write_archive
+from bayesfric.inference.archive import read_archive, write_archive
 from tests.conftest import REPOSITORY
 
 # posterior "motor.inertia" of two chains and two draws, root attribute seed = "7", as
@@ -90,10 +90,6 @@ def test_two_writes_are_the_same_and_tell_no_time(path, tmp_path):
     assert not [name for name, (attrs, _) in first.items() if "created_at" in attrs]
 
 
-def test_there_is_a_file_of_both_arviz_generations():
-    assert [path.name for path in WRITTEN_BY] == ["arviz-0.23.4.nc.xz", "arviz-1.3.0.nc.xz"]
-
-
 @pytest.mark.parametrize("packed", WRITTEN_BY, ids=lambda path: path.name)
 def test_files_of_both_arviz_generations_are_readable(packed, tmp_path):
     path = tmp_path / "other.nc"
@@ -103,15 +99,6 @@ def test_files_of_both_arviz_generations_are_readable(packed, tmp_path):
     assert found.dims == ("chain", "draw")
     np.testing.assert_array_equal(found.values, [[0.25, 0.5], [0.75, 1.0]])
     assert data.attrs["seed"] == "7"
-
-
-def test_walkers_of_one_ensemble_lie_side_by_side():
-    draws = np.arange(2 * 3 * 4 * 5).reshape(2, 3, 4, 5)
-    chains = as_chains(draws)
-    assert chains.shape == (6, 4, 5)
-    for e in range(2):
-        for w in range(3):
-            np.testing.assert_array_equal(chains[3 * e + w], draws[e, w])
 
 
 def test_more_walkers_than_draws_is_nothing_to_warn_of(tmp_path):

@@ -1,7 +1,6 @@
 """Coordinates: round trips, Jacobians against finite differences, bounds."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +9,6 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf
 
@@ -79,34 +76,6 @@ def test_straight_values_are_those_that_bounds_cut(given_widths, u):
     beyond = v.copy()
     beyond[0, 0] = -1e-9
     assert not np.isfinite(coordinates.bend(beyond)).all()
-
-
-@pytest.mark.parametrize("load_loss", ["two", "one"])
-def test_elements_may_be_called_anything(load_loss, make_observation):
-    """Names are for people: coordinates, and what makes a likelihood cheap, go by the form."""
-    preset = PRESETS["rabbit-knee"]
-    chain = preset.chain()
-    motor, gearbox, joint = chain.elements
-    chain = replace(chain, elements=(motor, replace(gearbox, load_loss=load_loss), joint))
-    names = {"motor": "drive-side", "gearbox": "reducer", "joint": "output"}
-    renamed = replace(chain, elements=tuple(replace(e, name=names[e.name]) for e in chain.elements))
-    values = preset.values | ({"gearbox.load": 0.4} if load_loss == "one" else {})
-    vector = np.array([values[name] for name in chain.names])
-    rng = np.random.default_rng(3)
-    rows = vector * (1.0 + 0.02 * rng.standard_normal((400, vector.size)))
-    found = []
-    for one in (chain, renamed):
-        # motor inertia first, joint friction and the load after it, as in the form
-        o = make_observation(one, dict(zip(one.names, vector, strict=True)), n=600)
-        target = make_target(one, [o], read_priors(one, {}, [o]), "shared")
-        parameters = np.column_stack([rows, np.full(len(rows), 0.01)])
-        u = target.from_parameters(parameters)
-        prepared = target.prepared(u)
-        assert prepared.likelihood.cheap
-        found.append((type(target.coordinates), u, prepared(u)))
-    assert found[0][0] is found[1][0] is not BoundedCoordinates
-    np.testing.assert_array_equal(found[0][1], found[1][1])
-    np.testing.assert_allclose(found[0][2], found[1][2], rtol=1e-12)
 
 
 def test_a_uniform_share_between_two_bounds_is_a_standard_normal_coordinate():

@@ -80,12 +80,6 @@ def test_without_candidates_nothing_can_be_missing():
     assert chance_missing(replace(regression(1.0), kinds={})) == 0.0
 
 
-def test_the_same_seed_gives_the_same_sizes():
-    one = regression(0.1, m=3)
-    first, again = (Sizes(one).drawn(np.random.default_rng(4)) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-
-
 def recording(**extra):
     """Simulate, by the inverse model, a swing of the joint, with terms that ``AXIS`` lacks."""
     time = np.arange(0.0, 30.0, 0.005)

@@ -86,19 +86,6 @@ def test_density_is_that_of_the_normal_with_both_noises(linear):
     np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
-def test_terms_sum_to_the_density(linear):
-    t = linear[0]
-    values = np.array([[INERTIA, VISCOUS], [1.1 * INERTIA, 0.9 * VISCOUS]])
-    likelihood = PositionLikelihood(LINEAR, [t, t], [], values[0])
-    scales = np.array([[[0.05, 1e-3]] * 2, [[0.1, 2e-3]] * 2])
-    terms = likelihood.pointwise(values, scales)
-    # two states a segment, two segments
-    assert [x.shape for x in terms] == [(2, 56), (2, 56)]
-    np.testing.assert_allclose(
-        sum(x.sum(axis=1) for x in terms), likelihood.log_density(values, scales)
-    )
-
-
 def test_torque_moves_the_knee_as_whole_simulations_say(knee):
     """Carried on from sample to sample, through reversals: the same as simulated to the end."""
     chain, truth, likelihood = knee

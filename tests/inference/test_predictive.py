@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.likelihood.autoregression import autocovariance
-from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.predictive import Prediction, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.held_out import HeldOut
@@ -52,21 +50,6 @@ def test_mean_and_variance_are_those_of_draws(mixture):
     assert mixture.mean[3] == pytest.approx(y.mean(), abs=4 * y.std() / np.sqrt(n))
     error = y.var() * np.sqrt((stats.kurtosis(y) + 2.0) / n)
     assert mixture.variance[3] == pytest.approx(y.var(), abs=4 * error)
-
-
-def test_blocks_change_nothing(mixture, monkeypatch):
-    whole = mixture.pit, mixture.log_score
-    monkeypatch.setattr("bayesfric.inference.predictive._BLOCK", 21)
-    for a, b in zip(whole, (mixture.pit, mixture.log_score), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
-def test_one_residual_of_each_noise():
-    scales = np.array([[0.3, 0.6, -0.4], [2.0, 0.0, 0.9]])
-    sd = Autoregressive(2).marginal(scales).std()
-    for i, s in enumerate(scales):
-        assert sd[i, 0] == pytest.approx(s[0] * np.sqrt(autocovariance(s[1:])[0]), rel=1e-12)
-    assert Autoregressive().marginal(np.array([[0.7]])).std() == pytest.approx(0.7)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.torque import filtered_torque
-from bayesfric.inference.moments.residual_moments import PlainMoments, Runs, follows
+from bayesfric.inference.moments.residual_moments import PlainMoments, follows
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 
@@ -98,13 +98,3 @@ def test_many_vectors_are_each_by_itself(make_observation):
         np.testing.assert_allclose(alone, together.lagged[i], rtol=1e-12)
     lagged, *_ = by_definition(chain, [o], values[:1], 2)
     np.testing.assert_allclose(together.lagged[:1], lagged, rtol=1e-10)
-
-
-def test_a_run_knows_its_neighbours(make_observation):
-    chain = KNEE.chain()
-    o = with_gaps(make_observation(chain, KNEE.values, n=12), np.array([1, 6]))
-    runs = Runs.of(o, 2)
-    # outputs 0 | 2 3 4 5 | 7 8 9 10 11
-    np.testing.assert_array_equal(runs.age, [0, 0, 1, 2, 2, 0, 1, 2, 2, 2])
-    np.testing.assert_array_equal(runs.remaining, [0, 2, 2, 1, 0, 2, 2, 2, 1, 0])
-    np.testing.assert_array_equal(runs.head, [1, 2, 2, 2, 2, 2, 2, 2, 2, 2])

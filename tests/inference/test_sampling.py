@@ -68,17 +68,6 @@ def test_a_linear_model_has_its_exact_posterior(axis_fit):
         assert abs((draws < edge).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n), p
 
 
-def test_one_seed_one_result_another_seed_another(axis_target, axis_fit):
-    again = fit(axis_target, QUICK)
-    np.testing.assert_array_equal(again.posterior.draws, axis_fit.posterior.draws)
-    other = fit(axis_target, QUICK.model_copy(update={"seed": 4}))
-    assert not np.array_equal(other.posterior.draws[..., 0, :], axis_fit.posterior.draws[..., 0, :])
-    for j in range(len(other.posterior.names)):
-        a, b = (f.posterior.flat()[:, j] for f in (axis_fit, other))
-        n = min(f.posterior.diagnostics.ess[j] for f in (axis_fit, other))
-        assert abs(a.mean() - b.mean()) < 5.0 * a.std() * np.sqrt(2.0 / n)
-
-
 def test_a_prior_far_narrower_than_the_data_is_the_posterior(make_observation):
     chain = AXIS.chain()
     observation = make_observation(chain, AXIS.values, sigma=0.05, n=300)
@@ -110,13 +99,6 @@ def test_a_loss_that_is_not_there_leans_on_its_bound(make_observation):
     n = result.posterior.diagnostics.ess[result.posterior.names.index("motor.coulomb")]
     for p in (0.05, 0.5, 0.95):
         assert abs((draws < cut.ppf(p)).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n) + 2e-3, p
-
-
-def test_too_few_steps_are_told(axis_target):
-    short = Sampling(seed=3, min_ess=1e6, max_steps=300)
-    result = fit(axis_target, short)
-    assert result.posterior.diagnostics.status == "tentative"
-    assert any("max_steps" in problem for problem in result.posterior.diagnostics.problems)
 
 
 def test_climbing_finds_the_peak_of_a_normal():

@@ -6,7 +6,6 @@ from scipy import stats
 
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 
 KNEE = PRESETS["rabbit-knee"]
@@ -27,18 +26,6 @@ def knee(make_observation):
 def rows(chain, n=8, seed=0):
     rng = np.random.default_rng(seed)
     return chain.vector(KNEE.values) * rng.uniform(0.5, 1.5, (n, len(chain.names)))
-
-
-def test_squares_are_the_filtered_residuals(knee):
-    chain, observations = knee
-    likelihood = TorqueLikelihood(chain, observations)
-    values = rows(chain)
-    squares = likelihood.sum_of_squares(values)
-    for i, o in enumerate(observations):
-        torque = inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs)
-        expected = ((o.measured - o.filter.apply(torque)) ** 2).sum(axis=1)
-        np.testing.assert_allclose(squares[:, i], expected, rtol=1e-11)
-        np.testing.assert_allclose(likelihood.predict(values)[i], o.filter.apply(torque))
 
 
 def test_density_is_the_normals(knee):
@@ -107,17 +94,3 @@ def test_the_edge_of_a_prior_that_is_infinite_there_is_impossible(make_observati
     assert np.isfinite(values[0])
     assert np.isneginf(values[1])
     assert target.not_finite == 0
-
-
-def test_coordinates_do_not_change_the_posterior(knee):
-    """Density over Jacobian is the same in every coordinates."""
-    chain, observations = knee
-    priors = read_priors(chain, {"motor.inertia": [1e-5, 1e-2]}, observations)
-    plain = make_target(chain, observations[:1], priors, "shared")
-    parameters = np.append(rows(chain, 1), 0.02)[None]
-    shaped = plain.with_widths(0.1 * parameters[0])
-    for target in (plain, shaped):
-        u = target.from_parameters(parameters)
-        density = target(u) - target.to_parameters(u)[1]
-        expected = target.log_prior(parameters) + target.log_likelihood(parameters)
-        np.testing.assert_allclose(density, expected, rtol=1e-10)

@@ -16,11 +16,11 @@ from bayesfric.inference.sampling.convergence import (
     steps_needed,
     without_stuck,
 )
-from bayesfric.inference.sampling.sampling import TROUBLE, Sampling, _standing, sample
+from bayesfric.inference.sampling.sampling import TROUBLE, Sampling, sample
 from bayesfric.inference.sampling.start import Start
 
 NORMAL = Start(np.zeros(2), np.eye(2))
-SHORT = Sampling(seed=5, min_ess=300, max_steps=400, block=10, walkers=12, ensembles=2)
+SHORT = Sampling(seed=5, min_ess=300, max_steps=400, walkers=12, ensembles=2)
 ENOUGH = SHORT.model_copy(update={"min_ess": 4000, "max_steps": 4000, "walkers": 24})
 
 
@@ -30,7 +30,7 @@ class Normal:
     names = ("x", "y")
     priors = ()
     likelihood = SimpleNamespace(cheap=False, method="input-error")
-    coordinates = SimpleNamespace(description="as they are", bends=False)
+    coordinates = SimpleNamespace(bends=False)
 
     def __init__(self):
         self.not_finite = 0
@@ -68,7 +68,7 @@ class NoNumberAbove(Normal):
         return u[:, 1] > self.edge
 
 
-def test_a_place_without_a_number_has_no_probability():
+def test_places_without_a_number_have_no_probability_and_are_told():
     """What is left is a normal cut at the edge, exactly."""
     result = sample(NoNumberAbove(0.5), NORMAL, ENOUGH)
     d = result.diagnostics
@@ -78,15 +78,9 @@ def test_a_place_without_a_number_has_no_probability():
     cut = stats.truncnorm(-np.inf, 0.5)
     for p in (0.05, 0.5, 0.95):
         assert abs((y < cut.ppf(p)).mean() - p) < 5.0 * np.sqrt(p * (1 - p) / n), p
-    assert d.not_finite > 0
-
-
-def test_much_of_it_beside_the_posterior_is_told_with_the_mend():
-    d = sample(NoNumberAbove(0.5), NORMAL, ENOUGH).diagnostics
     assert d.not_finite_share > TROUBLE
     (told,) = d.warnings
     assert float(told.split()[1]) / 100 == pytest.approx(d.not_finite_share, rel=0.05)
-    assert "check units" in told
 
 
 def test_a_few_far_proposals_are_counted_and_nothing_more():
@@ -96,11 +90,6 @@ def test_a_few_far_proposals_are_counted_and_nothing_more():
     assert d.not_finite_share < TROUBLE
     assert d.warnings == ()
     assert d.status == "reliable", d.problems
-
-
-def test_without_any_there_is_nothing_to_tell():
-    d = sample(Normal(), NORMAL, ENOUGH).diagnostics
-    assert (d.not_finite, d.not_finite_share, d.warnings) == (0, 0.0, ())
 
 
 class OneSpike(Normal):
@@ -122,7 +111,7 @@ def test_a_stuck_walker_is_told_and_left_out_of_every_interval():
     assert (d.acceptance == 0.0).sum() == 1
     assert d.status == "unusable"
     (told,) = [text for text in d.problems if "never moved" in text]
-    assert told.startswith("1 walker of 24 never moved, and left out of every interval")
+    assert told.startswith("1 of 24 walkers never moved, and are left out of every interval")
     assert "sampling.seed" in told
     assert not any("independent draws" in text for text in d.problems)
     # it is kept where it can be looked at, and nowhere else
@@ -170,7 +159,7 @@ class Islands(Normal):
 
 def test_ensembles_that_disagree_are_told_each_by_itself():
     wide = Start(np.zeros(8), 400.0 * np.eye(8))
-    more = {"ensembles": 4, "block": 60, "max_steps": 600}
+    more = {"ensembles": 4, "max_steps": 600}
     result = sample(Islands(), wide, SHORT.model_copy(update=more))
     d = result.diagnostics
     assert d.rhat.max() > 1.1
@@ -240,21 +229,10 @@ def test_one_stuck_walker_of_many_is_a_warning():
     assert (d.acceptance == 0.0).sum() == 1
     assert d.status == "reliable", d.problems
     (told,) = d.warnings
-    assert told.startswith("1 walker of 512 never moved, and left out of every interval")
+    assert told.startswith("1 of 512 walkers never moved, and are left out of every interval")
     assert d.ess.min() >= settings.min_ess
     assert d.rhat.max() <= settings.max_rhat
     assert not (result.flat() == target.spike).all(axis=1).any()
-
-
-def test_a_few_that_hardly_move_are_a_warning_and_many_a_problem():
-    moved = np.full((4, 128), 0.4)
-    moved[2, :5] = 0.005
-    ((told, harmless),) = _standing(moved)
-    assert told.startswith("5 walkers of 512 hardly ever moved")
-    assert harmless
-    moved[3, 0] = 0.005
-    ((_, harmless),) = _standing(moved)
-    assert not harmless
 
 
 def test_many_stuck_or_all_in_one_ensemble_are_no_few():

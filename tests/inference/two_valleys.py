@@ -15,7 +15,7 @@ from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import Start
 
-SETTINGS = Sampling(seed=11, min_ess=1e6, max_steps=110, block=10, walkers=12, ensembles=2)
+SETTINGS = Sampling(seed=11, min_ess=1e6, max_steps=110, walkers=12, ensembles=2)
 FACTS = {"version": {"bayesfric": "0"}, "configuration": {"priors": {"x": [0.0, 1.0]}}}
 # so wide that most of what the first proposal makes lies in the hopeless peak
 START = Start(np.zeros(3), np.diag([400.0, 1.0, 0.25]))
@@ -32,7 +32,7 @@ class TwoValleys:
     names = ("x", "y", "z")
     priors = ()
     likelihood = SimpleNamespace(cheap=False, method="input-error")
-    coordinates = SimpleNamespace(description="as they are", bends=False)
+    coordinates = SimpleNamespace(bends=False)
 
     def __init__(self, pause=0.0, scale=1.0):
         self.pause, self.scale = pause, scale
@@ -51,12 +51,9 @@ class TwoValleys:
         main = -0.5 * np.sum((u / self.scale) ** 2 / [1.0, 0.25, 0.0625], axis=1)
         far = np.abs(u[:, 0]) > 2.5
         lost = -80.0 - np.sum((np.abs(u) - [4.0, 0.0, 0.0]) ** 2, axis=1)
-        bad = self.no_number(u)
+        bad = (u[:, 1] > 1.0) & (u[:, 1] < 1.1)
         self.not_finite += int(bad.sum())
         return np.where(bad, -np.inf, np.where(far, lost, main)) + self.shift
-
-    def no_number(self, u):
-        return (u[:, 1] > 1.0) & (u[:, 1] < 1.1)
 
 
 def run(folder, *, settings=SETTINGS, facts=FACTS, target=None, **options):

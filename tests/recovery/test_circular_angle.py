@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
@@ -142,31 +141,12 @@ def test_a_part_of_the_circle_bounds_and_can_be_widened(tmp_path):
     assert [text for text in summary["warnings"] if "widen priors.load.gravity_angle" in text]
 
 
-def test_more_than_a_turn_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="more than one turn") as caught:
-        Model.from_config(arm(tmp_path, 0.0, "[-4.0, 4.0]"))
-    assert ANGLE in caught.value.where
-    assert caught.value.mend
-
-
 def test_identify_draws_on_both_sides_of_pi(tmp_path):
     problem = Model.from_config(arm(tmp_path, np.pi))
     found = problem.identification()
     prospect = {p.name: p for p in found.parameters}[ANGLE]
     assert prospect.on_bound is None
     assert abs(round_the_circle(prospect.value - np.pi)) < 0.05
-
-
-def test_an_arm_may_be_mounted_upside_down(tmp_path):
-    """Gravity of the other sign is an angle of pi."""
-    problem = Model.from_config(
-        arm(tmp_path, np.pi, mechanism="[mechanism.load]\ngravity = -9.80665")
-    )
-    for found in problem.estimates():
-        if found.point:
-            assert dict(found.point)[ANGLE] == pytest.approx(0.0, abs=0.05)
-            moment = SERVO.values["load.first_moment"]
-            assert dict(found.point)["load.first_moment"] == pytest.approx(moment, rel=0.1)
 
 
 def test_runs_on_either_side_of_pi_agree(hanging):

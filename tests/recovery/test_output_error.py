@@ -1,7 +1,5 @@
 """The posterior by simulation: the truth, both noises, and figures a user gets."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -70,15 +68,6 @@ def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
     (terms,) = data["log_likelihood"].data_vars
     # two states in each of six segments of 0.5 s
     assert data["log_likelihood"][terms].shape[-1] == outputs - 12
-
-
-def test_methods_stand_side_by_side(run):
-    folder, _ = run
-    assert (folder / "figures" / "methods.svg").is_file()
-    table = (folder / "methods.csv").read_text(encoding="utf-8")
-    for method in ("least-squares", "input-error", "output-error", "posterior"):
-        assert method in table
-    assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["estimates"]
 
 
 def test_an_axis_that_hardly_sticks_can_be_linearised(run):

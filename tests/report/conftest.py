@@ -102,7 +102,6 @@ def build(
         priors=target.priors,
         draws=draws,
         log_density=np.zeros(draws.shape[:3]),
-        coordinates="made up",
         diagnostics=diagnostics,
         seed=5,
     )

@@ -7,7 +7,6 @@ import pytest
 
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.inference.fitting import fit, make_target, read_priors
-from bayesfric.inference.likelihood.noise_choice import Choice, Evidence
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
@@ -38,8 +37,6 @@ def test_what_one_in_twenty_would_be_is_not_said_to_pass(knee, monkeypatch, p_va
     monkeypatch.setattr(noise, "ljung_box", lambda *_: p_value)
     record = noise.noise_record(knee, knee.residuals, None)
     assert record["innovation_whiteness"]["white"] == white
-    tried = (Evidence(0, 0.0, 1.0, p_value),)
-    assert Choice(0, tried).white == white
     (line,) = [
         text
         for text in filled("noise.txt.j2", noise=Noise.read(record)).splitlines()

@@ -6,7 +6,6 @@ from importlib.resources import files
 
 import pytest
 
-from bayesfric.inference import gearbox_coordinates
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
@@ -33,11 +32,6 @@ def test_what_a_paper_and_a_terminal_are_told(knee):
     every |= latex_texts(summary, "run") | summary_texts(summary, "run")
     for name, text in every.items():
         assert not limbs(text), name
-
-
-@pytest.mark.parametrize("scale", gearbox_coordinates._SCALES.values())
-def test_coordinates(scale):
-    assert not limbs(scale)
 
 
 TEMPLATES = [

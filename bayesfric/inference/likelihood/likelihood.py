@@ -45,11 +45,6 @@ class Likelihood(ABC):
     noise: NoiseDescription
 
     @property
-    @abstractmethod
-    def evaluation(self) -> str:
-        """How it is computed, in words."""
-
-    @property
     def outside(self) -> int:
         """Vectors so far that lay where the likelihood is not prepared, and were dear."""
         return 0

@@ -81,11 +81,6 @@ class Choice:
                 found[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
         return found
 
-    @property
-    def white(self) -> bool:
-        """Whether the innovations of the chosen order pass as white."""
-        return self.tried[self.order].p_value >= ar.PASSES
-
 
 def choice_at(
     chain: Joint,

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps, step_error
+from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
-from bayesfric.inference.noise.position import PositionNoise
+from bayesfric.inference.noise.position import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -72,11 +72,11 @@ class PositionLikelihood(Likelihood):
 
     ``trajectories`` are the observed recordings, cut into segments; ``point`` ``(n_parameters,)``
     near the posterior's mode is where derivatives are taken and the integration steps per sample
-    chosen, if left out. BadInput if the joint cannot be simulated there.
+    chosen. BadInput if the joint cannot be simulated there.
     """
 
     method = "output-error"
-    noise = PositionNoise()
+    noise = POSITION_NOISE
 
     def __init__(
         self,
@@ -84,37 +84,19 @@ class PositionLikelihood(Likelihood):
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         point: Array,
-        substeps: int | None = None,
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)
-        self._trajectories, self._given = tuple(trajectories), substeps
-        self._runs = [_Run(chain, t, point, substeps) for t in trajectories]
+        self._trajectories = tuple(trajectories)
+        self._runs = [_Run(chain, t, point) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
-
-    @property
-    def discretisation(self) -> tuple[int, float]:
-        """Most integration steps per sample of a recording, and the largest error they leave."""
-        steps = max(run.substeps for run in self._runs)
-        return steps, max(run.step_error for run in self._runs)
 
     def about(self, values: Array) -> PositionLikelihood:
         """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
-        return PositionLikelihood(
-            self.chain, self._trajectories, self.observations, values, self._given
-        )
-
-    @property
-    def evaluation(self) -> str:
-        """How it is computed, in words."""
-        return "simulation of every segment"
+        return PositionLikelihood(self.chain, self._trajectories, self.observations, values)
 
     def log_density(self, values: Array, scales: Array) -> Array:
         """Integrate the initial states out with flat priors; -inf where nothing is simulated."""
-        total = np.zeros(values.shape[0])
-        for r, run in enumerate(self._runs):
-            z = run.terms(values)
-            variance = run.variances(scales[:, r])
-            total += -0.5 * (z**2 / variance + np.log(2.0 * np.pi * variance)).sum(axis=1)
+        total = sum(terms.sum(axis=1) for terms in self.pointwise(values, scales))
         return np.where(np.isnan(total), -np.inf, total)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
@@ -170,7 +152,7 @@ class PositionLikelihood(Likelihood):
 class _Run:
     """One recording: its segments and how noise and states move their positions."""
 
-    def __init__(self, chain: Joint, t: Trajectory, point: Array, substeps: int | None) -> None:
+    def __init__(self, chain: Joint, t: Trajectory, point: Array) -> None:
         lengths = np.diff(t.segments, axis=1)[:, 0]
         self._factor = max(1, round(float(np.median(lengths)) / _OUTPUTS))
         # two states come off each segment; what has hardly more outputs says nothing
@@ -187,11 +169,8 @@ class _Run:
         for _ in range(_ROUNDS):
             self._settle_states(point)
         small = float(np.ptp(self._shooting.measured)) * _DISCRETISATION
-        if substeps is None:
-            substeps, self.step_error = choose_substeps(self._shooting, point, self._states, small)
-        else:
-            self.step_error = step_error(self._shooting, point, self._states, substeps)[0]
-        self._shooting.substeps = self.substeps = substeps
+        self.substeps, _ = choose_substeps(self._shooting, point, self._states, small)
+        self._shooting.substeps = self.substeps
         self._segments = self._linearised(point)
         count = [s.state.shape[0] for s in self._segments]
         number = np.repeat(np.arange(len(count)), count)

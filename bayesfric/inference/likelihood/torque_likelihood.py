@@ -60,18 +60,12 @@ class TorqueLikelihood(Likelihood):
         """Whether the recordings were reduced to moments."""
         return self.moments is not self._plain
 
-    @property
-    def evaluation(self) -> str:
-        """How residuals are summed, in words."""
-        return self.moments.description
-
     def prepared(self, draws: Array) -> TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.
 
         Its values are the same everywhere, up to rounding; see
         :mod:`bayesfric.inference.moments.fast_moments`. The nearer the draws are to the posterior,
-        the faster the result. It is itself for a chain whose torque has no such form;
-        :attr:`evaluation` tells.
+        the faster the result. It is itself for a chain whose torque has no such form.
         """
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain

@@ -10,14 +10,13 @@ posterior every sample is computed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.inference.moments.linear_torque import Coefficients, LinearTorque, linear_torque
-from bayesfric.inference.moments.moment_matrices import Index, MomentMatrices, moment_matrices
+from bayesfric.inference.moments.moment_matrices import CELL, Index, MomentMatrices, moment_matrices
 from bayesfric.inference.moments.residual_moments import (
     Moments,
     PlainMoments,
@@ -41,8 +40,6 @@ _LARGEST = 1e100
 _A_SAMPLE = 20
 # Kept samples whose signs are looked at in one go.
 _LOOK = 128
-# Neighbouring kept outputs that are marked together.
-_CELL = 8
 
 
 class FastMoments:
@@ -67,10 +64,8 @@ class FastMoments:
     ----------
     radius
         The same, or less where a recording would have too many uncertain samples.
-    samples, uncertain_samples
-        Raw samples that outputs rest on, and those whose direction can differ in the region.
-    outputs, uncertain_outputs
-        The same of outputs.
+    uncertain_samples
+        Raw samples whose direction can differ in the region.
     outside
         Vectors so far that were computed sample by sample.
     """
@@ -88,24 +83,9 @@ class FastMoments:
         self._recordings = [
             moment_matrices(linear, o, plain.order, region, radius) for o in observations
         ]
-        self._arrays = [_laid_out(m) for m in self._recordings]
         self.radius = min(m.radius for m in self._recordings)
-        self.samples = sum(m.samples for m in self._recordings)
         self.uncertain_samples = sum(m.ratios.size for m in self._recordings)
-        self.outputs = sum(o.filter.n_outputs for o in observations)
-        self.uncertain_outputs = sum(m.outputs for m in self._recordings)
         self.outside = 0
-
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        if not self._linear.names2:
-            return "moment matrices: the torque is linear"
-        certain = 100.0 * (1.0 - self.uncertain_samples / max(self.samples, 1))
-        return (
-            f"moment matrices: {certain:.1f} % of samples certain within {self.radius:.3g} "
-            f"sds of the expected posterior, the others looked at one by one; every sample beyond"
-        )
 
     def at(self, values: Array) -> Moments:
         """Moments at parameter vectors ``(n, n_parameters)``."""
@@ -116,28 +96,23 @@ class FastMoments:
             distance = self._region.distance(known.leg)
             inside = (distance <= self.radius) & (np.abs(known.all).max(axis=1) < _LARGEST)
             inside &= np.isfinite(values).all(axis=1) & known.inside
-            for i, (m, arrays) in enumerate(zip(self._recordings, self._arrays, strict=True)):
-                flat[:, i] = self._one_recording(m, arrays, known, distance, inside)
+            for i, m in enumerate(self._recordings):
+                flat[:, i] = self._one_recording(m, known, distance, inside)
         far = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
-        if not far.any():
-            return unpacked(flat, self.order)
-        self.outside += int(np.count_nonzero(far))
-        moments, beyond = unpacked(flat, self.order), self._plain.at(values[far])
-        moments.lagged[far] = beyond.lagged
-        for head, other in zip(moments.heads, beyond.heads, strict=True):
-            head[far] = other
-        return moments
+        if far.any():
+            self.outside += int(np.count_nonzero(far))
+            flat[far] = self._plain.flat(values[far])
+        return unpacked(flat, self.order)
 
     def _one_recording(
         self,
         m: MomentMatrices,
-        arrays: tuple[Any, ...],
         known: Coefficients,
         distance: Array,
         inside: NDArray[np.bool_],
     ) -> Array:
         size = m.to_columns.shape[1]
-        z = np.zeros((distance.size, m.rows.shape[1]))
+        z = np.zeros((distance.size, m.padded))
         z[:, :size] = known.all @ m.to_columns
         # rounding may blur the border, where the sign does not matter
         looked = np.searchsorted(m.ratios, distance * (1.0 + 1e-9) + 1e-12, side="right")
@@ -145,8 +120,8 @@ class FastMoments:
         # one layout: for another all would be compiled again
         leg = np.ascontiguousarray(known.leg)
         lambda2 = np.ascontiguousarray(known.lambda2)
-        out = np.empty((distance.size, m.matrices.shape[0]))
-        _all_vectors(out, z, leg, lambda2, looked, self.order, *arrays)
+        out = np.empty((distance.size, m.entries))
+        _all_vectors(out, z, leg, lambda2, looked, self.order, *m.arrays)
         return out
 
 
@@ -193,33 +168,6 @@ def fast_moments(
         return None
     whole = PlainMoments(chain, observations, order) if plain is None else plain
     return FastMoments(linear, region, whole, observations, radius)
-
-
-def _laid_out(m: MomentMatrices) -> tuple[Any, ...]:
-    """Lay a recording out for the compiled evaluation."""
-    # many arguments, not one named tuple: with that runs with many edges take a fifth longer
-    size, padded = m.to_columns.shape[1], m.rows.shape[1]
-    # each product of two different coordinates once
-    forms = np.zeros((m.matrices.shape[0], size, padded))
-    forms[:, :, :size] = np.triu(2.0 * m.matrices) - m.matrices * np.eye(size)
-    cells = m.inner.size // _CELL + 1
-    return (
-        forms,
-        m.signs,
-        m.jumps,
-        m.first,
-        m.last,
-        m.weights,
-        m.slopes.reshape(m.slopes.shape[0], m.slopes.shape[1] * padded),
-        m.rows,
-        m.age,
-        m.remaining,
-        m.head,
-        m.inner,
-        np.pad(m.inner, (0, cells * _CELL - m.inner.size), constant_values=True)
-        .reshape(cells, _CELL)
-        .all(axis=1),
-    )
 
 
 @njit(cache=True)
@@ -289,8 +237,8 @@ def _all_vectors(
     n_kept, size = rows.shape[0], forms.shape[1]
     alone = order == 0 and weights.shape[1] == 1
     # kept outputs whose residuals change are found again by cells
-    n_cells = n_kept // _CELL + 1
-    change = np.zeros(n_cells * _CELL + order)
+    n_cells = n_kept // CELL + 1
+    change = np.zeros(n_cells * CELL + order)
     in_list, touched = np.zeros(n_cells, np.bool_), np.empty(n_cells, np.int64)
     level, hit = np.empty(_LOOK), np.empty(_LOOK, np.int64)
     apart, slope = np.empty(order + 1), np.empty(slopes.shape[1])
@@ -333,7 +281,7 @@ def _all_vectors(
                 part, weight = change[a:b], weights[s, : b - a]
                 for i in range(b - a):
                     part[i] += weight[i] * jump
-                for c in range(a // _CELL, (b - 1) // _CELL + 1):
+                for c in range(a // CELL, (b - 1) // CELL + 1):
                     if not in_list[c]:
                         in_list[c] = True
                         touched[n_touched] = c
@@ -342,11 +290,11 @@ def _all_vectors(
             apart[h] += product_sum(slope[h * one.size : (h + 1) * one.size], one)
         for c in touched[:n_touched]:
             if all_inner[c]:
-                a, b = c * _CELL, (c + 1) * _CELL
+                a, b = c * CELL, (c + 1) * CELL
                 for h in range(order + 1):
                     apart[h] += product_sum(change[a:b], change[a + h : b + h])
                 continue
-            for m in range(c * _CELL, min((c + 1) * _CELL, n_kept)):
+            for m in range(c * CELL, min((c + 1) * CELL, n_kept)):
                 if change[m] == 0.0:
                     continue
                 if inner[m]:
@@ -363,5 +311,5 @@ def _all_vectors(
                 out[v, entry] += apart[h]
                 entry += 1
         for c in touched[:n_touched]:
-            change[c * _CELL : (c + 1) * _CELL] = 0.0
+            change[c * CELL : (c + 1) * CELL] = 0.0
             in_list[c] = False

@@ -34,15 +34,6 @@ Weights = Callable[[Array], Array]  # (n, m) what multiplies them, for parameter
 
 # Samples of a recording from which the size of its columns is judged.
 _TRIED = 20_000
-# Quantities that shape a torque which still is of this form.
-_SHAPING = frozenset(
-    (
-        *("gain", "gravity_angle", "power_exponent", "warming_time", "stribeck_velocity"),
-        *("stribeck_ratio", "stribeck_change", "stribeck_constant", "stribeck_load"),
-        *("stribeck_exponent", "load_speed", "load_square", "load_difference"),
-        *("load_drive_difference", "load_back_difference"),
-    )
-)
 
 
 @dataclass(frozen=True)
@@ -137,7 +128,7 @@ class LinearTorque:
         self.names2 = tuple(self.names1[i] for i in self._both)
         # what is of the recorded torque itself no gain divides
         self._joints = [i for i, n in enumerate(self.names1) if not n.startswith("drive.")]
-        self._losses: list[_Loss] = list(self._all_losses(form.loss)) if form.loss else []
+        self._losses = list(self._all_losses(form.loss))
         self._square, self._before = -1, 1.0
         if f"{form.loss}.load_square" in self._at:
             self._square = self._at[f"{form.loss}.load_square"]
@@ -225,7 +216,10 @@ class LinearTorque:
         return found
 
     def _all_losses(self, loss: str) -> Iterator[_Loss]:
-        """Functions that the load loss is a sum of, constant first."""
+        """Functions that the load loss is a sum of, constant first; one without any loss."""
+        if not loss:
+            yield _Loss(_one, _nothing, _nothing)
+            return
         drive, back = (self._column(loss, "load", f"load_{way}") for way in ("drive", "back"))
         yield _Loss(_one, drive, back)
         names = ("load_difference", "load_{}_difference")
@@ -261,11 +255,6 @@ class LinearTorque:
             inside &= shape.covers(values)
         found = np.empty((n, self.size))
         found[:, 0] = 1.0
-        if not self._losses:
-            found[:, 1:] = -(motor + leg)
-            return self._measured(
-                Coefficients(found, np.zeros((n, 0)), np.zeros((n, 1)), inside), values
-            )
         drive = np.concatenate([loss.drive(values) for loss in self._losses], axis=1)
         back = np.concatenate([loss.back(values) for loss in self._losses], axis=1)
         excess, lambda2 = 0.5 * (drive - back), 0.5 * (drive + back)
@@ -325,8 +314,6 @@ class LinearTorque:
     def functions(self, o: Observation, begin: int, end: int) -> Array:
         """Functions of speed that multiply the load loss, ``(m, n)``."""
         piece = _piece(o, slice(begin, end))
-        if not self._losses:
-            return np.ones((1, end - begin))
         return np.concatenate([loss.along(piece) for loss in self._losses])
 
     def rows(self, psi1: Array, psi2: Array, phi: Array, sign: Array, side: Array) -> Array:
@@ -338,8 +325,6 @@ class LinearTorque:
         out = np.empty((self.size - 1, side.size))
         k, n2 = len(self.names1), len(self.names2)
         out[:k] = psi1
-        if not self._losses:
-            return out
         for one in phi:
             np.multiply(sign * side * one, psi2, out=out[k : k + n2])
             k += n2
@@ -381,16 +366,12 @@ def linear_torque(
         or with a known mass at an unknown angle.
     """
     values = np.empty((0, len(chain.names))) if draws is None else draws
-    angled = "load.gravity_angle" in chain.names
-    forms = [(i, p.quantity) for i, p in enumerate(chain.parameters) if p.row.role == "form"]
-    if torque_form(chain, times_gain=True, any_shape=True) is None or (
-        angled and any(o.inputs.known_load for o in observations)
-    ):
+    if torque_form(chain, times_gain=True, any_shape=True) is None:
         return None
-    for i, quantity in forms:
-        if quantity not in _SHAPING:
-            return None
-        if quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:
+    if "load.gravity_angle" in chain.names and any(o.inputs.known_load for o in observations):
+        return None
+    for i, p in enumerate(chain.parameters):
+        if p.quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:
             return None
     return LinearTorque(chain, observations, values)
 
@@ -405,6 +386,10 @@ def _direction(o: Observation) -> Array:
 
 def _ones(values: Array) -> Array:
     return np.ones((values.shape[0], 1))
+
+
+def _nothing(values: Array) -> Array:
+    return np.zeros((values.shape[0], 1))
 
 
 def _times(one: Weights, other: Weights) -> Weights:

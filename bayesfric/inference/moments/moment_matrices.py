@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -31,6 +32,8 @@ from bayesfric.recordings.observation import Observation
 
 Index = NDArray[np.int64]
 
+# Neighbouring kept outputs that are marked together.
+CELL = 8
 # Raw samples whose columns are held at once.
 _CHUNK = 16384
 # Relative size below which a direction of the columns is stretched no further.
@@ -48,35 +51,13 @@ class MomentMatrices:
     # (K, k) A': coefficients (n, K) times this are z; k is K, or less where columns for one shape
     # are nearly the same
     to_columns: Array
-    # (entries, k, k) symmetric: each moment is z' Q z, laid out as in
-    # bayesfric.inference.moments.residual_moments.unpacked
-    matrices: Array
     # (U,) of the kept samples, rising: at a distance below it a sample has the centre's sign
     ratios: Array
-    # (n2, U) their sigma psi2; its product with the leg is negative where the sign differs
-    signs: Array
-    # (U, m) 2 sign(qd) times each function of speed: times lambda_2 and that product, by so much
-    # the residual changes
-    jumps: Array
-    first: Index  # first, last: (U,) the kept outputs first:last that each takes part in
-    last: Index
-    weights: Array  # (U, most) what it weighs in each of them
-    # (U, order + 1, padded k): its product with z times the residual's jump is what the sum
-    # over pairs of outputs 0, 1, .. apart changes by, but for the jump's square. Pairs of
-    # outputs that are both at the edge of a run are left out
-    slopes: Array
-    # (V, padded k) E inv(A) of the kept outputs: those and, for AR noise, their neighbours
-    rows: Array
-    # age, remaining, head, inner: (V,) of the kept outputs; inner where the order reaches
-    # neither end of the run
-    age: NDArray[np.int16]
-    remaining: NDArray[np.int16]
-    head: NDArray[np.int16]
-    inner: NDArray[np.bool_]
-    # samples, outputs: how many raw samples outputs rest on, and how many outputs kept
-    # samples touch
-    samples: int
-    outputs: int
+    # as bayesfric.inference.moments.fast_moments has them compiled. Many, not one named tuple:
+    # with that runs with many edges take a fifth longer
+    arrays: tuple[Any, ...]
+    padded: int  # length of rows, a multiple of four
+    entries: int  # how many moments
     radius: float  # distance up to which all this is complete
 
 
@@ -112,22 +93,23 @@ def moment_matrices(
         smaller where they would be too many.
     """
     gram = np.zeros((linear.size, linear.size))
-    found = _Candidates(o, radius)
+    ratio = np.full(o.q.size, np.inf)
     for chunk in _chunks(linear, o, region):
         gram += chunk.rows @ chunk.rows.T
-        found.look(chunk, region)
-    kept, ratios = found.sorted()
+        ratio[chunk.samples] = region.ratios(chunk.psi2)
+    starts, length = o.filter.starts, o.filter.taps.size
+    covered = _joined(starts, starts + length, o.q.size)
+    kept, ratios, radius = _candidates(o, ratio, covered, radius)
     to_columns, stretch = _orthonormal(gram, _SHAPED if linear.shapes else 0.0)
 
     runs = Runs.of(o, order)
-    starts, length = o.filter.starts, o.filter.taps.size
     low = np.searchsorted(starts, kept - length, side="right")
     high = np.searchsorted(starts, kept, side="right")
-    touched = _joined(low, high, starts.size)
-    outputs = _with_neighbours(touched, runs, order)
+    outputs = _with_neighbours(_joined(low, high, starts.size), runs, order)
     size = to_columns.shape[1]
     padded = -(-size // 4) * 4
-    rows = np.zeros((outputs.size, padded))
+    rows = np.zeros((outputs.size, padded))  # E inv(A) of the kept outputs
+    # sigma psi2 of kept samples; its product with the leg is negative where the sign differs
     signs = np.zeros((len(linear.names2), kept.size))
     jumps = np.zeros((kept.size, linear.functions_of_speed))
     in_place = np.argsort(kept, kind="stable")
@@ -144,6 +126,7 @@ def moment_matrices(
         signs[:, in_place[a:b]] = np.where(chunk.level[at] >= 0.0, 1.0, -1.0) * chunk.psi2[:, at]
         jumps[in_place[a:b]] = chunk.phi[:, at].T
 
+    # the kept outputs first:last that each takes part in, and what it weighs in each of them
     first = np.searchsorted(outputs, low)
     last = first + (high - low)
     weights = np.zeros((kept.size, int((high - low).max(initial=1))))
@@ -152,28 +135,36 @@ def moment_matrices(
         output = low[has] + i
         weights[has, i] = o.filter.taps[kept[has] - starts[output]] * o.filter.gains[output]
     age, remaining = runs.age[outputs], runs.remaining[outputs]
-    inner = (age == order) & (remaining == order)
+    inner = (age == order) & (remaining == order)  # the order reaches neither end of the run
+    # its product with z times the residual's jump is what the sum over pairs of outputs 0, 1, ..
+    # apart changes by, but for the jump's square. Pairs of outputs that are both at the edge of a
+    # run are left out
     slopes = np.zeros((kept.size, order + 1, padded))
     _slopes(first, last, weights, rows, age, remaining, inner, slopes)
-    return MomentMatrices(
-        to_columns=to_columns,
-        matrices=sums.matrices(),
-        ratios=ratios,
-        signs=signs,
-        jumps=2.0 * np.sign(o.qd[kept])[:, None] * jumps,
-        first=first,
-        last=last,
-        weights=weights,
-        slopes=slopes,
-        rows=rows,
-        age=age,
-        remaining=remaining,
-        head=runs.head[outputs],
-        inner=inner,
-        samples=found.seen,
-        outputs=touched.size,
-        radius=found.radius,
+    # each moment is z' Q z, laid out as in bayesfric.inference.moments.residual_moments.unpacked;
+    # each product of two different coordinates once
+    matrices = sums.matrices()
+    forms = np.zeros((len(matrices), size, padded))
+    forms[:, :, :size] = np.triu(2.0 * matrices) - matrices * np.eye(size)
+    cells = np.ones((inner.size // CELL + 1) * CELL, dtype=np.bool_)
+    cells[: inner.size] = inner
+    arrays = (
+        forms,
+        signs,
+        # times lambda_2 and the product of signs with the leg, by so much the residual changes
+        2.0 * np.sign(o.qd[kept])[:, None] * jumps,
+        first,
+        last,
+        weights,
+        slopes.reshape(kept.size, (order + 1) * padded),
+        rows,
+        age,
+        remaining,
+        runs.head[outputs],
+        inner,
+        cells.reshape(-1, CELL).all(axis=1),
     )
+    return MomentMatrices(to_columns, ratios, arrays, padded, len(matrices), radius)
 
 
 def _chunks(linear: LinearTorque, o: Observation, region: SignRegion) -> Iterator[_Chunk]:
@@ -241,59 +232,23 @@ def _add(total: Array, weight: float, row: Array) -> None:
         total[k] += weight * row[k]
 
 
-class _Candidates:
-    """Collects the samples whose sign can differ within a radius, the nearest if too many."""
+def _candidates(
+    o: Observation, ratio: Array, covered: Index, radius: float
+) -> tuple[Index, Array, float]:
+    """Choose samples whose sign can differ within a radius: which, their rising ratios, and it.
 
-    def __init__(self, o: Observation, radius: float) -> None:
-        self._o, self.radius, self.seen, self._done = o, radius, 0, 0
-        self._most = max(_KEPT, int(_KEPT_SHARE * o.q.size))
-        self._number: list[Index] = []
-        self._ratio: list[Array] = []
-        self._held = 0
-
-    def look(self, chunk: _Chunk, region: SignRegion) -> None:
-        """Take the candidates of a chunk, apart from the samples it shares with the last."""
-        a, b = max(self._done, chunk.samples.start), chunk.samples.stop
-        length = self._o.filter.taps.size
-        ratio = region.ratios(chunk.psi2[:, a - chunk.samples.start :])
-        # at rest there is no loss to have a direction, and what is not used has no say
-        counts = (self._o.qd[a:b] != 0.0) & (self._o.filter.used[a:b] != 0.0)
-        near = a + np.flatnonzero((ratio <= self.radius) & counts)
-        starts = self._o.filter.starts[chunk.outputs]
-        at = np.searchsorted(starts, near, side="right") - 1
-        near = near[(at >= 0) & (near - starts[at] < length)]
-        self.seen += _covered(starts, length, a)
-        self._done = b
-        self._number.append(near)
-        self._ratio.append(ratio[near - a])
-        self._held += near.size
-        if self._held > 4 * self._most:
-            self._shorten()
-
-    def _shorten(self) -> None:
-        number, ratio = np.concatenate(self._number), np.concatenate(self._ratio)
-        if ratio.size > self._most:
-            # one sample more than is kept, so that the radius is where samples begin to lack
-            border = float(np.partition(ratio, self._most)[self._most])
-            number, ratio = number[ratio < border], ratio[ratio < border]
-            self.radius = border * (1.0 - 1e-6)
-        self._number, self._ratio, self._held = [number], [ratio], number.size
-
-    def sorted(self) -> tuple[Index, Array]:
-        """Give the candidates and their ratios, the ratios rising."""
-        if not self._number:
-            return np.zeros(0, dtype=np.int64), np.zeros(0)
-        self._shorten()
-        number, ratio = self._number[0], self._ratio[0]
-        rising = np.argsort(ratio, kind="stable")
-        return number[rising], ratio[rising]
-
-
-def _covered(starts: Index, length: int, begin: int) -> int:
-    """Count the samples from ``begin`` on that windows cover."""
-    a = np.maximum(starts, begin)
-    a[1:] = np.maximum(a[1:], starts[:-1] + length)
-    return int(np.maximum(starts + length - a, 0).sum())
+    ``ratio`` is of every sample. Where they are too many these are the nearest, and the radius is
+    smaller.
+    """
+    # at rest there is no loss to have a direction, and what is not used has no say
+    counts = (o.qd[covered] != 0.0) & (o.filter.used[covered] != 0.0)
+    near = covered[counts & (ratio[covered] <= radius)]
+    if near.size > (most := max(_KEPT, int(_KEPT_SHARE * o.q.size))):
+        # one sample more than is kept, so that the radius is where samples begin to lack
+        border = float(np.partition(ratio[near], most)[most])
+        near, radius = near[ratio[near] < border], border * (1.0 - 1e-6)
+    near = near[np.argsort(ratio[near], kind="stable")]
+    return near, ratio[near], radius
 
 
 def _joined(low: Index, high: Index, n: int) -> Index:

@@ -131,8 +131,6 @@ class PlainMoments:
         ``(R, order)`` runs whose head has the length 1 to that.
     """
 
-    description = "every sample"
-
     def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order
         runs = [Runs.of(o, order) for o in observations]
@@ -147,6 +145,10 @@ class PlainMoments:
 
     def at(self, values: Array) -> Moments:
         """Moments at parameter vectors ``(n, n_parameters)``."""
+        return unpacked(self.flat(values), self.order)
+
+    def flat(self, values: Array) -> Array:
+        """Give the same as :func:`unpacked` takes it."""
         flat = np.empty((values.shape[0], len(self._recordings), n_entries(self.order)))
         for i, (o, samples, runs) in enumerate(self._recordings):
             rows = max(1, _AT_ONCE // max(o.q.size, 1))
@@ -155,7 +157,7 @@ class PlainMoments:
                 tables = self.chain.tables(values[some], o.inputs)
                 residual = o.measured - o.filter.apply(kernels.inverse_many(*tables, samples))
                 flat[some, i] = _products(residual, runs, self.order)
-        return unpacked(flat, self.order)
+        return flat
 
 
 def _products(residual: Array, runs: Runs, order: int) -> Array:

@@ -112,16 +112,15 @@ class ShapeNodes:
         if count == 1:
             return np.ones((shape.size, 1))
         scale = np.log if self.logarithmic else np.asarray
+        turn = np.pi * (np.arange(count) + 0.5) / count
         # as angles of the Chebyshev points: in the values themselves differences cancel
         with np.errstate(all="ignore"):
             low, high = scale(self.low), scale(self.high)
             x = (2.0 * scale(shape) - low - high) / (high - low)
-        turn = np.pi * (np.arange(count) + 0.5) / count
-        apart = x[:, None] - np.cos(turn)
-        at = apart == 0.0
-        with np.errstate(all="ignore"):
+            apart = x[:, None] - np.cos(turn)
             parts = np.sin(turn) * (-1.0) ** np.arange(count) / apart
             found = parts / parts.sum(axis=1, keepdims=True)
-        hit = at.any(axis=1)
-        found[hit] = at[hit]
-        return np.asarray(found @ self.mixed)
+            at = apart == 0.0
+            hit = at.any(axis=1)
+            found[hit] = at[hit]
+            return np.asarray(found @ self.mixed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,6 @@ def _pacf(lag: int) -> Scale:
     )
 
 
-@dataclass(frozen=True)
 class Autoregressive(NoiseDescription):
     """Gaussian noise in which a residual remembers ``order`` before it; white for none.
 
@@ -54,22 +53,11 @@ class Autoregressive(NoiseDescription):
     them over.
     """
 
-    order: int = 0
-
-    @property
-    def scales(self) -> tuple[Scale, ...]:
-        """See :class:`NoiseDescription`."""
-        return (_INNOVATION if self.order else SIGMA, *(_pacf(k + 1) for k in range(self.order)))
-
-    @property
-    def accounts_for_correlation(self) -> bool:
-        """See :class:`NoiseDescription`."""
-        return self.order > 0
-
-    @property
-    def description(self) -> str:
-        """In words, for the record."""
-        return f"AR({self.order})" if self.order else "white"
+    def __init__(self, order: int = 0) -> None:
+        self.order = order
+        scales = (_INNOVATION if order else SIGMA, *(_pacf(k + 1) for k in range(order)))
+        words = f"AR({order})" if order else "white"
+        super().__init__(scales, words, accounts_for_correlation=order > 0)
 
     def log_density(
         self,

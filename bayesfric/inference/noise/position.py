@@ -31,10 +31,10 @@ SCALES = (
 )
 
 
-class PositionNoise(NoiseDescription):
-    """White noise of position samples, and of torque samples, which the joint integrates."""
-
-    scales = SCALES
-    description = "white in torque and position, torque noise carried through the simulation"
-    # what drifts is correlated
-    accounts_for_correlation = True
+# White noise of position samples, and of torque samples, which the joint integrates: what drifts is
+# correlated.
+POSITION_NOISE = NoiseDescription(
+    SCALES,
+    "white in torque and position, torque noise carried through the simulation",
+    accounts_for_correlation=True,
+)

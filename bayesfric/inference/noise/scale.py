@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -51,28 +50,25 @@ def up_to(size: float, least: float | None = None) -> PriorText:
     return {"distribution": "loguniform", "a": bottom, "b": top}
 
 
-class NoiseDescription(ABC):
-    """What any noise tells of itself."""
+class NoiseDescription:
+    """What any noise tells of itself.
 
-    @property
-    @abstractmethod
-    def scales(self) -> tuple[Scale, ...]:
-        """What it is described by."""
+    Attributes
+    ----------
+    scales
+        What it is described by.
+    description
+        In words, for the record.
+    accounts_for_correlation
+        Whether what it is noise of may be correlated.
+    """
 
-    @property
-    @abstractmethod
-    def description(self) -> str:
-        """In words, for the record."""
-
-    @property
-    def accounts_for_correlation(self) -> bool:
-        """Whether what it is noise of may be correlated."""
-        return False
-
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """Names of its scales."""
-        return tuple(scale.name for scale in self.scales)
+    def __init__(
+        self, scales: Sequence[Scale], description: str, *, accounts_for_correlation: bool
+    ) -> None:
+        self.scales, self.description = tuple(scales), description
+        self.accounts_for_correlation = accounts_for_correlation
+        self.quantities = tuple(scale.name for scale in scales)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,151 +7,68 @@ checkpoint as long as there are any. Whatever depends on steps (walkers brought 
 the likelihood prepared for the draws, when to stop) is worked out from them again, and so are the
 draws of every other random generator; just the sampler's own generator, which those steps would
 have moved on, is set to where it was.
+
+The file is a journal: a line of JSON that says what the steps depend on, then a row of bytes for
+each step, with the generator's state after it and its own checksum. Rows are only ever put behind
+the others. So it can be read whenever its writer is killed, and what is damaged, from there on, is
+sampled again. (HDF5 is no journal: a process killed while the library rewrites an index leaves a
+file that nobody opens again.)
 """
 
 from __future__ import annotations
 
 import json
-import os
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_json
 from bayesfric.recordings.arrays import Array
 
 # As numpy.random.RandomState gives and takes it.
 RandomState = tuple[str, NDArray[np.uint32], int, int, float]
 
-FORMAT = 3
+FORMAT = 4
 # Share of the time that may go into saving.
 _SHARE = 0.02
-# Seconds of a long block that may be lost.
-_LOSS = 5.0
-# Bytes that are read in one go.
-_PIECE = 2**24
+# Bytes of the first line at most.
+_LONGEST = 2**24
 # What rounding may do to a log-probability, evaluated beside others or alone.
 _ROUNDING = 1e-9
-_AFRESH = "undo that, or start afresh with --force"
 
 
-@dataclass(frozen=True)
-class Manifest:
-    """What a checkpoint holds beside the steps; ``<name>.json``, with its own checksum."""
-
-    facts: dict[str, Any]
-    coordinates: str
-    phase: str
-    steps: int
-    walkers: int
-    dimension: int
-    random_state: list[Any]  # of the sampler's generator, with a list for the array
-    log_density: list[float]  # of the last step; -Infinity where it is impossible
-    not_finite: int
-    seconds: float
-    checksum: int  # of the steps
-
-    def text(self) -> str:
-        """Write it as JSON."""
-        content = vars(self)
-        return json.dumps({"format": FORMAT, "own_checksum": _sum(content), **content}, indent=1)
-
-
-def _sum(content: Mapping[str, Any]) -> int:
-    return zlib.crc32(json.dumps(content, sort_keys=True).encode())
-
-
-@dataclass(frozen=True)
-class Steps:
-    """Steps of all walkers."""
-
-    coordinates: Array  # (steps, walkers, d)
-    log_density: Array  # there, (steps, walkers)
-    accepted: NDArray[np.bool_]  # whether a proposal was, (steps, walkers)
-
-    def __len__(self) -> int:
-        """Count the steps."""
-        return len(self.log_density)
-
-
-class StepFile:
-    """Steps of so many walkers in a file, made with the first :meth:`append` if it is not there.
-
-    It is readable whenever its writer is killed: rows of numbers, one walker's after the other, and
-    nothing else; how many of them count the manifest tells. (HDF5 is no journal: a process killed
-    while the library rewrites an index leaves a file that nobody opens again.)
-
-    Every method raises OSError, with the system's reason, where the file cannot be read or
-    written, and ValueError where it does not hold the steps asked for.
-    """
-
-    def __init__(self, path: Path, walkers: int, dimension: int) -> None:
-        self.path, self.walkers, self.dimension = path, walkers, dimension
-        self._kind = np.dtype(
-            [("coordinates", "<f8", (dimension,)), ("log_density", "<f8"), ("accepted", "?")]
-        )
-        self._step_size = walkers * self._kind.itemsize
-
-    def append(self, steps: Steps, first: int) -> bytes:
-        """Put steps behind the first ``first`` ones, wait for the disk, and give what was put."""
-        rows = np.empty(steps.log_density.shape, self._kind)
-        for name in self._kind.names or ():
-            rows[name] = getattr(steps, name)
-        raw = rows.tobytes()
-        with self.path.open("r+b" if self.path.exists() else "w+b") as file:
-            # what a killed writer left there nobody counts
-            file.truncate(first * self._step_size)
-            file.seek(0, os.SEEK_END)
-            file.write(raw)
-            file.flush()
-            os.fsync(file.fileno())
-        return raw
-
-    def read(self, begin: int, end: int) -> Steps:
-        """Read some steps."""
-        self._look_for(end)
-        count, offset = (end - begin) * self.walkers, begin * self._step_size
-        rows = np.fromfile(self.path, self._kind, count, offset=offset).reshape(-1, self.walkers)
-        return Steps(*(np.ascontiguousarray(rows[name]) for name in self._kind.names or ()))
-
-    def checksum(self, end: int) -> int:
-        """Sum up the first ``end`` steps as :func:`zlib.crc32` does."""
-        self._look_for(end)
-        found, left = 0, end * self._step_size
-        with self.path.open("rb") as file:
-            while piece := file.read(min(left, _PIECE)):
-                found, left = zlib.crc32(piece, found), left - len(piece)
-        return found
-
-    def _look_for(self, end: int) -> None:
-        if self.path.stat().st_size < end * self._step_size:
-            raise ValueError(f"holds fewer than {end} steps of {self.walkers} walkers")
-
-
-class _Step(NamedTuple):
-    coordinates: Array
-    log_density: Array
-    accepted: NDArray[np.bool_]
-    random_state: RandomState
-    not_finite: int
-    phase: str
+def _row(walkers: int, dimension: int) -> np.dtype[np.void]:
+    """Lay out a step of so many walkers in so many dimensions."""
+    return np.dtype(
+        [
+            ("coordinates", "<f8", (walkers, dimension)),
+            ("log_density", "<f8", (walkers,)),
+            ("accepted", "?", (walkers,)),  # whether a proposal was
+            # of the sampler's generator, see RandomState
+            ("key", "<u4", (624,)),
+            ("place", "<i8"),
+            ("has_gauss", "<i8"),
+            ("gauss", "<f8"),
+            ("not_finite", "<i8"),  # how often there was no number so far
+            ("seconds", "<f8"),  # spent so far
+            ("checksum", "<u4"),  # of all before
+        ]
+    )
 
 
 class Checkpoint:
     """The steps of one sampling on disk: those it has made, and those it need not make again.
 
-    ``<name>.steps`` in an existing folder holds the steps, ``<name>.json`` the rest. ``facts`` are
-    what the steps depend on, as JSON would give it back: a checkpoint of others is refused
-    (BadInput), naming the first that differs. When ``asked_to_stop``, which is asked after every
-    step, everything is saved and KeyboardInterrupt raised.
+    ``<name>.steps`` in an existing folder holds them. ``facts`` are what the steps depend on, as
+    JSON would give it back: a checkpoint of others is refused (BadInput), naming the first that
+    differs. When ``asked_to_stop``, which is asked after every step, everything is saved and
+    KeyboardInterrupt raised.
 
     There are so many steps ``saved``, which took so many ``seconds`` before; ``walking`` is whether
     steps are being made at this moment, so that it is worth waiting for one.
@@ -165,68 +82,63 @@ class Checkpoint:
         *,
         asked_to_stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._folder, self._asked_to_stop = folder, asked_to_stop
-        self._manifest_path, self._steps_path = folder / f"{name}.json", folder / f"{name}.steps"
-        self._facts: dict[str, Any] = json.loads(json.dumps(facts))
+        self.path, self._asked_to_stop = folder / f"{name}.steps", asked_to_stop
+        self._head: dict[str, Any] = json.loads(json.dumps({"checkpoint format": FORMAT, **facts}))
         self.saved, self.seconds, self.walking = 0, 0.0, False
-        self._checksum = self._replayed = 0
-        self._pending: list[_Step] = []
-        self._file: StepFile | None = None
-        self._description, self._spent = "", 0.0
-        self._began = self._last = time.perf_counter()
-        self._resumed = self._read()
-        if self._resumed is not None:
-            self.saved, self.seconds = self._resumed.steps, self._resumed.seconds
+        self._begin, self._kind = 0, np.dtype(np.void)
+        self._pending: list[NDArray[np.void]] = []
+        self._due = 0.0  # when saving is worth its time again
+        self._found = self._read()
+        self._replayed, self._resumed = 0, self.saved
+        self._began = time.perf_counter()
 
-    def begin(self, walkers: int, dimension: int, coordinates: str) -> None:
+    def begin(self, walkers: int, dimension: int) -> None:
         """Tell what is going to be sampled; BadInput if a checkpoint's steps have another shape."""
-        self._file = StepFile(self._steps_path, walkers, dimension)
-        self._description = coordinates
-        self._began = self._last = time.perf_counter()
-        if (was := self._resumed) is not None:
-            then = {"walkers": was.walkers, "parameters": was.dimension}
-            now = {"walkers": walkers, "parameters": dimension, "coordinates": coordinates}
-            self._compare(then | {"coordinates": was.coordinates}, now)
+        self._head |= {"walkers": walkers, "parameters": dimension}
+        if self.saved:
+            self._compare(self._found, self._head)
+        self._kind, self._began = _row(walkers, dimension), time.perf_counter()
 
-    def replay(self, most: int) -> Steps | None:
-        """Give the next steps that need not be made again, at most so many."""
-        resumed = self._resumed
-        if resumed is None or self._replayed == resumed.steps:
+    def replay(self, most: int) -> NDArray[np.void] | None:
+        """Give the next steps that need not be made again, at most so many, as :func:`_row` has it.
+
+        Raises
+        ------
+        BadInput
+            If they cannot be read any more.
+        """
+        if self._replayed == self._resumed:
             return None
-        assert self._file is not None
-        begin, end = self._replayed, min(self._replayed + most, resumed.steps)
+        begin, self._replayed = self._replayed, min(self._replayed + most, self._resumed)
         try:
-            steps = self._file.read(begin, end)
-        except (OSError, ValueError) as error:
-            raise self._unreadable(self._steps_path, error) from None
-        self._replayed = end
-        return steps
+            return self._rows(begin, self._replayed)
+        except OSError as error:
+            raise self._unreadable(error.strerror) from None
 
-    def where_it_stopped(self, log_density: Callable[[], Array]) -> tuple[RandomState, int] | None:
-        """Give the random state and how often there was no number, once all is replayed.
+    def where_it_stopped(self, log_density: Callable[[], Array]) -> RandomState | None:
+        """Give the random state once all is replayed.
 
         ``log_density`` evaluates the density of the last step again, ``(walkers,)``; BadInput if
         that is not what it was.
         """
-        resumed = self._resumed
-        if resumed is None or self._replayed < resumed.steps:
+        if not self._resumed or self._replayed < self._resumed:
             return None
-        then = np.array(resumed.log_density)
-        now = log_density()
+        (last,) = self._rows(self._resumed - 1, self._resumed)
+        then, now = last["log_density"], log_density()
         same = np.isclose(now, then, rtol=_ROUNDING, atol=_ROUNDING)
         if not same.all():
             worst = int(np.argmin(same))
             raise self._differs(
-                f"log-probability (walker {worst + 1} after step {resumed.steps}; the code, or a "
+                f"log-probability (walker {worst + 1} after step {self._resumed}; the code, or a "
                 "library, is another)",
                 float(then[worst]),
                 float(now[worst]),
             )
-        kind, key, *rest = resumed.random_state
-        return (kind, np.array(key, dtype=np.uint32), *rest), resumed.not_finite
+        state = ("MT19937", last["key"].copy(), int(last["place"]), int(last["has_gauss"]))
+        return (*state, float(last["gauss"]))
 
     @contextmanager
-    def recording(self, phase: str, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:
+    def recording(self, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:
         """Keep every step of a block; give what is to be called after each.
 
         ``accepted``: how many proposals each walker accepted before, ``(walkers,)``.
@@ -234,111 +146,101 @@ class Checkpoint:
         before = accepted.copy()
 
         def record(state: Any, accepted: Array, not_finite: int) -> None:
-            flags = accepted > before
-            before[:] = accepted
-            # emcee goes on in the same arrays
-            coords, height = state.coords.copy(), state.log_prob.copy()
-            step = _Step(coords, height, flags, state.random_state, not_finite, phase)
-            self._pending.append(step)
+            row = np.zeros((), self._kind)
+            row["coordinates"], row["log_density"] = state.coords, state.log_prob
+            row["accepted"], before[:] = accepted > before, accepted
+            _, row["key"], row["place"], row["has_gauss"], row["gauss"] = state.random_state
+            row["not_finite"] = not_finite
+            row["seconds"] = self.seconds + time.perf_counter() - self._began
+            self._pending.append(row)
             self._stop_if_asked()
-            if self._affordable() and time.perf_counter() - self._last > _LOSS:
+            if time.perf_counter() >= self._due:
                 self.save()
 
         self.walking = True
         try:
             yield record
-            if self._affordable():
-                self.save()
         finally:
             self.walking = False
         # who asked during the last step
         self._stop_if_asked()
 
     def save(self) -> None:
-        """Put everything recorded on disk: steps, their count, then the manifest.
+        """Put everything recorded on disk.
 
         OSError if that cannot be; what was saved before is as it was.
         """
         if not self._pending:
             return
-        assert self._file is not None
-        began = time.perf_counter()
-        pending, last = self._pending, self._pending[-1]
-        steps = Steps(*(np.stack(column) for column in list(zip(*pending, strict=True))[:3]))
-        checksum = zlib.crc32(self._file.append(steps, self.saved), self._checksum)
-        kind, key, *rest = last.random_state
-        manifest = Manifest(
-            facts=self._facts,
-            coordinates=self._description,
-            phase=last.phase,
-            steps=self.saved + len(pending),
-            walkers=self._file.walkers,
-            dimension=self._file.dimension,
-            random_state=[kind, key.tolist(), *rest],
-            log_density=last.log_density.tolist(),
-            not_finite=last.not_finite,
-            seconds=self.seconds + began - self._began,
-            checksum=checksum,
-        )
-        _replace(self._manifest_path, manifest.text())
-        self.saved, self._checksum = manifest.steps, checksum
-        del self._pending[: len(pending)]
-        self._last = time.perf_counter()
-        self._spent += self._last - began
+        began, rows = time.perf_counter(), np.stack(self._pending)
+        rows["checksum"] = [_checksum(row) for row in rows]
+        with self.path.open("r+b" if self.saved else "wb") as file:
+            if self.saved:
+                # what a killed writer left behind, or is damaged, nobody counts
+                file.seek(file.truncate(self._begin + self.saved * self._kind.itemsize))
+            else:
+                self._begin = file.write(json.dumps(self._head).encode() + b"\n")
+            file.write(rows.tobytes())
+        self.saved += len(rows)
+        del self._pending[: len(rows)]
+        now = time.perf_counter()
+        self._due = now + (now - began) / _SHARE
 
     def remove(self) -> None:
         """Take it off the disk: the sampling is done."""
-        for path in (self._manifest_path, self._steps_path):
-            path.unlink(missing_ok=True)
+        self.path.unlink(missing_ok=True)
 
     def _stop_if_asked(self) -> None:
         if self._asked_to_stop():
             self.save()
             raise KeyboardInterrupt
 
-    def _affordable(self) -> bool:
-        return self._spent < _SHARE * (time.perf_counter() - self._began)
-
-    def _read(self) -> Manifest | None:
-        path = self._manifest_path
-        if not path.exists():
-            return None
+    def _read(self) -> dict[str, Any]:
+        """Read the first line, and count the steps up to one that is not what was written."""
         try:
-            content = read_json(path)
-            number, own = content.pop("format", None), content.pop("own_checksum", None)
-        except (BadInput, AttributeError, TypeError) as error:
-            raise self._unreadable(path, error) from None
-        if number != FORMAT:
-            raise self._differs("checkpoint format", number, FORMAT)
-        if own != _sum(content):
-            raise self._unreadable(path, "it is not what was written")
-        found = Manifest(**content)
-        self._compare(found.facts, self._facts)
-        file = StepFile(self._steps_path, found.walkers, found.dimension)
-        try:
-            self._checksum = file.checksum(found.steps)
-        except (OSError, ValueError) as error:
-            raise self._unreadable(self._steps_path, error) from None
-        if self._checksum != found.checksum:
-            raise self._unreadable(
-                self._steps_path, f"its steps are not those that {path.name} tells of"
-            )
-        return found
+            with self.path.open("rb") as file:
+                line = file.readline(_LONGEST)
+            if not line.endswith(b"\n"):
+                return {}  # its writer was killed before there was a step
+            head: dict[str, Any] = json.loads(line)
+            self._compare({name: head.get(name, "not there") for name in self._head}, self._head)
+            self._kind = _row(head["walkers"], head["parameters"])
+            self._begin = len(line)
+            while (row := self._rows(self.saved, self.saved + 1)).size:
+                if row["checksum"][0] != _checksum(row[0]):
+                    break
+                self.saved, self.seconds = self.saved + 1, float(row["seconds"][0])
+        except FileNotFoundError:
+            return {}
+        except OSError as error:
+            raise self._unreadable(error.strerror) from None
+        except (ValueError, TypeError, AttributeError, LookupError, RecursionError):
+            raise self._unreadable("it is not what was written") from None
+        return head
 
-    def _compare(self, then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    def _rows(self, begin: int, end: int) -> NDArray[np.void]:
+        """Read some steps; fewer where the file ends."""
+        offset = self._begin + begin * self._kind.itemsize
+        return np.fromfile(self.path, self._kind, end - begin, offset=offset)
+
+    def _compare(self, then: Any, now: Any) -> None:
         for difference in _differences(then, now):
             raise self._differs(*difference)
 
-    def _unreadable(self, path: Path, error: Exception | str) -> BadInput:
-        reason = getattr(error, "strerror", None) or str(error)
-        return BadInput(str(path), f"cannot be resumed ({reason})", "start afresh with --force")
+    def _unreadable(self, reason: str | None) -> BadInput:
+        mend = "start afresh with --force"
+        return BadInput(str(self.path), f"cannot be resumed ({reason})", mend)
 
     def _differs(self, what: str, then: Any, now: Any) -> BadInput:
         return BadInput(
-            str(self._folder),
+            str(self.path.parent),
             f"cannot be resumed: {what} was {_short(then)} and is {_short(now)} now",
-            _AFRESH,
+            "undo that, or start afresh with --force",
         )
+
+
+def _checksum(row: np.void) -> int:
+    return zlib.crc32(row.tobytes()[:-4])
 
 
 def _differences(then: Any, now: Any, place: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -357,13 +259,3 @@ def _differences(then: Any, now: Any, place: str = "") -> Iterator[tuple[str, An
 def _short(value: Any) -> str:
     text = value if isinstance(value, str) else json.dumps(value)
     return text if len(text) <= 80 else f"{text[:76]} ..."
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a text beside, wait for the disk, move it into place."""
-    beside = path.with_name(f".{path.name}.partial")
-    with beside.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)

@@ -11,10 +11,11 @@ from typing import Any
 
 import emcee
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
+from bayesfric.base.options import Options
 from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling import convergence
@@ -45,24 +46,26 @@ _UNSETTLED = (
     "warm-up was still moving when it was cut off: raise sampling.max_steps, or give narrower "
     "priors"
 )
-# Places looked at: a share of 1 % is then known to a fifth of itself.
-_PLACES = 2000
-# Seed of these places, beside those of the other draws that one seed gives.
-_SPAWN = 2**31 + 1
-# Share of such places that may lie beside the posterior. The proposal is the posterior's
-# own shape, so about this share of the posterior may be missing, and the tail beyond an end
-# of a 90 % interval, 5 %, may be off by as much. Below this it drowns in what chance leaves:
-# 2000 independent draws know that tail to 0.5 %. Warm-up starts far out on purpose, and what it
-# meets there says nothing.
+# Share of the proposals that may have no likelihood. Most are made of the posterior's own shape, so
+# about this share of it may be missing, and the tail beyond an end of a 90 % interval, 5 %, may be
+# off by as much. Below this it drowns in what chance leaves: 2000 independent draws know that tail
+# to 0.5 %. Warm-up starts far out on purpose, and what it meets there says nothing.
 TROUBLE = 0.01
+_STUCK = (
+    "{} of {} walkers never moved, and are left out of every interval: look at the trace; try "
+    "another sampling.seed, or narrower priors"
+)
+_UNDEFINED = (
+    "at {:.2g} % of the places beside the posterior the likelihood is no number; they count as "
+    "impossible: check units and columns of the recordings with 'bayesfric check', and do not "
+    "trust the intervals"
+)
 # Draws kept in the result, over all walkers; more only makes the file larger.
 _KEPT_DRAWS = 20_000
 
 
-class Sampling(BaseModel):
+class Sampling(Options):
     """How the posterior is sampled; ``[sampling]`` in a configuration."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     seed: int = Field(1, ge=0, lt=2**63, description="everything random comes from this number")
     ensembles: int = Field(4, ge=2, le=64, description="independent groups of walkers")
@@ -94,13 +97,6 @@ class Sampling(BaseModel):
         description="steps after which sampling gives up; sooner where it cannot converge in "
         "twice as many",
     )
-    block: int | None = Field(
-        None,
-        ge=10,
-        le=100_000,
-        description="steps between two looks at convergence; default 100, or 25 where a step "
-        "simulates",
-    )
 
 
 def sample(
@@ -121,9 +117,31 @@ def sample(
     roughly and nothing climbs or spreads any more. Then the proposal is fitted once
     more and frozen. Only steps after that count.
 
-    ``start`` is in the target's coordinates, ``progress`` is called after every block, and a
-    ``checkpoint`` keeps the steps on disk and gives back those of an interrupted run: the result
-    is the same, byte for byte.
+    Parameters
+    ----------
+    target
+        The log-posterior.
+    start
+        A normal about where it lies, in the target's coordinates.
+    settings
+        How many walkers, and when it is enough.
+    progress
+        Called after every block.
+    checkpoint
+        Keeps the steps on disk and gives back those of an interrupted run: the result is the same,
+        byte for byte.
+
+    Returns
+    -------
+    Posterior
+        Draws in physical units, thinned, and whether they can be trusted.
+
+    Raises
+    ------
+    RuntimeError
+        If nothing beside the start is possible.
+    BadInput
+        If the checkpoint's steps are of another target.
     """
     began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
     d = target.dimension
@@ -140,7 +158,7 @@ def sample(
     around = (Start(centre, start.covariance) for centre in centres)
     positions = np.stack([one.draw(walkers, target, rng, spread=0.5) for one in around])
     if checkpoint is not None:
-        checkpoint.begin(positions.shape[0] * walkers, d, target.coordinates.description)
+        checkpoint.begin(positions.shape[0] * walkers, d)
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
     learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
@@ -152,7 +170,7 @@ def sample(
         straight = IndependenceMove(_straight_proposal(target, positions, last=True))
         moves = [(learning, 0.25), (_straight(target, straight), 0.25)]
         moves += [(search, 0.25), (_straight(target, search), 0.25)]
-    warm = _Ensembles(target, moves, positions, random, checkpoint, "warm-up")
+    warm = _Ensembles(target, moves, positions, random, checkpoint)
     # threads that share a small matrix wait for each other: on two busy cores seven times the work
     with threadpool_limits(1, "blas"):
         half, settled = _warm_up(warm, learning, straight, settings, rng, progress)
@@ -168,7 +186,8 @@ def sample(
                 (_straight(target, move), share)
                 for move, (_, share) in zip((straight, search), moves, strict=True)
             ]
-        main = _Ensembles(target, moves, warm.positions(), random, checkpoint, "sampling")
+        main = _Ensembles(target, moves, warm.positions(), random, checkpoint)
+        before = target.not_finite
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
@@ -182,19 +201,16 @@ def sample(
         problems.insert(0, _given_up(target.names, look.needed, steps, settings.max_steps))
     if not settled:
         problems.append(_UNSETTLED)
-    # counted up to here: what follows looks at places that were never proposed
-    not_finite, share = target.not_finite, 0.0
-    warnings = [text for text, harmless in _standing(acceptance) if harmless]
-    if not_finite:
-        batch = settings.ensembles * walkers
-        share = share_undefined(target, frozen.proposal, settings.seed, batch)
-        warnings += filter(None, [undefined_warning(share)])
+    share = (target.not_finite - before) / (main.steps * settings.ensembles * walkers)
+    stuck = acceptance == 0.0
+    warnings = [_STUCK.format(stuck.sum(), stuck.size)] if stuck.any() and few(stuck) else []
+    if share >= TROUBLE:
+        warnings.append(_UNDEFINED.format(100 * share))
     return Posterior(
         names=target.names,
         priors=target.priors,
         draws=draws,
         log_density=main.log_density()[:, :, thin - 1 :: thin],
-        coordinates=target.coordinates.description,
         diagnostics=Diagnostics(
             status=look.status if problems else "reliable",
             problems=tuple(problems),
@@ -207,7 +223,7 @@ def sample(
             warmup=warm.steps,
             steps=main.steps,
             thin=thin,
-            not_finite=not_finite,
+            not_finite=target.not_finite,
             seconds=time.perf_counter() - began,
             not_finite_share=share,
             warnings=tuple(warnings),
@@ -219,8 +235,8 @@ def sample(
 
 def _block(target: Target, settings: Sampling) -> int:
     """Count the steps between two looks."""
-    block = settings.block or (100 if target.likelihood.method == "input-error" else 25)
-    return min(block, max(settings.max_steps // 8, 10))
+    usual = 100 if target.likelihood.method == "input-error" else 25
+    return min(usual, max(settings.max_steps // 8, 10))
 
 
 def _warm_up(
@@ -305,10 +321,9 @@ class _Ensembles:
         positions: Array,
         random: np.random.RandomState,
         checkpoint: Checkpoint | None,
-        phase: str,
     ) -> None:
         self.steps = 0
-        self.target, self._checkpoint, self._phase = target, checkpoint, phase
+        self.target, self._checkpoint = target, checkpoint
         self._shape = positions.shape
         ensembles, walkers, d = positions.shape
         self._sampler = emcee.EnsembleSampler(
@@ -325,7 +340,7 @@ class _Ensembles:
         recording: AbstractContextManager[Any] = nullcontext(lambda *_: None)
         if self._checkpoint is not None:
             self._replay(self._checkpoint, steps)
-            recording = self._checkpoint.recording(self._phase, accepted)
+            recording = self._checkpoint.recording(accepted)
         if self.steps < end:
             walk = self._sampler.sample(
                 self._state, iterations=end - self.steps, skip_initial_state_check=True
@@ -345,16 +360,16 @@ class _Ensembles:
         backend, first = self._sampler.backend, self.steps
         self.steps += len(stored)
         backend.grow(len(stored), None)
-        backend.chain[first : self.steps] = stored.coordinates
-        backend.log_prob[first : self.steps] = stored.log_density
-        backend.accepted += stored.accepted.sum(axis=0)
+        backend.chain[first : self.steps] = stored["coordinates"]
+        backend.log_prob[first : self.steps] = stored["log_density"]
+        backend.accepted += stored["accepted"].sum(axis=0)
         backend.iteration = self.steps
-        self._state = emcee.State(
-            stored.coordinates[-1], log_prob=stored.log_density[-1], copy=True
-        )
+        last = stored[-1]
+        self._state = emcee.State(last["coordinates"], log_prob=last["log_density"], copy=True)
         stopped = checkpoint.where_it_stopped(lambda: self.target(self._state.coords))
         if stopped is not None:
-            self._sampler.random_state, self.target.not_finite = stopped
+            self._sampler.random_state = stopped
+        self.target.not_finite = int(last["not_finite"])
 
     def bring_back_lost(self, rng: np.random.Generator) -> None:
         """Move walkers that hang on to a hopelessly improbable mode next to the others.
@@ -426,7 +441,8 @@ def _problems(
             "interval of; check the recording's units, or give wider priors"
         )
         return
-    yield from (text for text, harmless in _standing(moved) if not harmless)
+    if not few(moved == 0.0):
+        yield _STUCK.format(np.count_nonzero(moved == 0.0), moved.size)
     apart = names[rhat > settings.max_rhat]
     if apart.size:
         worst = int(rhat.argmax())
@@ -451,24 +467,6 @@ def _problems(
         )
 
 
-def _standing(acceptance: Array) -> Iterator[tuple[str, bool]]:
-    """Say how many walkers stood still, and whether they are too few to change an interval."""
-    for walkers, said in (
-        (
-            acceptance == 0.0,
-            "never moved, and left out of every interval: look at the trace; try another "
-            "sampling.seed, or narrower priors",
-        ),
-        (
-            (acceptance > 0.0) & (acceptance < 0.01),
-            "hardly ever moved: look at the trace; raise sampling.max_steps, or give narrower "
-            "priors",
-        ),
-    ):
-        if n := np.count_nonzero(walkers):
-            yield f"{n} walker{'s' if n > 1 else ''} of {walkers.size} {said}", few(walkers)
-
-
 def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int) -> str:
     """Say that a run was stopped because it could not converge, and what holds it up."""
     slowest = np.argsort(-needed, kind="stable")[:_NAMED]
@@ -479,28 +477,4 @@ def _given_up(names: tuple[str, ...], needed: Array, steps: int, max_steps: int)
         f"stopped after {steps} steps: at this pace it would need {would} steps, "
         f"sampling.max_steps is {max_steps}; slowest are {', '.join(slow)}: give them "
         "narrower priors, or fix what is known"
-    )
-
-
-def share_undefined(target: Target, proposal: Proposal, seed: int, batch: int) -> float:
-    """Draw places as the sampler does that finds no number at some, and give their share.
-
-    ``proposal`` is fitted to the posterior and frozen; ``batch`` places are evaluated at once, as
-    in a step.
-    """
-    sequence = np.random.SeedSequence(seed, spawn_key=(_SPAWN,))
-    random = np.random.RandomState(np.random.MT19937(sequence))
-    u = proposal.draw(_PLACES, random)
-    bad = [target.no_number(u[begin : begin + batch]) for begin in range(0, _PLACES, batch)]
-    return float(np.concatenate(bad).mean())
-
-
-def undefined_warning(share: float) -> str | None:
-    """Say what share of these places has no likelihood, if that is enough to matter."""
-    if share < TROUBLE:
-        return None
-    return (
-        f"at {100 * share:.2g} % of the places beside the posterior the likelihood is no number; "
-        "they count as impossible: check units and columns of the recordings with 'bayesfric "
-        "check', and do not trust the intervals"
     )

@@ -58,7 +58,6 @@ class Likelihood(Part):
     """What the posterior compares with the recording, and how."""
 
     method: Literal["input-error", "output-error"] = "input-error"
-    evaluation: str = ""
     linearisation: FiniteFloat | None = None
 
 
@@ -297,7 +296,6 @@ class Sampler(Part):
     stuck_walkers: int | None = None
     not_finite: int | None = None
     not_finite_share: FiniteFloat | None = None
-    coordinates: str = ""
     seconds: FiniteFloat | None = None
     seed: int | None = None
 

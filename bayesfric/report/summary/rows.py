@@ -264,8 +264,6 @@ class Residual(Part):
     back_emf: BackEmfPart | None = None
     # rests that were not used, and that the law contradicts
     rests: list[RestsPart] = Field(default_factory=list)
-    integration_steps: int | None = None
-    discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
 
 

@@ -14,9 +14,7 @@ from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.identifiability.scale_from_priors import given_by
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
@@ -73,7 +71,6 @@ def summarise(
         "references": dict(references or {}),
         "likelihood": {
             "method": fit.target.likelihood.method,
-            "evaluation": fit.target.likelihood.evaluation,
             **({} if fit.linearisation is None else {"linearisation": _number(fit.linearisation)}),
         },
         "identifiability": {
@@ -90,7 +87,6 @@ def summarise(
             "torque_constant": _torque_constant(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
-            **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
                     "residual_rms": rms_of(r),
@@ -135,7 +131,6 @@ def _sampler(posterior: Posterior) -> dict[str, Any]:
         "max_rhat": _number(d.rhat.max()),
         "acceptance": _number(d.acceptance.mean()),
         "stuck_walkers": int((d.acceptance == 0.0).sum()),
-        "coordinates": posterior.coordinates,
         "seconds": round(d.seconds, 3),
         "seed": posterior.seed,
     }
@@ -172,14 +167,6 @@ def _explained(fit: Fit) -> dict[str, float]:
     whole = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
     left = sum(float(r @ r) for r in fit.residuals)
     return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
-
-
-def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
-    """Give steps and error of the simulation, where the likelihood simulates."""
-    if not isinstance(likelihood, PositionLikelihood):
-        return {}
-    steps, error = likelihood.discretisation
-    return {"integration_steps": steps, "discretisation_error": error}
 
 
 def estimate_summary(estimate: Estimate) -> dict[str, Any]:
