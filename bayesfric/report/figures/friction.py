@@ -43,7 +43,7 @@ from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
-from bayesfric.report.summary.derived_quantities import LEVEL, prior_values
+from bayesfric.report.summary.derived_quantities import LEVEL, prior_draws
 
 # Of the recorded range of speed, and of load: outputs so near to a place cover it.
 NEAR = 0.08
@@ -200,7 +200,8 @@ def band(fit: Fit, curve: Callable[[Array], Array]) -> tuple[Array, Flags]:
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # points that no draw has are nan, and say so by that
         warnings.simplefilter("ignore", RuntimeWarning)
-        every = [curve(fit.chain_draws(_DRAWS)), curve(prior_values(fit, _PRIOR_DRAWS, 4))]
+        before = prior_draws(fit, _PRIOR_DRAWS, 4)
+        every = [curve(fit.chain_draws(_DRAWS)), curve(fit.target.chain_values(before))]
         drawn, before = (np.where(np.isfinite(x), x, np.nan) for x in every)
         ends = np.nanquantile(drawn, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
         # between quartiles: what divides by 1 - mu_2 has no finite sd under many priors

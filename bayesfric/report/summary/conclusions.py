@@ -136,11 +136,7 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     wide = fit.wide.posterior.flat()
     found = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
     for group in derived:
-        if group.found:
-            some = wide[:: -(-len(wide) // group.most)]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                values = group.values(fit.target.chain_values(some))
-            found |= {q.name: x for q, x in zip(group.found, values, strict=True)}
+        found |= group.named(wide[:: -(-len(wide) // group.most)])
     changes = {name: _change(summary, name, x) for name, x in found.items()}
     limits = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     for name, prior in zip(fit.posterior.names, fit.posterior.priors, strict=True):

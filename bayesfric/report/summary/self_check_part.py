@@ -132,14 +132,10 @@ def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, 
         if not of_noise(name):
             truth = checked.truth[:, j]
             yield name, truth, (nearby[:, j] - truth) / shares
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for group in derived:
-            if not group.found:
-                continue
-            true = group.values(fit.target.chain_values(checked.truth))
-            moved = group.values(fit.target.chain_values(nearby))
-            for q, before, after in zip(group.found, true, moved, strict=True):
-                yield q.name, before, (after - before) / shares
+    for group in derived:
+        moved = group.named(nearby)
+        for name, true in group.named(checked.truth).items():
+            yield name, true, (moved[name] - true) / shares
 
 
 def _row(
