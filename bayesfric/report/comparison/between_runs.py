@@ -22,7 +22,8 @@ from bayesfric.population.population import (
     population,
 )
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.comparison.comparison import on_one_turn
+from bayesfric.report.comparison.cell import next_to, turns_of
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import csv_text
@@ -140,10 +141,11 @@ def told_by_runs(
     would count several times. Nor does what the data leave open, and a run whose ensembles disagree
     or stand still: it has no posterior.
     """
+    turns = turns_of(runs.values())
     tables = {
-        name: run.rows
-        for name, run in on_one_turn(runs).items()
-        if run.sampler.status != "unusable"
+        run: {name: next_to(row, turns.get(name)) for name, row in put_reported(one).rows.items()}
+        for run, one in runs.items()
+        if one.sampler.status != "unusable"
     }
     if len(tables) < 2:
         return
