@@ -97,7 +97,7 @@ def forest_figure(found: Comparison) -> Figure:
             if k % across == 0:
                 ax.set_yticks([line.y for line in lines], names)
                 ax.tick_params(axis="y", length=0.0)
-        _legend(figure, shown, columns)
+        _legend(figure)
         if left_out := len(rows) - len(shown):
             remark_below(figure, f"{left_out} more quantities are in the table only")
     return figure
@@ -216,29 +216,20 @@ def _reference(ax: Axes, cell: Cell) -> None:
     ax.annotate(words, (cell.value, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
 
 
-def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
+def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
-    cells = [row.cells[c.label] for row in rows for c in columns if c.label in row.cells]
-    widened = {c.widened for c in columns if c.kind == "posterior"}
-    room = " (posterior: model's error)" if widened == {True} else " (some: model's error)"
-    words = f"90 %, correlated residuals{room if any(widened) else ''}"
     grey: Look = {"color": _ESTIMATES["output-error"][1]}
     open_ = _SPAN | {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
-    open_ |= {"markerfacecolor": "white", "label": "not determined: fits as well"}
     capped = Line2D([], [], label="90 %, uncorrelated residuals", **_THIN, **grey)
-    line = Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference")
-    handles = {
-        Line2D([], [], label=words, **_THICK, **grey): any(c.accounts and c.sd for c in cells),
-        capped: any(c.sd_plain is not None for c in cells),
-        Line2D([], [], **open_, **grey): any(
-            c.status == "undetermined" and c.converged for c in cells
-        ),
-        line: any(REFERENCE in row.cells for row in rows),
-    }
-    if shown := [handle for handle, needed in handles.items() if needed]:
-        look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
-        across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
+    handles = [
+        Line2D([], [], label="90 %, correlated residuals", **_THICK, **grey),
+        capped,
+        Line2D([], [], label="not determined", markerfacecolor="white", **open_, **grey),
+        Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"),
+    ]
+    look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
+    across = 2 if figure.get_figwidth() == style.COLUMN else 4
+    figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
 
 
 _BARS = (

@@ -79,7 +79,7 @@ def friction_figure(fit: Fit) -> Figure:
         few_ticks(ax.yaxis, 6)
         if len(curves) > 1:
             ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
-        legend_above(figure, _handles(curves), 2)
+        legend_above(figure, _handles(), 2)
     return figure
 
 
@@ -104,19 +104,15 @@ def _area(colour: str, open_: bool) -> Look:
     return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0}
 
 
-def _handles(curves: list[Curve]) -> list[Artist]:
+def _handles() -> list[Artist]:
     """List what a legend explains of curves."""
     colour = style.PALETTE[0]
-    told = Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False))
-    few = Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE)
-    left = Patch(label="NOT determined by the data", **_area(colour, True))
-    needed = {
-        told: any((c.shown & c.determined).any() for c in curves),
-        few: any((~c.covered & np.isfinite(c.median)).any() for c in curves),
-        left: any((c.shown & ~c.determined).any() for c in curves),
-    }
-    median = Line2D([], [], color=colour, label="posterior median")
-    return [median, *(handle for handle, there in needed.items() if there)]
+    return [
+        Line2D([], [], color=colour, label="posterior median"),
+        Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False)),
+        Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE),
+        Patch(label="NOT determined by the data", **_area(colour, True)),
+    ]
 
 
 def friction_caption(fit: Fit) -> str:

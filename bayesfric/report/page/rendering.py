@@ -28,8 +28,6 @@ from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
-from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.record import Summary
 from bayesfric.report.words import FILTERS, clause
 
 _GREEK = {
@@ -71,12 +69,6 @@ def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any)
     )
     fixed = {"style": Markup(style), "script": Markup(script), "policy": policy}
     return _environment().get_template(template).render(**fixed, **told)
-
-
-def notebook_table(summary: Summary) -> str:
-    """Write what a notebook shows of a summary: every number with its verdict."""
-    template = _environment().get_template("notebook.html.j2")
-    return template.render(summary=summary, table=parameter_table(summary))
 
 
 @cache
