@@ -52,13 +52,7 @@ def test_the_right_model_covers_what_it_says(knee):
         assert abs(found["share"] - p) < 4 * math.sqrt(p * (1 - p) / n), level
         assert found["standard_error"] == pytest.approx(math.sqrt(p * (1 - p) / n), rel=0.3)
     assert pooled["verdict"] == "covered"
-    assert abs(pooled["mean_standardised"]) < 4 * pooled["mean_standardised_error"]
-    assert pooled["mean_standardised_error"] == pytest.approx(1 / math.sqrt(n), rel=0.2)
     assert pooled["residual_rms"] == pytest.approx(NOISE, rel=4 / math.sqrt(2 * n))
-    assert abs(pooled["residual_lag1"]) < 4 / math.sqrt(n)
-    # the entropy of a normal of that sd, whose log density scatters by 1/sqrt(2)
-    entropy = -0.5 * math.log(2 * math.pi * math.e * NOISE**2)
-    assert pooled["log_score"] == pytest.approx(entropy, abs=4 / math.sqrt(2 * n) + 0.002)
 
 
 def off_by(knee, residual):

@@ -91,12 +91,6 @@ class PositionLikelihood(Likelihood):
         self._runs = [_Run(chain, t, point, substeps) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
 
-    @property
-    def discretisation(self) -> tuple[int, float]:
-        """Most integration steps per sample of a recording, and the largest error they leave."""
-        steps = max(run.substeps for run in self._runs)
-        return steps, max(run.step_error for run in self._runs)
-
     def about(self, values: Array) -> PositionLikelihood:
         """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
         return PositionLikelihood(

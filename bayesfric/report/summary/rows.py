@@ -264,8 +264,6 @@ class Residual(Part):
     back_emf: BackEmfPart | None = None
     # rests that were not used, and that the law contradicts
     rests: list[RestsPart] = Field(default_factory=list)
-    integration_steps: int | None = None
-    discretisation_error: FiniteFloat | None = None
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
 
 
@@ -282,16 +280,14 @@ class MotionError(Part):
 class RollOutRow(Part):
     """One recording, or all together.
 
-    In a share ``blind`` of the time the position's band is wider than ``room``, beyond which it
-    tells nothing; ``over`` is the share of the plays that went another way over the top.
+    In a share ``blind`` of the time the position's band is too wide to tell anything; ``over`` is
+    the share of the plays that went another way over the top.
     """
 
     part: Which | None = None
     input: Input | None = None
     position: MotionError
     speed: MotionError
-    runaway: Share = 0.0
-    room: NotNegative | None = None
     blind: Share = 0.0
     over: Share = 0.0
 

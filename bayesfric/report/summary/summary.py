@@ -14,9 +14,7 @@ from bayesfric.identifiability.coverage import back_driven
 from bayesfric.identifiability.local import LocalInformation, local_information, verdict
 from bayesfric.identifiability.scale_from_priors import given_by
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import Choice
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
@@ -90,7 +88,6 @@ def summarise(
             "torque_constant": _torque_constant(fit),
             "unit": outputs[0].unit,
             "quantity": outputs[0].quantity,
-            **_discretisation(fit.target.likelihood),
             "recordings": {
                 o.name: {
                     "residual_rms": rms_of(r),
@@ -172,14 +169,6 @@ def _explained(fit: Fit) -> dict[str, float]:
     whole = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
     left = sum(float(r @ r) for r in fit.residuals)
     return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
-
-
-def _discretisation(likelihood: Likelihood) -> dict[str, Any]:
-    """Give steps and error of the simulation, where the likelihood simulates."""
-    if not isinstance(likelihood, PositionLikelihood):
-        return {}
-    steps, error = likelihood.discretisation
-    return {"integration_steps": steps, "discretisation_error": error}
 
 
 def estimate_summary(estimate: Estimate) -> dict[str, Any]:

@@ -14,11 +14,9 @@ from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.predictive import Prediction
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
-from bayesfric.report.summary.noise import mean_lag
 from bayesfric.report.summary.record import Coverage
 from bayesfric.report.words import line_of
 
@@ -89,8 +87,7 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     observations = [p.held_out.observation for p in predictions]
     at = places(observations)
     pit = np.concatenate([p.pit for p in predictions])
-    residuals = [p.measured - p.mean for p in predictions]
-    residual = np.concatenate(residuals)
+    residual = np.concatenate([p.measured - p.mean for p in predictions])
     variance = np.concatenate([p.variance for p in predictions])
     standard = residual / np.sqrt(variance)
     centred = standard - standard.mean()
@@ -101,10 +98,6 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
         "residual_rms": rms_of(residual),
         "predictive_sd": math.sqrt(float(variance.mean())),
-        "mean_standardised": float(standard.mean()),
-        "mean_standardised_error": math.sqrt(long_run_variance(centred, at)) / residual.size,
-        "residual_lag1": mean_lag(residuals, [follows(o) for o in observations]),
-        "log_score": float(np.mean(np.concatenate([p.log_score for p in predictions]))),
         "discrepancy": _discrepancy(residual**2 - variance, at),
     }
     verdict = _verdict(shares[_JUDGED], shares[_HALF], numbers["discrepancy"])
