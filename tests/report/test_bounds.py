@@ -166,24 +166,6 @@ def test_a_fit_with_noise_held_down_determines_nothing(make_observation):
     assert "larger than its prior allows (0.02 N m)" in doubt_text(cut)
 
 
-@pytest.mark.parametrize("verdict", ["data", "weak", "prior"])
-def test_the_page_and_the_table_tell_it_beside_the_number(tmp_path, verdict):
-    told = copy.deepcopy(knee())
-    row = posterior_row("N m", 0.04, 0.01, verdict=verdict, **HELD, bound_physical=False)
-    told["parameters"]["motor.coulomb"] = row
-    mend = "the data would have it beyond 0.05 N m: widen priors.motor.coulomb"
-    (line,) = [r for r in parameter_table(told).rows if r.name == "motor.coulomb"]
-    assert line.mend == mend
-    page = read_page(run_page(tmp_path, told, "knee"))
-    shown = [r for r in page.all("tr") if r.attrs.get("data-name") == "motor.coulomb"]
-    # the first screen and the comparison of methods have a line of that name too
-    assert sum(mend in r.text for r in shown) == 1
-    # a run of an older version does not tell where the bound is
-    del row["bound"], row["bound_physical"]
-    assert parameter_table(told).rows
-    assert "widen" not in run_page(tmp_path, told, "knee")
-
-
 @pytest.mark.parametrize(
     ("status", "sound"), [("tentative", ["motor.inertia"]), ("unusable", ["motor.inertia"]),
                           ("unusable", [])]

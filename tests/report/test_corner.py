@@ -9,7 +9,7 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
-from .conftest import by_gid, draw_fast
+from .conftest import by_gid
 from .made_summaries import failed
 
 
@@ -117,10 +117,6 @@ def test_scales_of_axes(knee):
     assert label["gearbox.load_drive"].endswith("(–)")
     assert label["joint.viscous"].endswith("(N m s)")
     assert label["noise.sigma"].endswith("(10$^{-2}$ N m)")
-
-
-def test_all_draws_constant_but_the_noise(make_fit):
-    draw_fast(drawn(make_fit(spread=0.0)))
 
 
 def test_contours_hold_the_stated_mass(make_fit):

@@ -98,27 +98,6 @@ def test_open_numbers_have_no_bars_but_words():
                 assert line.get_markerfacecolor() == "white"
 
 
-def test_sds_a_file_claims_for_open_numbers_move_nothing():
-    """Not even the limits of the axis."""
-    plain, claimed = knee(), knee()
-    for name in LEG:
-        claimed["parameters"][name] |= {"sd": 50.0, "interval": [-80.0, 80.0]}
-        claimed["estimates"]["input-error"]["parameters"][name] |= {"sd": 9.0, "sd_robust": 99.0}
-    figures = [forest_figure(comparison({"a": run})) for run in (plain, claimed)]
-    for one, two in zip(*(figure.axes for figure in figures), strict=True):
-        assert one.get_xlim() == two.get_xlim()
-        for a, b in zip(one.lines, two.lines, strict=True):
-            np.testing.assert_array_equal(a.get_xydata(), b.get_xydata())
-
-
-def test_references_are_named_lines():
-    found = comparison({"a": knee()})
-    ax = panels(forest_figure(found))["load.first_moment"]
-    ((x, _),) = drawn(ax, "reference")
-    np.testing.assert_allclose(x, [0.41, 0.41])
-    assert "CAD" in [t.get_text() for t in ax.texts]
-
-
 def test_the_arrow_of_a_limit_ends_at_its_bound():
     """Another method's bar may go below zero, where no loss is."""
     run = knee()

@@ -22,7 +22,7 @@ from bayesfric.report.figures.friction import (
 )
 from bayesfric.report.figures.style import COLUMN
 
-from .conftest import SLIDE, draw_fast
+from .conftest import draw_fast
 
 KNEE = PRESETS["rabbit-knee"].chain()
 TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
@@ -236,18 +236,3 @@ def test_loads_for_the_knee_none_for_an_axis(knee, slide):
     assert [text.get_text()[:2] for text in legend.get_texts()] == ["no", "+0", "\N{MINUS SIGN}0"]
     assert plain.axes[0].get_legend() is None
     assert plain.axes[0].get_ylabel() == "friction force $F$ (N)"
-
-
-def test_what_the_data_leave_open_is_hatched_and_named(make_fit):
-    figure = friction_figure(as_before(make_fit(samples=300)))
-    hatched, plain = open_and_bands(figure)
-    assert hatched > 0
-    assert plain == 0
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "NOT determined by the data" in words
-
-
-def test_the_caption_says_what_load_is(knee, slide):
-    assert "mean of what the motor feels" in friction_caption(knee)
-    assert "No loss depends on load" in friction_caption(slide)
-    assert SLIDE.motor_motion == "linear"

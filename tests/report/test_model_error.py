@@ -9,7 +9,6 @@ import pytest
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.figures.registry import FinishedRun, run_figures
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
@@ -105,10 +104,6 @@ def test_every_view_goes_by_the_wide_one(wrong):
     totals = [row for name, row in wrong.summary.derived.items() if name.startswith("total")]
     assert all(row.model_error_interval for row in totals)
     assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
-
-
-def test_the_page_says_what_the_model_lacks(wrong, tmp_path):
-    assert 'id="model-error"' in run_page(tmp_path, wrong.summary, "run")
 
 
 def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):

@@ -154,15 +154,6 @@ def test_its_page_tells_what_is_needed_to_repeat_it(folder, run):
     assert "Seed12" in section.text.replace("\n", "")
 
 
-def test_a_run_can_be_reported_again(run, monkeypatch):
-    """From the folder alone, to the byte; the posterior's draws are not even read."""
-    before = held(run)
-    monkeypatch.setattr("bayesfric.inference.archive.read_archive", None)
-    found = report(run)
-    assert held(run) == before
-    assert set(found["written"]) >= {"report.html", "summary.csv", "tables/parameters.tex"}
-
-
 def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     """Of a run made without it, from draws and recordings: to the byte what --paper gives."""
     some = {stem: run_directory.FIGURES[stem] for stem in DRAWN}
@@ -179,14 +170,6 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     for name in wanted:
         assert (again / name).read_bytes() == (run / name).read_bytes(), name
     assert {path.name for path in again.iterdir()} == {path.name for path in run.iterdir()}
-
-
-def test_a_page_needs_no_paper(tmp_path, make_fit, monkeypatch):
-    monkeypatch.setattr(run_directory, "FIGURES", {"methods": drawn_by("methods", blank)})
-    fit = make_fit(samples=400, ensembles=2)
-    write(tmp_path / "run", (fit, summarise(fit).as_dict()))
-    kinds = {path.suffix for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    assert kinds == {".nc", ".json", ".toml", ".html", ".csv", ".md", ".svg"}
 
 
 def test_nothing_else_is_left_beside_it_and_the_configuration_is_kept(folder, run):

@@ -40,9 +40,8 @@ _GAIN = "drive.gain"
 _WIDTH = 120
 _NARROWEST, _WIDEST = 24, 30
 _PLAIN = "†"
-_COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column", "run",
-    "column_kind", "status", "value", "sd", "sd_uncorrelated", "accounts_for_correlation", "low",
-    "high", "level", "span_low", "span_high", "limit", "disagreement", "remark"]  # fmt: skip
+_COLUMNS = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
+    "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -432,22 +431,13 @@ def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
 
 def comparison_csv(found: Comparison) -> str:
     """Lay a comparison out as CSV text, one line for each quantity and column."""
-    lines = []
+    lines: list[dict[str, Any]] = []
     for row in found.rows:
-        for column in found.columns:
-            if (cell := row.cells.get(column.label)) is None:
-                continue
-            told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
-            told |= {
-                "status": "doubtful" if cell.doubted else cell.status,
-                "column": column.label,
-                "run": column.run,
-                "column_kind": column.kind,
-            }
-            told |= {"sd_uncorrelated": cell.sd_plain, "accounts_for_correlation": cell.accounts}
-            told["low"], told["high"] = cell.interval or (None, None)
-            told["span_low"], told["span_high"] = cell.span or (None, None)
-            lines.append(told)
+        for label, cell in row.cells.items():
+            low, high = cell.interval or (None, None)
+            told = asdict(cell) | {"low": low, "high": high}
+            told |= {"status": "doubtful"} if cell.doubted else {}
+            lines.append({"name": row.name, "unit": row.unit, "column": label} | told)
     return csv_text(lines, _COLUMNS)
 
 

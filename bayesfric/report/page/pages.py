@@ -123,18 +123,10 @@ def _steps(directions: Sequence[OpenDirectionRow]) -> list[tuple[RemedyRow, int]
 
 
 def _command(joint: Sequence[ParameterRow]) -> str:
-    """Ask for advice on what is open, or else on what is known least."""
-    if not joint or not all(row.cell.converged for row in joint):
-        return ""
-
-    def unknown(row: ParameterRow) -> tuple[bool, float]:
-        told = row.row
-        return row.by == "open", told.told.sd / abs(told.mean) if told and told.mean else 0.0
-
-    # a constant in the measurement is asked for last
-    asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
-    name = shlex.quote(max(asked, key=unknown).name)
-    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"
+    """Ask for advice on what is open."""
+    open_ = [row.name for row in joint if row.by == "open" and row.cell.converged]
+    name = shlex.quote(open_[0]) if open_ else ""
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}" if name else ""
 
 
 class Provenance(Part):

@@ -8,7 +8,7 @@ truth, so what is left is of second order, the bias times its relative change ov
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.words import line_of
 from bayesfric.results.reported import Spread
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
@@ -113,15 +112,6 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     """Pick what is not found again: biased, or in too few intervals."""
     shown = cited(summary)
     return {n: row for n, row in _rows(summary).items() if n in shown or row.coverage < LOW}
-
-
-def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
-    """Say of ``names`` whose printed intervals hold the truth too seldom that they do; or empty."""
-    shown = cited(summary)
-    held = {n: _held(r) if n in shown else r.coverage for n, r in _rows(summary).items()}
-    held = {name: share for name, share in held.items() if share < LOW and name in names}
-    shares = [f"{name} {100 * share:.0f} %" for name, share in held.items()]
-    return line_of("seldom held", {"held": shares, "level": LEVEL}) if held else ""
 
 
 def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:
