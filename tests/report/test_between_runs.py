@@ -7,9 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import RunDraws, between_runs, between_runs_csv
-from bayesfric.report.page.pages import Provenance, _counts, shared_recordings
+from bayesfric.report.page.pages import Provenance, shared_recordings
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded
@@ -93,15 +92,6 @@ def test_a_population_ends_where_its_quantity_does():
     pool = beside(mean=far, median=far)["motor.viscous"].pool
     assert (pool.mean.low, pool.following.low) == (0.0, 0.0)
     assert pool.following.high > far
-
-
-def test_a_page_counts_what_it_tells_a_limit_of_as_one():
-    run = checked(a=knee())["a"]
-    by_data, with_prior, other, warned = _counts(run)
-    assert by_data == sum(row.verdict == "data" for row in run.joint.values())
-    assert warned == len(alerts_of(run))
-    limit = run.with_rows({"motor.viscous": {"at_bound": "lower", "bound": 0.0}})
-    assert tuple(_counts(limit))[:3] == (by_data - 1, with_prior, other + 1)
 
 
 def test_a_run_whose_ensembles_disagree_is_not_averaged_in():

@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pytest
 
 from bayesfric.commands.fit import fit_text
@@ -14,9 +15,9 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import (
     bound_mend,
     bound_warning,
-    limits_of_losses,
     noise_cut,
 )
+from bayesfric.report.summary.derived_quantities import leaning, limits_of
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
@@ -85,25 +86,14 @@ HELD = {"at_bound": "upper", "bound": 0.05, "data_sd": 0.01, "prior_sd": 1.0}
 
 def test_what_a_loss_alone_makes_is_a_limit_where_the_loss_is():
     """Measured, AK80-6: mu at most 0.056, and an efficiency of 0.927 to 0.977 was "to cite"."""
-    told = copy.deepcopy(knee())
-    rows = {
-        "gearbox.load": posterior_row("", 0.016, 0.01, at_bound="lower", bound=0.0),
-        "motor.inertia": told["parameters"]["motor.inertia"],
-    }
-    made = {
-        "gearbox.alpha_drive": posterior_row("", 1 / 1.016, 0.01),
-        "gearbox.alpha_back": posterior_row("", 1 / 0.984, 0.01),
-        "gearbox.efficiency_drive": posterior_row("", 1 / 1.016, 0.01),
-        "gearbox.efficiency_back": posterior_row("", 0.91, 0.01),  # counts a constant loss, too
-    }
-    told |= {"parameters": rows, "derived": made}
-    found = limits_of_losses(Summary.read(told)).derived
-    sides = {name: row.at_bound for name, row in found.items()}
-    assert list(sides.values()) == ["upper", "lower", "upper", None]
-    cell = posterior_cells(limits_of_losses(Summary.read(told)))["gearbox.alpha_drive"]
-    assert (cell.status, cell.remark) == ("limit", "at least 0.968")
-    told["parameters"]["gearbox.load"] |= {"at_bound": None}
-    assert not any(r.at_bound for r in limits_of_losses(Summary.read(told)).derived.values())
+    rng = np.random.default_rng(1)
+    for at_zero, mu in ((True, rng.exponential(0.02, 4000)), (False, rng.normal(0.2, 0.02, 4000))):
+        sides = {"alpha_drive": (1 / (1 + mu), "upper"), "alpha_back": (1 / (1 - mu), "lower")}
+        sides["efficiency_drive"] = sides["alpha_drive"]
+        for name, (draws, side) in sides.items():
+            limits = limits_of(f"gearbox.{name}")
+            assert leaning(draws, limits, limits)["at_bound"] == (side if at_zero else None)
+    assert limits_of("gearbox.lambda_ratio") is None
 
 
 def test_what_the_prior_alone_makes_needs_no_other_bound():

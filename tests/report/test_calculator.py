@@ -303,15 +303,6 @@ def test_it_begins_where_the_data_were(browser, made, folder, low):
     assert not [line for line in said if "never were" in line and "load" not in line]
 
 
-def test_what_a_run_begins_with_is_one_of_its_outputs(made):
-    for name in PRESETS:
-        _, fit, law = made(name)
-        (o,) = fit.observations
-        began = law["seen"]["typical"]
-        apart = np.stack([o.q[o.filter.centres], o.speed, o.qdd[o.filter.centres]], axis=1) - began
-        assert (np.abs(apart) <= 5.1e-3 * np.abs(began)).all(axis=1).any()
-
-
 def test_a_term_it_does_not_know_gives_no_calculator(browser, made):
     path, _, law = made("odd")
     assert law["missing"] == "motor.odd"

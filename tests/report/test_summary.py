@@ -31,12 +31,6 @@ ROTARY_UNITS = {
     "load.first_moment": "kg m",
     "noise.sigma": "N m",
 }
-    "motor.inertia": "kg",
-    "motor.viscous": "N s/m",
-    "motor.coulomb": "N",
-    "offset": "N",
-    "noise.sigma": "N",
-}
 # One recording of the knee cannot tell the common scale of the leg and of alpha: seven names.
 LEG = {"load.inertia", "load.first_moment", *(n for n in ROTARY_UNITS if n.startswith("joint."))}
 SCALED = LEG | {"gearbox.alpha_drive", "gearbox.alpha_back"}

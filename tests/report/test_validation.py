@@ -125,7 +125,6 @@ def test_white_noise_on_noise_that_remembers_covers_but_knows_less(knee):
     pooled = off_by(knee, NOISE / sd * simulated(partial, follows, 1, rng)[0])
     cover = pooled["coverage"]["0.9"]
     assert abs(cover["share"] - 0.9) < 4 * cover["standard_error"]
-    assert pooled["residual_lag1"] == pytest.approx(0.9, abs=0.05)
     assert cover["effective_outputs"] < 0.35 * pooled["outputs"]
     assert pooled["verdict"] == "covered"
 

@@ -29,7 +29,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.ndimage import binary_dilation
-from scipy.spatial import cKDTree
 
 from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.identifiability.local import WIDE, local_information
@@ -164,10 +163,10 @@ def friction_curves(fit: Fit) -> list[Curve]:
     open_scale = has_open_scale(fit)
     place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    ways = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
+    ways = [place[1][place[1] > 0.0], place[1][place[1] < 0.0]] if lossy else []
     loads = [float(np.quantile(np.abs(x), 0.9) * np.sign(x[0])) for x in ways if x.size]
     loads = [float(f"{x:.1g}") for x in loads]
-    low, high = float(place.speed.min()), float(place.speed.max())
+    low, high = float(place[0].min()), float(place[0].max())
     least = 1e-3 * max(-low, high)
     sides = [(low, -least)] if low < -least else []
     sides += [(least, high)] if high > least else []
@@ -177,8 +176,9 @@ def friction_curves(fit: Fit) -> list[Curve]:
     curves = []
     for load in (np.full(speed.size, x) for x in (0.0, *loads)):
         of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
-        near = place.near(speed, load if loads else None)
-        curves.append(Curve(speed, load, *band(fit, of), near))
+        k = 2 if loads else 1
+        seen = near(np.stack([speed, load])[:k], place[:k])
+        curves.append(Curve(speed, load, *band(fit, of), seen))
     return curves
 
 
@@ -242,41 +242,27 @@ def friction_torque(
     return np.asarray(np.where(sign == 0.0, np.nan, sign * torque - load))
 
 
-@dataclass(frozen=True, eq=False)
-class Covered:
-    """Where the recordings were."""
-
-    speed: Array  # `(M,)` of the motor at every output, rad/s or m/s
-    # `(M,)` loss-free torque of the load at the motor at the posterior median, its inertia
-    # included; positive where it resists the motion
-    load: Array
-
-    def near(self, speed: Array, load: Array | None) -> Flags:
-        """Tell which places ``(N,)`` have ``FEWEST`` outputs near; all loads count if ``None``."""
-        mine, places = [self.speed], [speed]
-        if load is not None:
-            mine.append(self.load)
-            places.append(load)
-        spans = np.array([max(float(np.ptp(x)), 1e-300) for x in mine])
-        # nine tenths of the outputs, or one jerk would stretch what counts as near
-        inner = np.array([float(np.subtract(*np.quantile(x, [0.95, 0.05]))) for x in mine])
-        spans = np.where(inner > 0.0, inner / 0.9, spans)
-        tree = cKDTree(np.stack(mine, axis=1) / spans)
-        distance, _ = tree.query(
-            np.stack(places, axis=1) / spans, k=min(FEWEST, self.speed.size), p=np.inf
-        )
-        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= NEAR)
+def near(places: Array, recorded: Array) -> Flags:
+    """Tell which places ``(k, N)`` have ``FEWEST`` of the outputs ``(k, M)`` near, ``(N,)``."""
+    # nine tenths of the outputs, or one jerk would stretch what counts as near
+    inner = np.subtract(*np.quantile(recorded, [0.95, 0.05], axis=1)) / 0.9
+    reach = NEAR * np.where(inner > 0.0, inner, np.ptp(recorded, axis=1))[:, None]
+    apart = (np.abs(recorded - at[:, None]) <= reach for at in places.T)
+    return np.array([np.all(one, axis=0).sum() >= FEWEST for one in apart])
 
 
-def covered(fit: Fit, median: Array, open_scale: bool) -> Covered:
-    """Collect speeds of all outputs, and their loads at the chain parameters ``median``."""
+def covered(fit: Fit, median: Array, open_scale: bool) -> Array:
+    """Give the motor's speed at all outputs and, at the chain parameters ``median``, their loads.
+
+    ``(2, M)``; loads are loss-free, at the motor, and positive where they resist the motion.
+    """
     reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
     speeds, loads = [], []
     for o in fit.observations:
         gamma = load_at_outputs(fit.chain, o, median)
         speeds.append(fit.chain.ratio * o.speed)
         loads.append(reach * gamma * np.sign(o.speed))
-    return Covered(np.concatenate(speeds), np.concatenate(loads))
+    return np.stack([np.concatenate(speeds), np.concatenate(loads)])
 
 
 FIGURE = RunFigure(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,6 @@ from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.calculator import Calculator, read_calculator
 from bayesfric.report.comparison.between_runs import PooledQuantity
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import read_captions, run_figures
@@ -140,11 +139,6 @@ class Provenance(Part):
     # first and last second that was fitted of a recording, by its name; older files do not tell
     spans: dict[str, Pair] = Field(default_factory=dict)
 
-    @property
-    def known(self) -> bool:
-        """Whether any recording can be told from others."""
-        return any(self.recordings.values())
-
     def saw_of(self, other: Provenance) -> bool:
         """Whether both fitted a part of one recording, by SHA-256 and seconds."""
         whole = [-float("inf"), float("inf")]
@@ -173,15 +167,6 @@ def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple
     return [(a, b) for a, b in combinations(known, 2) if known[a].saw_of(known[b])]
 
 
-def _counts(run: Summary) -> Iterator[int]:
-    """Count parameters by the data, with the prior, open or limits; then the warnings of a run."""
-    cells = posterior_cells(run)
-    joint = [(cells[name].status == "determined", row.verdict) for name, row in run.joint.items()]
-    by = [verdict if determined else "open" for determined, verdict in joint]
-    yield from (by.count(kind) for kind in ("data", "weak", "open"))
-    yield len(alerts_of(run))
-
-
 def compare_page(
     folder: Path,
     found: Comparison,
@@ -194,11 +179,9 @@ def compare_page(
         "compare.html.j2",
         title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
         runs=runs,
-        counts={name: tuple(_counts(run)) for name, run in runs.items()},
         pooled=pooled,
         same=shared_recordings(provenance),
         provenance=provenance,
-        unknown=[run for run, one in provenance.items() if not (one and one.known)],
         methods=found,
         explained=list(explained(found)),
         figures=page_figures(folder, [FOREST], {}),

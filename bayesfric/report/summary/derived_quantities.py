@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +14,11 @@ from bayesfric.estimates.torque import typical_load, weighed_torque
 from bayesfric.identifiability.local import LocalInformation, verdict
 from bayesfric.identifiability.scale_from_priors import given_by
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.rows import Described
 from bayesfric.report.words import listed
@@ -25,6 +28,8 @@ LEVEL = 0.9
 _TOTALS_BUDGET = 25_000_000
 # A total below this share of the others of its unit is zero but for rounding.
 _NOUGHT = 1e-9
+_LOSSY = {"alpha_drive": (0.0, 1.0), "alpha_back": (1.0, math.inf)}
+_LOSSY |= {"efficiency_drive": (0.0, 1.0), "efficiency_back": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,27 @@ def spread(x: Array) -> dict[str, Any]:
     }
 
 
+def limits_of(name: str) -> tuple[float, float] | None:
+    """Give the physical limits of a factor or efficiency, eqs. (4) and (6); no other has any.
+
+    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of a loss does not.
+    """
+    return _LOSSY.get(quantity_of(name))
+
+
+def leaning(x: Array, prior: tuple[float, float], possible: tuple[float, float]) -> dict[str, Any]:
+    """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
+    side = bound_of(x[np.isfinite(x)], *prior)
+    if side is None:
+        return {"at_bound": None}
+    end = 0 if side == "lower" else 1
+    return {
+        "at_bound": side,
+        "bound": prior[end],
+        "bound_physical": prior[end] == possible[end],
+    }
+
+
 def gradients(fit: Fit, group: Group) -> Array:
     """Give the change of quantities with each free parameter at the median, ``(k, n_free)``."""
     median, k = fit.posterior.median, len(fit.target.free)
@@ -118,6 +144,8 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
             by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told), "prior_sd": prior_sd}
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
+            if (limits := limits_of(q.name)) is not None:
+                by |= leaning(q.values, limits, limits)
             if np.isfinite(prior).any():
                 by["prior_interval"] = spread(prior)["interval"]
             rows[q.name] = {
