@@ -21,7 +21,6 @@ from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import (
     Cell,
     estimate_cell,
-    left_open,
     next_to,
     posterior_cell,
     turns_of,
@@ -115,9 +114,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     -------
     Comparison
         Totals first, then what no scaling of leg parameters and alpha changes, then
-        the rest. A run shows an estimate of one of the rest only where all of its columns
-        that have it determine it: otherwise their scales differ and compare nothing. What
-        did not converge, estimate or posterior, says so and leaves the others as they are.
+        the rest. What did not converge, estimate or posterior, says so.
 
     Raises
     ------
@@ -156,9 +153,6 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             # the data alone leave what a scaling changes without any sd
             told = [run.parameters[row.name] for run in runs.values() if row.name in run.parameters]
             row.gauge_free = all(one.data_sd is not None for one in told)
-        if not row.gauge_free:
-            for name in runs:
-                _leave_open(row, [column for column in columns if column.run == name])
     _check_common(rows.values(), columns)
     notes = list(_of_runs(runs, rows))
     if sources := _add_references(rows, runs, turns):
@@ -259,17 +253,6 @@ def _check_unit(where: str, unit: str, row: Row) -> None:
     if unit != row.unit:
         what = f"is in {unit or 'no unit'!r}, but in {row.unit or 'no unit'!r} in {row.told_by}"
         raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
-
-
-def _leave_open(row: Row, columns: list[Column]) -> None:
-    """Leave an estimate of a scale open where another of the run's columns does."""
-    mine = [(column, row.cells[column.label]) for column in columns if column.label in row.cells]
-    # of a posterior or a search that is none, nothing follows for the others
-    open_ = [c.label for c, cell in mine if cell.status == "undetermined" and cell.converged]
-    for column, cell in mine if open_ else ():
-        # a posterior's own verdict stands: it knows the priors, which settle what is open
-        if column.kind == "estimate" and cell.status not in ("undetermined", "known"):
-            row.cells[column.label] = left_open(cell.value, None, f" (see {open_[0]})")
 
 
 def _of_total(summary: Summary, name: str, unit: str) -> str:
