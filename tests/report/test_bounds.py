@@ -18,12 +18,10 @@ from bayesfric.report.summary.conclusions import (
     noise_cut,
 )
 from bayesfric.report.summary.derived_quantities import leaning, limits_of
-from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import brief
-from bayesfric.report.words import doubt_text
 
 from .made_summaries import failed, knee, posterior_row
 from .page_reader import read_page
@@ -136,24 +134,6 @@ def test_noise_that_a_prior_keeps_small_makes_every_number_doubtful(changed, dou
     assert (warned is not None) == (changed == {"at_bound": "lower"})
     # one of the joint is its own affair
     assert not noise_cut("motor.coulomb", summary.parameters["noise.sigma"])
-
-
-def test_a_fit_with_noise_held_down_determines_nothing(make_observation):
-    """White noise of 0.05 N m that may be 0.02 at most: intervals have 0.4 of their width."""
-    chain = AXIS.chain()
-    observation = make_observation(chain, AXIS.values, sigma=0.05, n=1000, seed=6)
-    priors = read_priors(chain, {"noise.sigma": [0.001, 0.02]}, [observation])
-    found = fit(
-        make_target(chain, [observation], priors, "shared"),
-        Sampling(seed=2, min_ess=400, walkers=24, ensembles=2),
-    )
-    summary = summarise(found)
-    (cut,) = [d for d in find_doubts(found, summary) if d["kind"] == "noise-bound"]
-    assert (cut["noise"], cut["bound"]) == ("noise.sigma", pytest.approx(0.02))
-    doubted = put_doubts(summary, [cut])
-    assert doubted.sampler.status == "tentative"
-    assert all(row.verdict != "data" for row in doubted.joint.values())
-    assert "larger than its prior allows (0.02 N m)" in doubt_text(cut)
 
 
 @pytest.mark.parametrize(

@@ -229,21 +229,6 @@ def test_nothing_keeps_anybody_out(browser, pages, name, dark):
     assert barriers(browser) == []
 
 
-def test_dark_and_light_differ_but_figures_stay_white(browser, pages):
-    def colours():
-        return browser.execute_script(
-            "return [document.body, document.querySelector('.card')]"
-            ".map(e => getComputedStyle(e).backgroundColor)"
-        )
-
-    show(browser, pages / "run.html")
-    light = colours()
-    show(browser, pages / "run.html", dark=True)
-    dark = colours()
-    assert light[0] != dark[0]
-    assert light[1] == dark[1] == "rgb(255, 255, 255)"
-
-
 def test_it_prints(page):
     printed = page.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
     pdf = base64.b64decode(printed["data"])

@@ -267,16 +267,6 @@ def test_open_numbers_are_printed_nowhere():
             assert row["remark"].startswith("not determined")
 
 
-def test_one_open_column_of_a_run_withholds_the_others_of_what_scaling_changes():
-    run = knee()
-    row = run["estimates"]["input-error"]["parameters"]["load.inertia"]
-    row |= {"determined": True, "span": None, "sd": 0.01, "sd_robust": 0.02}
-    cells = comparison({"a": run})["load.inertia"].cells
-    assert cells["input-error"].status == "undetermined"
-    assert cells["input-error"].sd is None
-    assert "output-error" in cells["input-error"].remark
-
-
 def lost(run, method="output-error"):
     """Make an estimate one whose search ended at no minimum, as ``estimate_summary`` writes it."""
     table = run["estimates"][method]
@@ -298,19 +288,6 @@ def test_an_estimate_that_did_not_converge_is_told_in_its_own_column_only():
     assert "n.c.: not converged" in printed
     assert "not determined" not in printed
     assert printed.count("n.c. ") == len(told.rows)
-
-
-def test_a_posteriors_own_verdict_stands():
-    """The data alone leave it open, a prior does not: that is what the posterior says."""
-    run = loaded()
-    for method in ("input-error", "output-error"):
-        row = run["estimates"][method]["parameters"]["load.inertia"]
-        row |= {"determined": False, "sd": None, "sd_robust": None}
-    run["parameters"]["load.inertia"]["verdict"] = "weak"
-    cells = comparison({"a": run})["load.inertia"].cells
-    assert cells["posterior"].status == "determined"
-    assert cells["posterior"].interval == tuple(run["parameters"]["load.inertia"]["interval"])
-    assert cells["input-error"].status == "undetermined"
 
 
 @pytest.mark.parametrize("span", [None, [0.0, 0.0]])
@@ -351,21 +328,6 @@ def test_what_is_known_is_no_result():
     cell = found["motor.viscous"].cells["one: posterior"]
     assert (cell.value, cell.status, cell.sd) == (4e-3, "known", None)
     assert "motor.extra" not in [row.name for row in found.rows]
-
-
-def test_whether_scaling_changes_it_is_asked_of_every_run_before_anything_is_shown():
-    """The order of the runs must not decide what is withheld."""
-    one, two = knee(), knee()
-    for table in ("input-error", "output-error"):
-        for run in (one, two):
-            del run["estimates"][table]["parameters"]["motor.inertia"]
-    # only the second run's data say that a scaling changes it
-    two["parameters"]["motor.inertia"] |= {"verdict": "prior", "data_sd": None}
-    for runs in ({"one": one, "two": two}, {"two": two, "one": one}):
-        row = comparison(runs)["motor.inertia"]
-        assert not row.gauge_free
-        assert row.cells["one: posterior"].status == "determined"
-        assert row.cells["two: posterior"].status == "undetermined"
 
 
 def test_what_a_file_says_of_scaling_counts_more_than_a_guess():

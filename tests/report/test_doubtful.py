@@ -7,11 +7,9 @@ import re
 import pytest
 
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_texts
 
 from .made_summaries import loaded
-from .page_reader import read_page
 
 NAME, LIMIT, FINE = "motor.inertia", "load.inertia", "motor.viscous"
 
@@ -54,31 +52,3 @@ def test_a_table_that_is_filtered_by_status_does_not_pass_it(told):
     status = {row["name"]: row["status"] for row in rows if row["column"] == "posterior"}
     assert (status[NAME], status[LIMIT]) == ("doubtful", "doubtful")
     assert status[FINE] == "determined"
-
-
-def test_on_the_page_beside_each_interval(told, tmp_path):
-    told["self_check"] = {
-        **{"asked": 40, "made": 40, "seconds": 1.0, "cpu_seconds": 1.0, "unexplained": 0.1},
-        "rows": {
-            name: {"bias": 0.5, "bias_error": 0.01, "coverage": 0.85, "coverage_error": 0.01,
-                   "corrected": 3.4e-4, "corrected_interval": [3e-4, 3.9e-4]}
-            for name in (NAME, FINE)
-        },
-    }  # fmt: skip
-    page = read_page(run_page(tmp_path, told, "run"))
-    seen = 0
-    for row in page.all("tr"):
-        if row.attrs.get("data-name") not in (NAME, FINE) or "data-verdict" not in row.attrs:
-            continue  # there the status has a column of its own
-        for cell in row.all("td"):
-            if re.search(r"\[[^\]]*,[^\]]*\]", cell.text):
-                seen += 1
-                assert ("doubtful" in cell.text) == (row.attrs["data-name"] == NAME), cell.text
-    assert seen == 2  # its interval, and that of the other
-    (first,) = page.all("section", id="findings")
-    status = {
-        row.attrs["data-name"]: next(row.all("td", **{"class": "status"})).text
-        for row in first.all("tr")
-        if row.attrs.get("data-name") in (NAME, FINE)
-    }
-    assert status == {NAME: "doubtful", FINE: "identified"}

@@ -71,13 +71,6 @@ def test_bars_are_90_percent():
     np.testing.assert_allclose(values, sorted(cell.value for cell in cells.values()))
 
 
-def test_posteriors_with_white_noise_have_thin_bars():
-    found = comparison({"a": knee(), "old": old()})
-    ax = panels(forest_figure(found))["motor.inertia"]
-    assert [y for _, y in drawn(ax, "thick")] == [1.0]
-    assert [y for _, y in drawn(ax, "thin")] == [0.0]
-
-
 def test_open_numbers_have_no_bars_but_words():
     found = comparison({"a": knee()})
     at = panels(forest_figure(found))

@@ -1,6 +1,5 @@
 """How a run tells that its model is not right: summary, terminal, tables, page, paragraph."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 from tests.inference.test_discrepancy import fitted
 
@@ -24,17 +22,6 @@ NAME = "motor.viscous"
 @pytest.fixture(scope="module")
 def wrong():
     return fitted(cubic=0.005)
-
-
-def test_the_file_holds_both_and_reads_back(wrong):
-    told = json.loads(json.dumps(wrong.summary.as_dict()))
-    row = told["parameters"][NAME]
-    assert row["model_error_interval"] != row["interval"]
-    assert told["model_error"]["shown"] is True
-    assert Summary.read(told).as_dict() == told
-    frame = wrong.summary.frame.set_index("name")
-    assert frame.loc[NAME, "low"] == row["model_error_interval"][0]
-    assert frame.loc[NAME, "posterior_low"] == row["interval"][0]
 
 
 def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):

@@ -16,7 +16,7 @@ from bayesfric.report.page.rendering import html_symbol, page_figure
 from bayesfric.report.paper.tables import parameter_table, parameters_latex
 
 from . import made_tables
-from .made_summaries import FOUND, LEG, knee, loaded, old
+from .made_summaries import FOUND, knee, loaded, old
 from .page_reader import number, read_page
 
 
@@ -173,40 +173,6 @@ def test_first_screen_names_what_is_open(page, summary):
     (why,) = page.all("section", id="why")
     assert "bayesfric identify" in why.text
     assert "may be simulated" in why.text
-
-
-def test_remedies_come_first_where_they_are_known(tmp_path):
-    told = knee()
-    told["identifiability"] = {
-        "null_directions": [],
-        "directions": [
-            {
-                "kind": "null",
-                "exponents": dict.fromkeys(LEG, 1.0),
-                "meaning": f"{', '.join(LEG)} can all be multiplied by one factor: nothing changes",
-                "reasons": ["the torque holds only products"],
-                "remedies": [
-                    {"kind": "known value", "text": "fix load.inertia", "open_after": 0},
-                    {
-                        "kind": "known mass",
-                        "text": "bolt on 2 kg",
-                        "log_sd_after": 0.02,
-                        "open_after": 0,
-                    },
-                ],
-            }
-        ],
-    }
-    (first,) = read_page(run_page(tmp_path, told, "knee")).all("section", id="why")
-    (steps,) = first.all("ol")
-    assert [step.text for step in steps.all("li")] == [
-        "Bolt on 2 kg. Lifts the open direction; simulated beforehand, what is open would be "
-        "known to 2 %.",
-        "Fix load.inertia. Lifts the open direction.",
-    ]
-    assert "can all be multiplied by one factor: nothing changes. Because the torque" in (
-        first.text
-    )
 
 
 def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path):

@@ -249,16 +249,6 @@ def test_an_axis_is_determined_by_its_data(emps):
     assert summary["derived"] == {}
 
 
-def test_least_squares_of_an_axis_is_numpys(emps):
-    result, summary = emps
-    (o,) = result.observations
-    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.qd)], axis=1)
-    expected = np.linalg.lstsq(x, o.torque, rcond=None)[0]
-    found = summary["estimates"]["least-squares"]["parameters"]
-    values = sorted(row["value"] for row in found.values())
-    np.testing.assert_allclose(values, np.sort(expected), rtol=1e-6)
-
-
 def test_a_loss_that_is_zero_leans_on_its_bound(lossless):
     _, summary = lossless
     assert summary["parameters"]["motor.viscous"]["at_bound"] == "lower"

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from bayesfric.report import numbers
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     methods_latex,
@@ -23,7 +22,6 @@ from bayesfric.report.terminal import fit_text
 
 from .made_summaries import every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed
-from .page_reader import read_page
 
 CASES = {"open": knee, "loaded": loaded, "invented": every_kind}
 
@@ -182,21 +180,6 @@ def test_names_that_latex_would_trip_over():
 def test_no_uncertainty_no_digits(sd):
     with pytest.raises(ValueError, match="no uncertainty"):
         numbers.last_digit(sd)
-
-
-def test_a_verdict_is_the_same_in_every_table_and_on_the_page(tmp_path):
-    told = every_kind()
-    told["parameters"]["motor.inertia"] |= {"verdict": "weak", "doubted": ["noise"]}
-    table = parameter_table(told)
-    tex = lines(parameters_latex(table))
-    page = read_page(run_page(tmp_path, told, "knee"))
-    shown = {r.attrs["data-name"]: r.text for r in page.all("tr") if "data-verdict" in r.attrs}
-    begins = {"motor.coulomb_negative": "data, on one side", "motor.inertia": "doubtful"}
-    for name, words in begins.items():
-        k = next(i for i, r in enumerate(table.rows) if r.name == name)
-        assert tex[k][-1] == words
-        assert words in shown[name]
-    assert "prior" not in shown["motor.coulomb_negative"]
 
 
 @pytest.mark.parametrize(

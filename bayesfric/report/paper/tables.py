@@ -186,7 +186,6 @@ def methods_latex(found: Comparison) -> str:
         "methods_notes.txt.j2",
         found=found,
         cells=told,
-        empty=len(told) < len(found.rows) * len(found.columns),
         skewed=any("^{+" in text for _, texts in lines for text in texts),
     ).splitlines()
     head = ["", "Unit", *(latex.escaped(c.label) for c in found.columns)]

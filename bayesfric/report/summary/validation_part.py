@@ -23,8 +23,6 @@ from bayesfric.report.words import line_of
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
 _JUDGED, _PASSES = 0.9, (0.85, 0.95)
-# Where too many are inside, intervals of this level say whether they are too wide, too.
-_HALF = 0.5
 # Standard errors from the nominal share, outside those limits, that make a verdict.
 _SURE = 2.0
 # Level of the interval of the discrepancy.
@@ -100,7 +98,7 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
         "predictive_sd": math.sqrt(float(variance.mean())),
         "discrepancy": _discrepancy(residual**2 - variance, at),
     }
-    verdict = _verdict(shares[_JUDGED], shares[_HALF], numbers["discrepancy"])
+    verdict = _verdict(shares[_JUDGED], numbers["discrepancy"])
     share, off = shares[_JUDGED], numbers["discrepancy"]
     told = {"covers": share.text, "effective": share.effective_outputs}
     if off["interval"][0] > 0.0:
@@ -118,7 +116,7 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> dict[str, Any]:
     return {"value": value, "interval": [low, high], "level": _LEVEL}
 
 
-def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any]) -> str:
+def _verdict(share: Coverage, discrepancy: Mapping[str, Any]) -> str:
     low, high = _PASSES
     if low <= share.share <= high:
         return "covered"
@@ -126,6 +124,4 @@ def _verdict(share: Coverage, half: Coverage, discrepancy: Mapping[str, Any]) ->
     beyond = share.share < low and discrepancy["interval"][0] > 0.0
     if not beyond and abs(share.share - _JUDGED) <= _SURE * share.standard_error:
         return "undecided"
-    # off by nearly the same everywhere leaves few in the middle, and few far out
-    hollow = half.share < _HALF - _SURE * half.standard_error
-    return "too wide" if share.share > high and not hollow else "model discrepancy"
+    return "too wide" if share.share > high else "model discrepancy"
