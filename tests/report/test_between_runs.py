@@ -37,8 +37,8 @@ def test_only_what_the_data_of_two_runs_determine_is_pooled():
     rows = list(csv.DictReader(io.StringIO(between_runs_csv(list(found.values())))))
     assert {row["name"] for row in rows} == set(found)
     for row in rows:
-        assert float(row["median"]) == found[row["name"]].pool.mean.median
-        assert float(row["next_high"]) == found[row["name"]].pool.following.high
+        assert float(row["mean"]) == found[row["name"]].pool.mean.median
+        assert float(row["following_high"]) == found[row["name"]].pool.following.high
         assert row["agree"] == str(found[row["name"]].pool.agree)
 
 

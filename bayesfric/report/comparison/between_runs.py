@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,6 @@ from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import csv_text
 
-_NONE = Interval(0.0, 0.0, 0.0)
 # Fewer runs whose data determine a quantity are no population.
 _LEAST = 2
 # More draws change no interval that could be seen.
@@ -193,19 +192,13 @@ def _likelihood(
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay pooled values out as CSV text, every number in full."""
-    lines = [
-        {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "doubted": one.doubted}
-        | {"level": one.told.level}
-        | asdict(one.pool.mean)
-        | _ends("between_sd", one.pool.spread)
-        | _ends("next", one.pool.following)
-        | {"q": one.pool.q, "p_value": one.pool.p_value, "agree": one.pool.agree}
-        for one in found
-    ]
-    between, following = (list(_ends(key, _NONE)) for key in ("between_sd", "next"))
-    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high", *between]
-    return csv_text(lines, [*columns, *following, "q", "p_value", "agree"])
-
-
-def _ends(key: str, interval: Interval) -> dict[str, float]:
-    return {key: interval.median, f"{key}_low": interval.low, f"{key}_high": interval.high}
+    lines = []
+    for one in found:
+        line: dict[str, Any] = {"name": one.name, "unit": one.told.unit, "runs": len(one.runs)}
+        line |= {"doubted": one.doubted, "level": one.told.level}
+        for key in ("mean", "spread", "following"):
+            for end, x in vars(getattr(one.pool, key)).items():
+                line[key if end == "median" else f"{key}_{end}"] = x
+        pool = one.pool
+        lines.append(line | {"q": pool.q, "p_value": pool.p_value, "agree": pool.agree})
+    return csv_text(lines, list(lines[0]) if lines else ["name"])

@@ -139,18 +139,19 @@ def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
             line.draw(ax, cell.span, "span", _SPAN)
             ax.plot(cell.value, line.y, gid="open", **line.mark(filled=False))
         elif cell.limit is not None:
-            line.draw(ax, [cell.value, cell.limit], "limit", {"linewidth": 0.9})
+            # an arrow to the bound
+            end = cell.value if cell.bound is None else cell.bound
+            line.draw(ax, [end, cell.limit], "limit", {"linewidth": 0.9})
             ax.plot(cell.limit, line.y, color=line.colour, marker="|", markersize=6.0)
+            ax.plot(end, line.y, **line.mark() | {"marker": "<" if end < cell.limit else ">"})
         elif cell.status != "undetermined":
             for ends, kind, look in _bars(cell):
                 line.draw(ax, ends, kind, look)
             ax.plot(cell.value, line.y, gid="value", **line.mark())
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE])
-    ax.set_xlim(ax.get_xlim())  # what is written, and where an arrow ends, moves it no more
+    ax.set_xlim(ax.get_xlim())  # what is written moves it no more
     for line, cell in told:
-        if cell.limit is not None:
-            _arrow(ax, line, cell, cell.limit)
         if cell.status == "undetermined":
             words = "not determined" if cell.converged else "not converged"
             _words(ax, cell.value if cell.span is not None else None, line.y, words)
@@ -178,17 +179,6 @@ def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
         plain = _around(cell, cell.sd_plain) if cell.accounts else ends
         bars.append((plain, "thin", _THIN))
     return bars
-
-
-def _arrow(ax: Axes, line: _Line, cell: Cell, limit: float) -> None:
-    """Draw an arrow from the limit to the bound, or as far towards it as there is room."""
-    low, high = ax.get_xlim()
-    towards = low if cell.at_bound == "lower" else high
-    end = 0.97 * towards + 0.015 * (low + high)
-    if cell.bound is not None:
-        end = max(cell.bound, end) if towards == low else min(cell.bound, end)
-    line.draw(ax, [limit, end], "limit", {"linewidth": 0.9})
-    ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if towards == low else ">"})
 
 
 def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
