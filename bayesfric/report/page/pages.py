@@ -23,7 +23,7 @@ from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
-from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
+from bayesfric.report.summary.record import Readable, RemedyRow, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
 
@@ -93,32 +93,18 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
     rows = [*joint, *(r for r in table.rows if r.group == "free")]
     directions = found.directions or []
     null = found.null_directions if found.directions is None else []
+    steps: dict[str, RemedyRow] = {}
+    for one in directions:
+        for remedy in one.remedies:
+            steps.setdefault(remedy.text, remedy)
     return {
         "lost": [r.name for r in rows if not r.cell.converged],
         "open": {r.name: r.meaning for r in rows if r.by == "open" and r.cell.converged},
         "why": [(one.meaning, one.reasons) for one in directions] + [(n.meaning, []) for n in null],
-        # remedies, each with how many of the directions it lifts, if any were looked for
-        "steps": _steps(directions),
-        "directions": len(directions),
+        # each remedy once, an experiment before a value from elsewhere, which has to be believed
+        "steps": sorted(steps.values(), key=lambda remedy: remedy.kind == "known value"),
         "command": _command(joint),
     }
-
-
-def _steps(directions: Sequence[OpenDirectionRow]) -> list[tuple[RemedyRow, int]]:
-    """List remedies, those that leave fewest directions open first, each one once."""
-    found: dict[str, tuple[RemedyRow, int]] = {}
-    for direction in directions:
-        for remedy in direction.remedies:
-            first, lifted = found.get(remedy.text, (remedy, 0))
-            found[remedy.text] = first, lifted + 1
-
-    def order(one: tuple[RemedyRow, int]) -> tuple[int, int, bool]:
-        remedy, lifted = one
-        after = len(directions) if remedy.open_after is None else remedy.open_after
-        # an experiment was simulated; a value from elsewhere has to be believed
-        return after, -lifted, remedy.kind == "known value"
-
-    return sorted(found.values(), key=order)
 
 
 def _command(joint: Sequence[ParameterRow]) -> str:

@@ -74,7 +74,6 @@ class RemedyRow(Open):
     kind: str = ""
     text: str
     log_sd_after: NotNegative | None = None
-    open_after: int | None = None
 
 
 class OpenDirectionRow(Open):
