@@ -90,7 +90,6 @@ class Identifiability(Part):
     """What no recording of this kind can tell; ``directions`` is ``None`` in older runs."""
 
     null_directions: list[NullDirection] = Field(default_factory=list)
-    singular_values: list[FiniteFloat] = Field(default_factory=list)
     directions: list[OpenDirectionRow] | None = None
 
 

@@ -80,7 +80,6 @@ def summarise(
                 {"parameters": n.exponents, "meaning": str(n.meaning)}
                 for n in local.null_directions
             ],
-            "singular_values": [float(x) for x in local.directions.singular_values],
         },
         "noise": noise_part.noise_record(fit, residual, choice),
         "fit": {
