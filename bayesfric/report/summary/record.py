@@ -98,8 +98,6 @@ class Tried(Part):
 
     order: int
     bic: FiniteFloat
-    innovation_share: FiniteFloat | None = None
-    p_value: FiniteFloat | None = None
 
 
 class Whiteness(Part):
