@@ -199,8 +199,7 @@ def test_figures_and_summaries_are_of_what_was_sampled():
     assert "friction" in dir(PLOT)
     assert len(dir(PLOT)) == len(set(dir(PLOT)))
     assert bf.plot.friction(posterior).axes
-    assert "motor.inertia" in bf.summary(posterior)._repr_html_()
-    said = str(bf.summary(posterior))
+    said = repr(bf.summary(posterior))
     assert said.splitlines()[1].startswith(("Fit good", "Model ", "Not ", "Doubtful"))
     assert "90 % interval" in said
     with pytest.raises(AttributeError, match="friction"):

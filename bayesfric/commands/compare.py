@@ -34,7 +34,6 @@ def compare(
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
     from bayesfric.base.written import check_free, made_beside
-    from bayesfric.problem.config import chain_of
     from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
@@ -46,7 +45,7 @@ def compare(
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
     draws = {
-        name: read_draws(run, checked[name], chain_of)
+        name: read_draws(run, checked[name])
         for name, run in zip(summaries, runs, strict=True)
         if len(runs) > 1
     }

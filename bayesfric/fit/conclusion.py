@@ -15,7 +15,7 @@ from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond
 from bayesfric.problem.problem import Problem, StartingPoint
-from bayesfric.report.summary.conclusions import add_model_error, limits_of_losses, put_reported
+from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
@@ -41,8 +41,7 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
     """Sum a posterior up: each number with its interval and what is doubtful of it."""
     derived = groups(found)
     summary = summarise(found, problem.references(), start.choice, derived)
-    # room for what the model lacks, too, lets a loss reach zero
-    summary = limits_of_losses(add_model_error(summary, found, derived))
+    summary = add_model_error(summary, found, derived)
     summary = _with_back_emf(summary, examined.back_emf, len(problem.recordings))
     rests = [RestsPart.model_validate(vars(one)) for one in examined.rests]
     summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})

@@ -123,7 +123,7 @@ def summary(posterior: Any) -> Summary:
     Returns
     -------
     Summary
-        Every number with its verdict; ``frame`` is its table, which it shows in a notebook.
+        Every number with its verdict; ``frame`` is its table; it shows as on a terminal.
     """
     if isinstance(posterior, str | Path):
         return shown.Summary.read(read_summary_file(Path(posterior)), str(posterior))

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import numpy as np
 from bayesfric.fleet.fleet_units import Unit, places_of
 from bayesfric.population.levels import Levels, levels
 from bayesfric.population.outliers import WithOutliers, with_outliers
-from bayesfric.problem.config import chain_of
 from bayesfric.report.comparison.between_runs import RunDraws, Told, read_draws, told_by_runs
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.rows import PosteriorRow
@@ -128,7 +126,6 @@ def fleet_population(
     What the data of a unit leave open does not count, nor does a unit that did not converge.
     ``joint`` and ``over`` are columns.
     """
-    rebuild = cache(chain_of)
     runs: dict[str, Summary] = {}
     draws: dict[str, RunDraws] = {}
     for unit in units:
@@ -136,7 +133,7 @@ def fleet_population(
         if not (run / "summary.json").is_file():
             continue
         summary = Summary.read(read_summary_file(run), str(run))
-        runs[unit.name], draws[unit.name] = summary, read_draws(run, summary, rebuild)
+        runs[unit.name], draws[unit.name] = summary, read_draws(run, summary)
     by_name = {unit.name: unit for unit in units}
     joints = {name: str(one.values[joint]) for name, one in by_name.items()} if joint else {}
     places, per = places_of(units, over) if over else ({}, "")

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -60,23 +59,12 @@ class Prediction:
 
         Uniform between 0 and 1 where predictions are right (Dawid, JRSS A 147, 1984).
         """
-        found = np.empty(self.measured.size)
-        for part in self._blocks():
-            found[part] = self.noise.cdf(self.measured[part] - self.torque[:, part]).mean(axis=0)
+        found, at_once = np.empty(self.measured.size), max(1, _BLOCK // len(self.torque))
+        for begin in range(0, found.size, at_once):
+            part = slice(begin, begin + at_once)
+            below = self.noise.cdf(self.measured[part] - self.torque[:, part])
+            found[part] = below.mean(axis=0)
         return found
-
-    @cached_property
-    def log_score(self) -> Array:
-        """Log of the predictive density of what was measured, ``(M,)``."""
-        found = np.empty(self.measured.size)
-        for part in self._blocks():
-            density = self.noise.logpdf(self.measured[part] - self.torque[:, part])
-            found[part] = logsumexp(density, axis=0) - np.log(len(self.torque))
-        return found
-
-    def _blocks(self) -> list[slice]:
-        wide = max(1, _BLOCK // len(self.torque))
-        return [slice(a, a + wide) for a in range(0, self.measured.size, wide)]
 
 
 def predict_held_out(

@@ -28,7 +28,6 @@ from bayesfric.inference.prior.priors import PriorText
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
-from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
@@ -242,14 +241,6 @@ def parse_config(text: str, path: Path) -> Config:
         if count > 1:
             raise BadInput(f"{path}: priors.{name}", "is given twice", "leave one out")
     return Config(path=path, text=text, tables=tables)
-
-
-def chain_of(config: str) -> Joint | None:
-    """Rebuild a run's chain from its configuration, where this version still reads that."""
-    try:
-        return parse_config(config, Path(RUN_CONFIG)).tables.mechanism.joint()
-    except BadInput:
-        return None
 
 
 def read_document(text: str, path: Path, kind: str) -> dict[str, Any]:

@@ -56,8 +56,8 @@ def alerts_of(read: Readable, contested: Sequence[str] | None = None) -> tuple[A
         place = "model-error" if doubt.kind == "missing" else "noise"  # how it was asked
         found.append(_alert(doubt.kind, doubt.model_dump(), place, first=True))
     if summary.sampler.status != "unusable":  # else there is no posterior to judge the model by
-        if (told := references_off(summary)) is not None:
-            found.append(_alert("references", told, "parameters", first=True))
+        if off := references_off(summary):
+            found.append(_alert("references", {"off": off}, "parameters", first=True))
         found += (_alert(*one) for one in _of_model(summary, contested))
     found += (Alert("warning", text, line=text.split(";")[0]) for text in _gathered(summary))
     if (emf := summary.fit.back_emf) is not None:

@@ -202,19 +202,10 @@ def _seen(fit: Fit, values: Array, *, open_scale: bool) -> dict[str, Any]:
 
 
 def _typical(q: Array, qd: Array, qdd: Array) -> list[float]:
-    """Pick the output next to a median angle and speed, hardly accelerated: there the data were."""
-    middle = np.median(q), np.median(np.abs(qd)), 0.0
-    apart = [
-        ((x - at) / (np.ptp(x) or 1.0)) ** 2 for x, at in zip((q, qd, qdd), middle, strict=True)
-    ]
-    at = int(np.argmin(np.sum(apart, axis=0)))
-    return [_plain(x, at) for x in (q, qd, qdd)]
-
-
-def _plain(x: Array, at: int) -> float:
-    """Round a number to three digits, if that is still among all of them."""
-    short = float(f"{x[at]:.3g}")
-    return short if x.min() <= short <= x.max() else float(x[at])
+    """Give a median position and speed, hardly accelerated: there the data were."""
+    one_way = qd[qd > 0.0] if (qd > 0.0).any() else qd
+    least = min(max(float(qdd.min()), 0.0), float(qdd.max()))
+    return [float(f"{x:.3g}") for x in (np.median(q), np.median(one_way), least)]
 
 
 def _ends(x: Array) -> list[float]:

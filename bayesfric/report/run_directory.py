@@ -25,7 +25,7 @@ from bayesfric.report.figures.registry import Declared, FinishedRun, captions, r
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
-from bayesfric.report.summary.derived_quantities import coefficients
+from bayesfric.report.summary.derived_quantities import Group, coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
 
@@ -118,18 +118,22 @@ def archived(
     """Put together what :func:`~bayesfric.inference.archive.make_archive` takes of a run.
 
     ``posterior`` holds every kept draw, a walker being a chain, and ``derived`` what follows from
-    it; their variables carry units, symbol, meaning and verdict. ``told`` holds draws with room for
+    it; their variables carry units, symbol, meaning and verdict. ``told`` holds both with room for
     the model's error, where recordings show any: what simulations go on with. ``ensemble`` of
     ``sample_stats`` says which walkers belong together. ``log_likelihood`` and
     ``posterior_predictive`` hold a number for each output and a part of the draws. A light run has
-    so many ``draws`` of the posterior and its prior, and nothing else: a comparison derives it.
+    so many ``draws`` of the posterior, with what follows from them, and of its prior.
     """
     posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
     told = {name: _told(row) for name, row in summary.rows.items()}
-    groups = _every_draw(fit, rng) if draws is None else {"posterior": _flat(posterior, draws)}
+    made = coefficients(fit)
+    if draws is None:
+        groups = _every_draw(fit, made, rng)
+    else:
+        groups = {"posterior": _some(posterior, made, draws)}
     if fit.wide is not fit:
-        groups["told"] = _flat(fit.wide.posterior, draws or _TOLD_DRAWS)
+        groups["told"] = _some(fit.wide.posterior, made, draws or _TOLD_DRAWS)
     groups["prior"] = {
         # of a light run for a density that is smoothed anyway
         name: prior.draw(draws or 2000, rng)[None].astype(np.float32 if draws else np.float64)
@@ -144,17 +148,23 @@ def archived(
     }
 
 
-def _every_draw(fit: Fit, rng: np.random.Generator) -> dict[str, dict[str, Array]]:
+def _every_draw(fit: Fit, made: Group, rng: np.random.Generator) -> dict[str, dict[str, Array]]:
     posterior = fit.posterior
     chains = {name: as_chains(posterior[name]) for name in posterior.names}
     n_chains, n_draws = next(iter(chains.values())).shape
     walkers = posterior.draws.shape[1]
     ensemble = np.repeat(np.arange(n_chains) // walkers, n_draws).reshape(n_chains, n_draws)
     log_likelihood, predictive = _pointwise(fit, rng)
-    derived = _derived_draws(fit)
+    # totals as least squares would see them need the recordings, and are in the summary only
+    every = as_chains(posterior.draws)
+    derived = made.named(every.reshape(-1, every.shape[-1]))
     return {
         "posterior": chains,
-        **({"derived": derived} if derived else {}),
+        **(
+            {"derived": {n: x.reshape(n_chains, n_draws) for n, x in derived.items()}}
+            if derived
+            else {}
+        ),
         "log_likelihood": log_likelihood,
         "sample_stats": {"lp": as_chains(posterior.log_density), "ensemble": ensemble},
         "posterior_predictive": predictive,
@@ -162,10 +172,11 @@ def _every_draw(fit: Fit, rng: np.random.Generator) -> dict[str, dict[str, Array
     }
 
 
-def _flat(posterior: Posterior, draws: int) -> dict[str, Array]:
-    """Take so many draws of every parameter, ``(1, draws)`` each."""
+def _some(posterior: Posterior, made: Group, draws: int) -> dict[str, Array]:
+    """Take so many draws of every parameter and of what follows from it, ``(1, draws)`` each."""
     kept = posterior.flat(draws)
-    return {name: kept[None, :, k] for k, name in enumerate(posterior.names)}
+    parameters = dict(zip(posterior.names, kept.T, strict=True))
+    return {name: x[None] for name, x in (parameters | made.named(kept)).items()}
 
 
 def _told_of_run(
@@ -186,22 +197,6 @@ def _told_of_run(
         "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
         "status": summary.sampler.status,
     }
-
-
-def _derived_draws(fit: Fit) -> dict[str, Array]:
-    """Derive what follows draw by draw, ``(chains, draws)`` each.
-
-    Totals as least squares would see them need the recordings, and are in the summary only.
-    """
-    posterior = fit.posterior
-    e, w, s, d = posterior.draws.shape
-    values = fit.target.chain_values(posterior.draws.reshape(-1, d))
-    made = coefficients(fit)
-    if not made.found:
-        return {}
-    with np.errstate(divide="ignore", invalid="ignore"):
-        draws = made.values(values).reshape(-1, e * w, s)
-    return {q.name: x for q, x in zip(made.found, draws, strict=True)}
 
 
 def _told(row: PosteriorRow) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""A summary that shows itself: as the terminal says it, and as a notebook's table."""
+"""A summary that says itself, on a terminal and in a notebook."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ from bayesfric.report.summary import record
 class Summary(record.Summary):
     """Every number of a run, with what must be said of it."""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """Say it as the terminal does."""
         from bayesfric.report.terminal import fit_text
 
         return "\n".join(fit_text(self))
 
-    def _repr_html_(self) -> str:
-        """Show the table with its verdicts in a notebook."""
-        from bayesfric.report.page.rendering import notebook_table  # brings Matplotlib with it
-
-        return notebook_table(self)
+    __str__ = __repr__

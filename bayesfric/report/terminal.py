@@ -77,7 +77,7 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
     told = alerts_of(read) if alerts is None else alerts
     found = list(dict.fromkeys(one.line for one in told if one.line))
     return Brief(
-        read=filled("recorded.txt.j2", summary=read),
+        read=_recorded(read),
         outcome=read.verdict.outcome,
         verdict=filled("verdict.txt.j2", summary=read, found=read.verdict),
         taken=tuple(f"Added: {line_of(one.kind, one.model_dump())}" for one in read.taken),
@@ -95,6 +95,25 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
         others=max(len(found) - FINDINGS, 0),
         following=_next(read),
     )
+
+
+def _recorded(summary: Summary) -> str:
+    """Say what was recorded: names or how many, seconds, rate, and what is explained."""
+    recordings = summary.fit.recordings
+    known = [
+        (one.n_samples, one.sampling_rate)
+        for one in recordings.values()
+        if one.n_samples and one.sampling_rate
+    ]
+    names = ", ".join(recordings)
+    if not known:
+        return names
+    seconds = sum(n / rate for n, rate in known)
+    rates = sorted(rate for _, rate in known)
+    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (rates[0], rates[-1])))
+    names = names if len(recordings) < 3 else f"{len(recordings)} recordings"
+    every = " in all" if len(recordings) > 1 else ""
+    return f"{names}: {seconds:.4g} s{every} at {hertz} Hz, {summary.fit.quantity}"
 
 
 def _in_tables(name: str) -> bool:

@@ -176,15 +176,15 @@ def test_the_page_of_several_runs(runs):
     for name, row in shown.items():
         mean, ends, following, _, between, _, p, said = list(row.all("td"))
         cells = (
-            (mean, ["median"]),
-            (following, ["next_low", "next_high"]),
-            (ends, ["low", "high"]),
+            (mean, ["mean"]),
+            (following, ["following_low", "following_high"]),
+            (ends, ["mean_low", "mean_high"]),
         )
         for cell, keys in cells:
             told, last = number(cell.text)
             wanted = [float(pooled[name][key]) for key in keys]
             assert told[: len(keys)] == pytest.approx(wanted, abs=0.51 * last)
-        assert float(between.attrs["data-sort"]) == float(pooled[name]["between_sd"])
+        assert float(between.attrs["data-sort"]) == float(pooled[name]["spread"])
         assert float(p.attrs["data-sort"]) == float(pooled[name]["p_value"])
         # the second run is 0.7 sds off: nobody can call that a difference
         assert said.text == "2 of 2 agree"

@@ -49,7 +49,7 @@ def test_a_unit_is_done_once_while_nothing_changes(tasks, tmp_path):
     run = tmp_path / "units" / "a0"
     assert sum(one.stat().st_size for one in run.iterdir()) < 130_000
     summary = Summary.read(read_summary_file(run))
-    found = read_draws(run, summary, lambda _: None)
+    found = read_draws(run, summary)
     assert found.values
     assert {x.size for x in found.values.values()} == {300}
     # a recording that changed is fitted anew, and one that is as before gives the same

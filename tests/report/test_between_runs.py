@@ -6,13 +6,9 @@ import io
 from itertools import combinations
 
 import numpy as np
-import pytest
 
-from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import RunDraws, between_runs, between_runs_csv
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.pages import Provenance, _counts, shared_recordings
-from bayesfric.report.paper.tables import methods_latex
+from bayesfric.report.page.pages import Provenance, shared_recordings
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import LEG, knee, loaded
@@ -41,8 +37,8 @@ def test_only_what_the_data_of_two_runs_determine_is_pooled():
     rows = list(csv.DictReader(io.StringIO(between_runs_csv(list(found.values())))))
     assert {row["name"] for row in rows} == set(found)
     for row in rows:
-        assert float(row["median"]) == found[row["name"]].pool.mean.median
-        assert float(row["next_high"]) == found[row["name"]].pool.following.high
+        assert float(row["mean"]) == found[row["name"]].pool.mean.median
+        assert float(row["following_high"]) == found[row["name"]].pool.following.high
         assert row["agree"] == str(found[row["name"]].pool.agree)
 
 
@@ -98,15 +94,6 @@ def test_a_population_ends_where_its_quantity_does():
     assert pool.following.high > far
 
 
-def test_a_page_counts_what_it_tells_a_limit_of_as_one():
-    run = checked(a=knee())["a"]
-    by_data, with_prior, other, warned = _counts(run)
-    assert by_data == sum(row.verdict == "data" for row in run.joint.values())
-    assert warned == len(alerts_of(run))
-    limit = run.with_rows({"motor.viscous": {"at_bound": "lower", "bound": 0.0}})
-    assert tuple(_counts(limit))[:3] == (by_data - 1, with_prior, other + 1)
-
-
 def test_a_run_whose_ensembles_disagree_is_not_averaged_in():
     failed = copy.deepcopy(loaded())
     for row in failed["derived"].values():
@@ -136,23 +123,3 @@ def test_parts_of_one_recording_that_do_not_overlap_are_two():
     pairs = {frozenset(pair) for pair in shared_recordings(runs)}
     apart = frozenset(("first", "second"))
     assert pairs == {frozenset(pair) for pair in combinations(runs, 2)} - {apart}
-
-
-@pytest.mark.parametrize(("wide", "said"), [(1.0, False), (4.0, True), (1.2, False)])
-def test_what_only_room_for_the_models_error_lets_agree_is_said(wide, said):
-    """Measured, EMPS twice: 6.6 sds were the models right, and the same reference to follow."""
-    one, other = knee(), knee()
-    row = other["parameters"]["motor.inertia"]
-    row |= {key: row[key] + 6.0 * row["sd"] for key in ("mean", "median")}
-    for run in (one, other):
-        row = run["parameters"]["motor.inertia"]
-        sd = wide * row["sd"]
-        ends = [row["median"] - 1.645 * sd, row["median"] + 1.645 * sd]
-        row |= {"model_error_interval": ends, "model_error_sd": sd}
-        run["model_error"] = {"shown": wide > 1.0}
-    found, words = comparison({"a": one, "b": other}), "by more than noise"
-    notes = [text for text in found.notes if words in text]
-    assert len(notes) == said
-    table = methods_latex(found)
-    assert (words in table) == said
-    assert all("sd, +4.2 were the models right)" in text for text in notes)

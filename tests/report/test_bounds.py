@@ -2,6 +2,7 @@
 
 import copy
 
+import numpy as np
 import pytest
 
 from bayesfric.commands.fit import fit_text
@@ -14,15 +15,13 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import (
     bound_mend,
     bound_warning,
-    limits_of_losses,
     noise_cut,
 )
-from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.derived_quantities import leaning, limits_of
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import brief
-from bayesfric.report.words import doubt_text
 
 from .made_summaries import failed, knee, posterior_row
 from .page_reader import read_page
@@ -85,25 +84,14 @@ HELD = {"at_bound": "upper", "bound": 0.05, "data_sd": 0.01, "prior_sd": 1.0}
 
 def test_what_a_loss_alone_makes_is_a_limit_where_the_loss_is():
     """Measured, AK80-6: mu at most 0.056, and an efficiency of 0.927 to 0.977 was "to cite"."""
-    told = copy.deepcopy(knee())
-    rows = {
-        "gearbox.load": posterior_row("", 0.016, 0.01, at_bound="lower", bound=0.0),
-        "motor.inertia": told["parameters"]["motor.inertia"],
-    }
-    made = {
-        "gearbox.alpha_drive": posterior_row("", 1 / 1.016, 0.01),
-        "gearbox.alpha_back": posterior_row("", 1 / 0.984, 0.01),
-        "gearbox.efficiency_drive": posterior_row("", 1 / 1.016, 0.01),
-        "gearbox.efficiency_back": posterior_row("", 0.91, 0.01),  # counts a constant loss, too
-    }
-    told |= {"parameters": rows, "derived": made}
-    found = limits_of_losses(Summary.read(told)).derived
-    sides = {name: row.at_bound for name, row in found.items()}
-    assert list(sides.values()) == ["upper", "lower", "upper", None]
-    cell = posterior_cells(limits_of_losses(Summary.read(told)))["gearbox.alpha_drive"]
-    assert (cell.status, cell.remark) == ("limit", "at least 0.968")
-    told["parameters"]["gearbox.load"] |= {"at_bound": None}
-    assert not any(r.at_bound for r in limits_of_losses(Summary.read(told)).derived.values())
+    rng = np.random.default_rng(1)
+    for at_zero, mu in ((True, rng.exponential(0.02, 4000)), (False, rng.normal(0.2, 0.02, 4000))):
+        sides = {"alpha_drive": (1 / (1 + mu), "upper"), "alpha_back": (1 / (1 - mu), "lower")}
+        sides["efficiency_drive"] = sides["alpha_drive"]
+        for name, (draws, side) in sides.items():
+            limits = limits_of(f"gearbox.{name}")
+            assert leaning(draws, limits, limits)["at_bound"] == (side if at_zero else None)
+    assert limits_of("gearbox.lambda_ratio") is None
 
 
 def test_what_the_prior_alone_makes_needs_no_other_bound():
@@ -146,42 +134,6 @@ def test_noise_that_a_prior_keeps_small_makes_every_number_doubtful(changed, dou
     assert (warned is not None) == (changed == {"at_bound": "lower"})
     # one of the joint is its own affair
     assert not noise_cut("motor.coulomb", summary.parameters["noise.sigma"])
-
-
-def test_a_fit_with_noise_held_down_determines_nothing(make_observation):
-    """White noise of 0.05 N m that may be 0.02 at most: intervals have 0.4 of their width."""
-    chain = AXIS.chain()
-    observation = make_observation(chain, AXIS.values, sigma=0.05, n=1000, seed=6)
-    priors = read_priors(chain, {"noise.sigma": [0.001, 0.02]}, [observation])
-    found = fit(
-        make_target(chain, [observation], priors, "shared"),
-        Sampling(seed=2, min_ess=400, walkers=24, ensembles=2),
-    )
-    summary = summarise(found)
-    (cut,) = [d for d in find_doubts(found, summary) if d["kind"] == "noise-bound"]
-    assert (cut["noise"], cut["bound"]) == ("noise.sigma", pytest.approx(0.02))
-    doubted = put_doubts(summary, [cut])
-    assert doubted.sampler.status == "tentative"
-    assert all(row.verdict != "data" for row in doubted.joint.values())
-    assert "larger than its prior allows (0.02 N m)" in doubt_text(cut)
-
-
-@pytest.mark.parametrize("verdict", ["data", "weak", "prior"])
-def test_the_page_and_the_table_tell_it_beside_the_number(tmp_path, verdict):
-    told = copy.deepcopy(knee())
-    row = posterior_row("N m", 0.04, 0.01, verdict=verdict, **HELD, bound_physical=False)
-    told["parameters"]["motor.coulomb"] = row
-    mend = "the data would have it beyond 0.05 N m: widen priors.motor.coulomb"
-    (line,) = [r for r in parameter_table(told).rows if r.name == "motor.coulomb"]
-    assert line.mend == mend
-    page = read_page(run_page(tmp_path, told, "knee"))
-    shown = [r for r in page.all("tr") if r.attrs.get("data-name") == "motor.coulomb"]
-    # the first screen and the comparison of methods have a line of that name too
-    assert sum(mend in r.text for r in shown) == 1
-    # a run of an older version does not tell where the bound is
-    del row["bound"], row["bound_physical"]
-    assert parameter_table(told).rows
-    assert "widen" not in run_page(tmp_path, told, "knee")
 
 
 @pytest.mark.parametrize(

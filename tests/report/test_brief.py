@@ -96,14 +96,6 @@ def test_every_kind_that_is_told_has_its_line():
     assert len(line) <= WIDTH - 2
 
 
-def test_a_long_finding_is_broken_and_loses_nothing():
-    told = knee()
-    told["findings"] = [FOUND | {"kind": "load_loss_by_power", "severity": "note"}]
-    told["findings"][0]["hint"] = 'mechanism.elements.a_long_name_of_gears.load_loss = "two"'
-    text = " ".join(fit_text(told))
-    assert "[mechanism.elements.a_long_name_of_gears]" in text
-
-
 def test_no_view_makes_an_interval_of_parts():
     """What joins posterior, model error and bias stands in one place, below all views."""
     parts = {"model_error_interval", "model_error_sd", "corrected", "corrected_interval"}

@@ -5,7 +5,6 @@ import copy
 import json
 import re
 import shutil
-import xml.etree.ElementTree as ET
 
 import pytest
 
@@ -185,34 +184,6 @@ def test_the_skip_link_is_the_first_stop(run):
     assert run.execute_script("return location.hash") == "#main"
 
 
-def test_figures_can_be_enlarged_and_put_back(run):
-    figure = run.find_element(By.ID, "figure-prediction")
-    before = figure.find_element(By.TAG_NAME, "img").rect["width"]
-    button = figure.find_element(By.CLASS_NAME, "enlarge")
-    button.send_keys(Keys.ENTER)
-    dialog = run.find_element(By.ID, "enlarged")
-    assert dialog.get_attribute("open") is not None
-    assert dialog.find_element(By.TAG_NAME, "img").rect["width"] > before
-    assert not figure.find_elements(By.TAG_NAME, "img")
-    run.switch_to.active_element.send_keys(Keys.ESCAPE)
-    until(lambda: figure.find_elements(By.TAG_NAME, "img"))
-    assert dialog.get_attribute("open") is None
-    assert run.switch_to.active_element == button
-
-
-def test_figures_can_be_saved(run, tmp_path):
-    place = {"behavior": "allow", "downloadPath": str(tmp_path)}
-    run.execute_cdp_cmd("Browser.setDownloadBehavior", place)
-    figure = run.find_element(By.ID, "figure-ridge")
-    figure.find_element(By.CLASS_NAME, "save").send_keys(Keys.ENTER)
-    saved = tmp_path / "ridge.svg"
-    until(lambda: saved.exists() and saved.read_text(encoding="utf-8").endswith("</svg>"))
-    root = ET.parse(saved).getroot()
-    assert root.tag == "{http://www.w3.org/2000/svg}svg"
-    assert root.attrib["width"].endswith("pt")
-    assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > 20
-
-
 @pytest.mark.parametrize("name", ["run.html", "compare.html", "fleet.html"])
 def test_a_phone_needs_no_sideways_scrolling(browser, pages, name):
     show(browser, pages / name, width=380, height=800)
@@ -256,21 +227,6 @@ def test_no_table_of_parameters_is_cut(browser, tmp_path, width):
 def test_nothing_keeps_anybody_out(browser, pages, name, dark):
     show(browser, pages / name, dark=dark)
     assert barriers(browser) == []
-
-
-def test_dark_and_light_differ_but_figures_stay_white(browser, pages):
-    def colours():
-        return browser.execute_script(
-            "return [document.body, document.querySelector('.card')]"
-            ".map(e => getComputedStyle(e).backgroundColor)"
-        )
-
-    show(browser, pages / "run.html")
-    light = colours()
-    show(browser, pages / "run.html", dark=True)
-    dark = colours()
-    assert light[0] != dark[0]
-    assert light[1] == dark[1] == "rgb(255, 255, 255)"
 
 
 def test_it_prints(page):

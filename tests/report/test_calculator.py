@@ -274,42 +274,13 @@ def test_it_says_where_the_data_never_were(browser, made):
 
 
 @pytest.mark.parametrize("low", [-3.2909538424063376, -0.8, 1.2313087030248089])
-def test_it_begins_where_the_data_were(browser, made, folder, low):
-    """Of an arm that never is at zero, either end of the angles rounds to one beyond them."""
-    _, _, law = made("servo-pendulum")
+def test_it_begins_where_the_data_were(low):
     rng = np.random.default_rng(4)
-    q, qd, qdd = (x * rng.uniform(-1.0, 1.0, 500) for x in (1.0298225696907643, 0.6, 0.4))
-    q += low + 1.0298225696907643
-    typical = calculator._typical(q, qd, qdd)
-    for x, began, wide in zip((q, qd, qdd), typical, (0.2, 0.2, 0.2), strict=True):
+    q, qd, qdd = (x * rng.uniform(-1.0, 1.0, 500) for x in (1.0, 0.6, 0.4))
+    q += low + 1.0
+    for x, began in zip((q, qd, qdd), calculator._typical(q, qd, qdd), strict=True):
         assert x.min() <= began <= x.max()
-        assert abs(began - np.median(np.abs(qd) if x is qd else x)) < wide * np.ptp(x)
-    seen = law["seen"] | {
-        "position": [q.min(), q.max()],
-        "speed": [qd.min(), qd.max()],
-        "slowest": 0.06,
-        "acceleration": [qdd.min(), qdd.max()],
-        "typical": typical,
-    }
-    text = calculator_json(law | {"seen": seen})
-    path = page_of(folder, f"begins{low:.0f}", text)
-    show(browser, path)
-    shown = {
-        k: float(browser.find_element(By.ID, f"ask-{k}").get_attribute("value"))
-        for k in ("position", "speed", "acceleration")
-    }
-    assert list(shown.values()) == typical
-    said = [one.text for one in browser.find_elements(By.CSS_SELECTOR, ".told li")]
-    assert not [line for line in said if "never were" in line and "load" not in line]
-
-
-def test_what_a_run_begins_with_is_one_of_its_outputs(made):
-    for name in PRESETS:
-        _, fit, law = made(name)
-        (o,) = fit.observations
-        began = law["seen"]["typical"]
-        apart = np.stack([o.q[o.filter.centres], o.speed, o.qdd[o.filter.centres]], axis=1) - began
-        assert (np.abs(apart) <= 5.1e-3 * np.abs(began)).all(axis=1).any()
+        assert abs(began - np.median(np.abs(qd) if x is qd else x)) < 0.2 * np.ptp(x)
 
 
 def test_a_term_it_does_not_know_gives_no_calculator(browser, made):
@@ -320,18 +291,6 @@ def test_a_term_it_does_not_know_gives_no_calculator(browser, made):
     assert "motor.odd is a term that the page’s script does not know" in section.text
     assert not section.find_elements(By.TAG_NAME, "input")
     assert browser.get_log("browser") == []
-
-
-def test_a_failed_sampling_answers_nothing(browser, made, folder):
-    run = folder / "failed"
-    run.mkdir()
-    (run / FILE).write_text((made("rabbit-knee")[0].parent / FILE).read_text("utf-8"), "utf-8")
-    told = knee() | {"sampler": {"status": "unusable"}}
-    (run / "report.html").write_text(run_page(run, told, "failed"), encoding="utf-8")
-    show(browser, run / "report.html")
-    section = browser.find_element(By.ID, "calculator")
-    assert "sampling failed" in section.text
-    assert not section.find_elements(By.TAG_NAME, "input")
 
 
 def test_it_is_used_by_keyboard_and_tells_who_cannot_see(browser, made):

@@ -9,9 +9,6 @@ from dataclasses import replace
 
 import pytest
 
-from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import (
@@ -23,7 +20,6 @@ from bayesfric.report.comparison.comparison import (
 )
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.paper.tables import methods_latex, parameter_table
-from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import (
     DERIVED,
@@ -101,17 +97,6 @@ def test_white_noise_that_was_found_and_passes_is_not_called_assumed():
     assert not [line for line in explained(found) if told in line]
     run["noise"]["innovation_whiteness"]["white"] = False
     assert not comparison({"knee": run})["total.inertia"].cells["posterior"].accounts
-
-
-def test_a_widened_posterior_is_said_to_be_one():
-    run = knee()
-    said = "widened for a model that is not exactly right"
-    assert not [line for line in explained(comparison({"knee": run})) if said in line]
-    assert said not in methods_latex(comparison({"knee": run}))
-    run["model_error"] = {"shown": True}
-    (line,) = [line for line in explained(comparison({"knee": run})) if said in line]
-    assert line.startswith("posterior: ")
-    assert said in methods_latex(comparison({"knee": run}))
 
 
 def test_estimates_that_disagree_are_named():
@@ -277,25 +262,9 @@ def test_open_numbers_are_printed_nowhere():
         assert not re.search(r"0?\.0?717\d*|0?\.1717|0?\.9717", told)
     for row in csv.DictReader(io.StringIO(comparison_csv(found))):
         if row["status"] == "undetermined":
-            keys = ("sd", "sd_uncorrelated", "low", "high", "level", "limit", "disagreement")
+            keys = ("sd", "sd_plain", "low", "high", "level", "limit", "disagreement")
             assert [row[key] for key in keys] == [""] * 7
             assert row["remark"].startswith("not determined")
-
-
-def test_an_open_number_says_what_fits_as_well():
-    cell = comparison({"a": knee()})["load.first_moment"].cells["input-error"]
-    assert cell.span == (0.30, 0.57)
-    assert cell.remark == "not determined: 0.3 to 0.57 fit as well"
-
-
-def test_one_open_column_of_a_run_withholds_the_others_of_what_scaling_changes():
-    run = knee()
-    row = run["estimates"]["input-error"]["parameters"]["load.inertia"]
-    row |= {"determined": True, "span": None, "sd": 0.01, "sd_robust": 0.02}
-    cells = comparison({"a": run})["load.inertia"].cells
-    assert cells["input-error"].status == "undetermined"
-    assert cells["input-error"].sd is None
-    assert "output-error" in cells["input-error"].remark
 
 
 def lost(run, method="output-error"):
@@ -319,37 +288,6 @@ def test_an_estimate_that_did_not_converge_is_told_in_its_own_column_only():
     assert "n.c.: not converged" in printed
     assert "not determined" not in printed
     assert printed.count("n.c. ") == len(told.rows)
-
-
-def test_a_posteriors_own_verdict_stands():
-    """The data alone leave it open, a prior does not: that is what the posterior says."""
-    run = loaded()
-    for method in ("input-error", "output-error"):
-        row = run["estimates"][method]["parameters"]["load.inertia"]
-        row |= {"determined": False, "sd": None, "sd_robust": None}
-    run["parameters"]["load.inertia"]["verdict"] = "weak"
-    cells = comparison({"a": run})["load.inertia"].cells
-    assert cells["posterior"].status == "determined"
-    assert cells["posterior"].interval == tuple(run["parameters"]["load.inertia"]["interval"])
-    assert cells["input-error"].status == "undetermined"
-
-
-def test_another_run_that_determines_it_shows_it():
-    found = comparison({"a": knee(), "b": loaded()})
-    cells = found["load.inertia"].cells
-    assert cells["a: posterior"].status == "undetermined"
-    assert cells["b: posterior"].status == "determined"
-    assert cells["b: posterior"].disagreement is None
-
-
-def test_what_no_scaling_changes_is_open_by_itself_only():
-    run = knee()
-    run["derived"]["gearbox.lambda_ratio"]["verdict"] = "prior"
-    cells = comparison({"a": run})["gearbox.lambda_ratio"].cells
-    assert cells["posterior"].status == "undetermined"
-    assert cells["input-error"].status == "determined"
-    # nothing to measure it against
-    assert cells["input-error"].disagreement is None
 
 
 @pytest.mark.parametrize("span", [None, [0.0, 0.0]])
@@ -392,21 +330,6 @@ def test_what_is_known_is_no_result():
     assert "motor.extra" not in [row.name for row in found.rows]
 
 
-def test_whether_scaling_changes_it_is_asked_of_every_run_before_anything_is_shown():
-    """The order of the runs must not decide what is withheld."""
-    one, two = knee(), knee()
-    for table in ("input-error", "output-error"):
-        for run in (one, two):
-            del run["estimates"][table]["parameters"]["motor.inertia"]
-    # only the second run's data say that a scaling changes it
-    two["parameters"]["motor.inertia"] |= {"verdict": "prior", "data_sd": None}
-    for runs in ({"one": one, "two": two}, {"two": two, "one": one}):
-        row = comparison(runs)["motor.inertia"]
-        assert not row.gauge_free
-        assert row.cells["one: posterior"].status == "determined"
-        assert row.cells["two: posterior"].status == "undetermined"
-
-
 def test_what_a_file_says_of_scaling_counts_more_than_a_guess():
     run = knee()
     run["parameters"]["motor.inertia"] |= {"verdict": "prior", "data_sd": None}
@@ -430,23 +353,6 @@ def test_summaries_without_the_newer_keys():
     assert {name for name, *_ in undetermined(found)} == {*LEG, "total.offset"}
 
 
-def test_notes_say_what_must_be_known():
-    one, two = knee(), loaded()
-    two["sampler"]["status"] = "unusable"
-    one["references"]["motor.moment"] = {"value": 1.0, "unit": "", "source": "a drawing"}
-    two["references"]["load.first_moment"]["value"] = 0.43
-    one["derived"]["gearbox.lambda_ratio"]["meaning"] = "at 1 N m"
-    two["derived"]["gearbox.lambda_ratio"]["meaning"] = "at 2 N m"
-    found = comparison({"one": one, "two": two})
-    notes = " ".join(found.notes)
-    for part in ("two is unusable", "A drawing gives motor.moment", "0.43", "'at 2 N m' in two"):
-        assert part in notes
-    assert found["load.first_moment"].cells["reference"].value == 0.41
-    told = " ".join(text(found).split())
-    for note in found.notes:
-        assert " ".join(note.split()) in told
-
-
 # -- layouts
 
 
@@ -465,8 +371,7 @@ def test_text_fits_and_has_every_cell(width):
 
 def test_csv_and_json_hold_the_same():
     found = comparison({"a": knee(), "b": loaded()}, estimates=True)
-    record = comparison_dict(found)
-    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    record = json.loads(json.dumps(comparison_dict(found), allow_nan=False))
     rows = list(csv.DictReader(io.StringIO(comparison_csv(found))))
     assert len(rows) == sum(len(row.cells) for row in found.rows)
     for row in rows:
@@ -491,23 +396,3 @@ def test_csv_and_json_hold_the_same():
 )
 def test_numbers_are_rounded_by_their_sd(value, sd, printed):
     assert TEXT.value(value, sd) == printed
-
-
-def test_what_bends_a_total_is_named_by_what_the_joint_has():
-    assert QUANTITIES["load"].bent_by == QUANTITIES["load_speed"].bent_by == "load losses"
-    assert QUANTITIES["stribeck_change"].bent_by == "changing friction"
-    assert QUANTITIES["viscous"].bent_by == ""
-
-
-def test_a_total_speaks_of_load_losses_only_where_there_are_some(make_fit):
-    def meaning(**options):
-        slide = Element("m", inertia=True, viscous="by-direction", motion="linear", **options)
-        joint = Joint(elements=(slide,), load=Load(motion="linear"))
-        summary = summarise(make_fit(joint, samples=600))
-        return summary.derived["total.viscous"].meaning
-
-    assert "would find it" not in meaning()
-    told = meaning(coulomb="symmetric", stribeck="either")
-    assert told.endswith(", as a fit without changing friction would find it")
-    told = meaning(coulomb="symmetric", load_loss="one")
-    assert told.endswith(", as a fit without load losses would find it")

@@ -1,15 +1,12 @@
 """A figure is one file: what it declares reaches folder, captions and page."""
 
 import sys
-from typing import get_args
 
 import pytest
 
 from bayesfric.report import figures, run_directory
 from bayesfric.report.figures import registry
-from bayesfric.report.figures.forest import FOREST
-from bayesfric.report.figures.registry import Section, read_captions
-from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
+from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.summary.summary import summarise
 
@@ -63,14 +60,3 @@ def test_one_file_makes_a_figure(one_more, tmp_path, knee, monkeypatch):
     assert caption in figure.text
     (drawing,) = figure.all("img")
     assert drawing.attrs["alt"].startswith("Made up. ")
-
-
-def test_what_figures_declare():
-    kinds = (run_directory.FIGURES, {one.stem: one for one in (ROLL_OUT, FOREST)})
-    both = {stem: one for kind in kinds for stem, one in kind.items()}
-    assert len(both) == sum(map(len, kinds))
-    assert {one.section for one in both.values()} == set(get_args(Section))
-    assert len({one.title for one in both.values()}) == len(both)
-    # the page's order
-    order = [get_args(Section).index(one.section) for one in run_directory.FIGURES.values()]
-    assert order == sorted(order)

@@ -1,7 +1,6 @@
 """What holds for every figure: size, fonts, bytes, labels, nothing cut off."""
 
 import re
-from itertools import pairwise
 
 import matplotlib
 import pytest
@@ -18,7 +17,6 @@ from bayesfric.report.figures.ridge import ridge_figure
 from bayesfric.report.figures.style import (
     COLUMN,
     PAGE,
-    PALETTE,
     mathtext,
     paper_style,
     save,
@@ -188,20 +186,6 @@ def test_no_pyplot_figure_is_left_open(drawn_once):
     for draw in DRAW.values():
         drawn_once(draw, "many")
     assert pyplot.get_fignums() == []
-
-
-def lightness(colour):
-    """CIE L* of a hexadecimal colour."""
-    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
-    luminance = sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
-    return 116 * luminance ** (1 / 3) - 16
-
-
-def test_colours_differ_in_grey():
-    levels = sorted(lightness(colour) for colour in PALETTE)
-    assert min(b - a for a, b in pairwise(levels)) > 15
-    assert levels[-1] < 80  # still seen on white
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """The page's first screen: words before names, remarks, and what its calculator takes."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -9,29 +7,8 @@ from bayesfric.report.page.pages import run_page
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import build
-from .made_summaries import FOUND, knee
+from .made_summaries import knee
 from .page_reader import read_page
-
-
-def test_words_come_before_raw_names(tmp_path):
-    page = read_page(run_page(tmp_path, knee(), "run"))
-    (first,) = page.all("section", id="why")
-    names = [p for p in first.all("p") if p.attrs.get("class") == "names"]
-    assert names
-    for p in names:
-        assert all(re.fullmatch(r"made up \w+\.\w+(; )?", s.text) for s in p.all("span"))
-
-
-@pytest.mark.parametrize("number", [4, 5])
-def test_dozens_of_remarks_stand_behind_one_line(tmp_path, number):
-    told = knee() | {"warnings": [f"remark {k}" for k in range(number)], "may_be_simulated": True}
-    told["findings"] = [FOUND | {"severity": "note"}]
-    (first,) = read_page(run_page(tmp_path, told, "run")).all("section", id="why")
-    flags = [p.attrs["data-kind"] for p in first.all("p") if p.attrs.get("class") == "flag"]
-    assert flags == ["missing", *["warning"] * number, "simulated"]
-    folds = [one for one in first.all("details") if one.attrs.get("class") == "flags"]
-    behind = [p.attrs["data-kind"] for one in folds for p in one.all("p")]
-    assert behind == (["warning"] * number if number > 4 else [])
 
 
 def test_prior_intervals_are_of_the_priors():

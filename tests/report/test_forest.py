@@ -71,13 +71,6 @@ def test_bars_are_90_percent():
     np.testing.assert_allclose(values, sorted(cell.value for cell in cells.values()))
 
 
-def test_posteriors_with_white_noise_have_thin_bars():
-    found = comparison({"a": knee(), "old": old()})
-    ax = panels(forest_figure(found))["motor.inertia"]
-    assert [y for _, y in drawn(ax, "thick")] == [1.0]
-    assert [y for _, y in drawn(ax, "thin")] == [0.0]
-
-
 def test_open_numbers_have_no_bars_but_words():
     found = comparison({"a": knee()})
     at = panels(forest_figure(found))
@@ -96,27 +89,6 @@ def test_open_numbers_have_no_bars_but_words():
         for line in ax.lines:
             if line.get_gid() == "open":
                 assert line.get_markerfacecolor() == "white"
-
-
-def test_sds_a_file_claims_for_open_numbers_move_nothing():
-    """Not even the limits of the axis."""
-    plain, claimed = knee(), knee()
-    for name in LEG:
-        claimed["parameters"][name] |= {"sd": 50.0, "interval": [-80.0, 80.0]}
-        claimed["estimates"]["input-error"]["parameters"][name] |= {"sd": 9.0, "sd_robust": 99.0}
-    figures = [forest_figure(comparison({"a": run})) for run in (plain, claimed)]
-    for one, two in zip(*(figure.axes for figure in figures), strict=True):
-        assert one.get_xlim() == two.get_xlim()
-        for a, b in zip(one.lines, two.lines, strict=True):
-            np.testing.assert_array_equal(a.get_xydata(), b.get_xydata())
-
-
-def test_references_are_named_lines():
-    found = comparison({"a": knee()})
-    ax = panels(forest_figure(found))["load.first_moment"]
-    ((x, _),) = drawn(ax, "reference")
-    np.testing.assert_allclose(x, [0.41, 0.41])
-    assert "CAD" in [t.get_text() for t in ax.texts]
 
 
 def test_the_arrow_of_a_limit_ends_at_its_bound():

@@ -12,17 +12,16 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.figures.friction import (
-    Covered,
     band,
     covered,
-    friction_caption,
     friction_curves,
     friction_figure,
     friction_torque,
+    near,
 )
 from bayesfric.report.figures.style import COLUMN
 
-from .conftest import SLIDE, draw_fast
+from .conftest import draw_fast
 
 KNEE = PRESETS["rabbit-knee"].chain()
 TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
@@ -100,8 +99,7 @@ def test_the_ridge_leaves_it_alone(factor):
 def test_recordings_lie_at_the_same_places_all_along_the_ridge(knee):
     (scaling,) = scalings(KNEE)
     one, two = (covered(knee, x, open_scale=True) for x in (TRUTH, scaling.scaled(TRUTH, 1.2)))
-    np.testing.assert_allclose(two.load, one.load, rtol=1e-10, atol=1e-14)
-    np.testing.assert_array_equal(two.speed, one.speed)
+    np.testing.assert_allclose(two, one, rtol=1e-10, atol=1e-14)
 
 
 def test_one_mu_needs_no_mean():
@@ -173,18 +171,14 @@ def test_places_are_where_the_recordings_ran(knee, curves):
     assert {np.sign(c.load[0]) for c in curves} == {-1.0, 0.0, 1.0}
 
 
-def test_a_fast_output_alone_is_not_near_and_legend_and_caption_say_why(knee):
+def test_a_fast_output_alone_is_not_near():
     """Two of 103 outputs are fast: recorded, yet too few to cover a place."""
-    place = Covered(np.linspace(0, 10, 101), np.zeros(101))
-    assert place.near(np.array([5.0, 10.4, 14.0]), None).tolist() == [True, True, False]
-    place = Covered(np.r_[np.linspace(0, 4, 101), 9.0, 9.1], np.zeros(103))
-    assert place.near(np.array([2.0, 9.0]), None).tolist() == [True, False]
-    more = Covered(np.r_[place.speed, 9.05], np.zeros(104))
-    assert more.near(np.array([9.05]), None).tolist() == [True]
-    words = "fewer than 3"
-    assert f"{words} compared outputs are near" in friction_caption(knee)
-    said = [text.get_text() for text in friction_figure(knee).legends[0].get_texts()]
-    assert f"{words} outputs near" in said
+    for recorded, places, seen in (
+        (np.linspace(0, 10, 101), [5.0, 10.4, 14.0], [True, True, False]),
+        (np.r_[np.linspace(0, 4, 101), 9.0, 9.1], [2.0, 9.0], [True, False]),
+        (np.r_[np.linspace(0, 4, 101), 9.0, 9.05, 9.1], [9.05], [True]),
+    ):
+        assert near(np.array([places]), recorded[None]).tolist() == seen
 
 
 def as_before(fit):
@@ -236,18 +230,3 @@ def test_loads_for_the_knee_none_for_an_axis(knee, slide):
     assert [text.get_text()[:2] for text in legend.get_texts()] == ["no", "+0", "\N{MINUS SIGN}0"]
     assert plain.axes[0].get_legend() is None
     assert plain.axes[0].get_ylabel() == "friction force $F$ (N)"
-
-
-def test_what_the_data_leave_open_is_hatched_and_named(make_fit):
-    figure = friction_figure(as_before(make_fit(samples=300)))
-    hatched, plain = open_and_bands(figure)
-    assert hatched > 0
-    assert plain == 0
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "NOT determined by the data" in words
-
-
-def test_the_caption_says_what_load_is(knee, slide):
-    assert "mean of what the motor feels" in friction_caption(knee)
-    assert "No loss depends on load" in friction_caption(slide)
-    assert SLIDE.motor_motion == "linear"

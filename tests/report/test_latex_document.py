@@ -126,13 +126,6 @@ def test_braces_dollars_and_cells_are_balanced(knee, axis):
         assert "booktabs" in first, name
 
 
-def test_every_character_of_a_text_is_one_that_pdflatex_prints():
-    """Minus, signs, superscripts and Greek are commands, and so are those that it lacks."""
-    assert latex.escaped("−6 dB, 2 × 3 µm² · Δμ ≤ 1³ → 中").isascii()
-    assert latex.escaped("−6 dB") == r"\ensuremath{-}6 dB"
-    assert latex.escaped("grün_2") == r"grün\_2"
-
-
 def compiled(folder, pdflatex, bibtex=None):
     """Compile ``paper.tex`` and return what TeX and BibTeX wrote into their logs."""
     compile_ = [pdflatex, "-interaction=nonstopmode", "-halt-on-error", "paper"]

@@ -1,6 +1,5 @@
 """How a run tells that its model is not right: summary, terminal, tables, page, paragraph."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +8,9 @@ import pytest
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.figures.registry import FinishedRun, run_figures
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.record import Summary
 from bayesfric.report.terminal import fit_text
 from tests.inference.test_discrepancy import fitted
 
@@ -25,17 +22,6 @@ NAME = "motor.viscous"
 @pytest.fixture(scope="module")
 def wrong():
     return fitted(cubic=0.005)
-
-
-def test_the_file_holds_both_and_reads_back(wrong):
-    told = json.loads(json.dumps(wrong.summary.as_dict()))
-    row = told["parameters"][NAME]
-    assert row["model_error_interval"] != row["interval"]
-    assert told["model_error"]["shown"] is True
-    assert Summary.read(told).as_dict() == told
-    frame = wrong.summary.frame.set_index("name")
-    assert frame.loc[NAME, "low"] == row["model_error_interval"][0]
-    assert frame.loc[NAME, "posterior_low"] == row["interval"][0]
 
 
 def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):
@@ -105,10 +91,6 @@ def test_every_view_goes_by_the_wide_one(wrong):
     totals = [row for name, row in wrong.summary.derived.items() if name.startswith("total")]
     assert all(row.model_error_interval for row in totals)
     assert wrong.summary.parameters["noise.sigma"].model_error_interval is None
-
-
-def test_the_page_says_what_the_model_lacks(wrong, tmp_path):
-    assert 'id="model-error"' in run_page(tmp_path, wrong.summary, "run")
 
 
 def test_what_is_as_wide_as_its_prior_is_no_longer_data(wrong):

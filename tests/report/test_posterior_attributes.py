@@ -1,4 +1,4 @@
-"""``posterior.nc`` and a notebook say of every number what it is, and what determined it."""
+"""``posterior.nc`` says of every number what it is, and what determined it."""
 
 import json
 
@@ -7,11 +7,10 @@ import pytest
 
 from bayesfric.inference.archive import read_archive, write_archive
 from bayesfric.report.run_directory import archived
-from bayesfric.report.shown import Summary
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import every_kind, knee
-from .page_reader import read_page
 
 
 @pytest.fixture(scope="module")
@@ -60,13 +59,3 @@ def test_a_data_frame_has_a_line_for_each_number():
     line = frame.loc["motor.coulomb_positive"]
     assert (line["value"], line["low"], line["high"]) == (0.016, 0.002, 0.051)
     assert line["unit"] == "N m"
-
-
-def test_a_notebook_shows_verdicts_and_nothing_open():
-    text = Summary.read(every_kind())._repr_html_()
-    rows = {r.text.partition(" ")[0]: r.text for r in read_page(text).all("tr")}
-    (open_,) = [text for name, text in rows.items() if name.startswith("load.inertia")]
-    assert "not determined" in open_
-    assert "±" not in open_
-    (told,) = [text for name, text in rows.items() if name.startswith("motor.inertia")]
-    assert "±" in told

@@ -20,8 +20,7 @@ def test_band_covers_ninety_per_cent_of_simulated_data(make_fit):
     fit = make_fit(recordings=2, samples=4000)
     covered = total = 0
     for o, p in zip(fit.observations, predictive(fit), strict=True):
-        low, high = p.band(0.9)
-        covered += int(np.sum((o.measured >= low) & (o.measured <= high)))
+        covered += int(np.sum(np.abs(o.measured - p.mean) <= p.reach))
         total += o.measured.size
     # white noise of known size, a posterior far narrower: binomial. Four of its sd.
     assert total > 3000
@@ -32,15 +31,15 @@ def test_band_is_that_of_simulated_draws(make_fit):
     # parameters uncertain enough to widen the band
     fit = make_fit(spread=0.03, samples=600)
     (p,) = predictive(fit)
-    assert p.sd.max() > 1.2 * p.sigma.max()
+    assert p.reach.max() > 1.2 * 1.645 * p.sigma.max()
     flat = fit.posterior.flat()
     torque = fit.target.likelihood.predict(fit.target.chain_values(flat))[0]
     noise = flat[:, -1:] * np.random.default_rng(0).standard_normal(torque.shape)
     low, high = np.quantile(torque + noise, [0.05, 0.95], axis=0)
     # 200 of the 1920 draws make mean and sd: 1/sqrt(2 * 200) = 5 % of the sd each, and
     # the quantile of 1920 normal draws scatters by 0.05 sd; four together over 400 outputs
-    for mine, simulated in zip(p.band(0.9), (low, high), strict=True):
-        assert np.abs(mine - simulated).max() < 4 * 0.11 * p.sd.max()
+    for mine, simulated in ((p.mean - p.reach, low), (p.mean + p.reach, high)):
+        assert np.abs(mine - simulated).max() < 4 * 0.11 * p.reach.max() / 1.645
 
 
 def test_mean_is_the_one_of_the_summary(knee, monkeypatch):
@@ -52,7 +51,7 @@ def test_mean_is_the_one_of_the_summary(knee, monkeypatch):
     monkeypatch.setattr(module, "_BUDGET", 1)
     (q,) = predictive(knee)
     np.testing.assert_allclose(q.mean, p.mean, atol=1e-13)
-    np.testing.assert_allclose(q.sd, p.sd, rtol=1e-9)
+    np.testing.assert_allclose(q.reach, p.reach, rtol=1e-9)
 
 
 def test_lines_break_where_outputs_are_missing(knee):
@@ -110,13 +109,6 @@ def test_two_sigma_lines(knee):
     assert "$\\pm 2$ sds of the noise" in said
 
 
-def test_units(knee, slide):
-    assert prediction_figure(knee).axes[0].get_ylabel() == "motor torque (N m)"
-    figure = prediction_figure(slide)
-    assert figure.axes[0].get_ylabel() == "motor force (N)"
-    assert figure.axes[1].get_ylabel() == "residual (N)"
-
-
 def test_three_recordings_at_most_and_said(many):
     figure = prediction_figure(many)
     assert len(figure.axes) == 6
@@ -143,10 +135,3 @@ def test_single_outputs_are_marked(make_fit):
         if (i == 0 or np.isnan(y[i - 1])) and (i == y.size - 1 or np.isnan(y[i + 1]))
     ]
     assert set(alone) <= set(line.get_markevery())
-
-
-@pytest.mark.parametrize("name", ["with $ sign", "x" * 80])
-def test_odd_names(name):
-    shown = module.shortened(name)
-    assert len(shown) <= 40
-    assert "$" not in shown.replace(r"\$", "")

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.report.figures.residual import binned, residual_figure, residuals
-from bayesfric.report.figures.style import PAGE
+from bayesfric.report.figures.residual import binned, residuals
 from bayesfric.report.summary.summary import summarise
 
-from .conftest import NOISE, draw_fast
+from .conftest import NOISE
 
 
 def disturbed(fit, change):
@@ -60,13 +59,6 @@ def test_binned_means_are_the_bins(knee):
     np.testing.assert_allclose(table["mean"], [left[p].mean() for p in parts], rtol=1e-9)
     highs = [np.quantile(left[p], 0.95) for p in parts]
     np.testing.assert_allclose(table["high"], highs, rtol=1e-9)
-
-
-@pytest.mark.parametrize("which", ["knee", "slide", "many"])
-def test_the_figure_is_a_page_wide(which, request):
-    figure = residual_figure(request.getfixturevalue(which))
-    assert figure.get_figwidth() == PAGE
-    draw_fast(figure)
 
 
 def test_lag_1_is_about_zero_and_of_all_recordings(many):

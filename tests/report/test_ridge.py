@@ -10,9 +10,6 @@ from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.figures.ridge import ridge, ridge_figure
-from bayesfric.report.figures.style import PAGE
-
-from .test_figures import has_unit, nothing_cut_off
 
 KNEE = PRESETS["rabbit-knee"]
 # So wide that only the lower ends, zero, and mu_2 <= 1 are ever met.
@@ -155,18 +152,6 @@ def panel(figure, name):
     return ax
 
 
-def test_panels_of_the_knee(figure):
-    assert [ax.get_gid() for ax in figure.axes] == [ML, JC, "gearbox.alpha_back"]
-    labels = [ax.get_ylabel() for ax in figure.axes]
-    assert labels == ["$ml$ (kg m)", "$J_{c}$ (kg m²)", r"$\alpha_2$ (–)"]
-    for ax in figure.axes:
-        assert ax.get_xlabel() == r"$\alpha_1$ (–)"
-        assert ax.get_title() == ""
-    for ax in figure.axes:
-        assert has_unit(ax.get_xlabel())
-        assert has_unit(ax.get_ylabel())
-
-
 def test_lines_are_straight_with_slope_one_and_end_at_the_bounds(figure, flat):
     for ax in figure.axes:
         (line,) = artists(figure, "line", ax)
@@ -189,10 +174,3 @@ def test_lines_are_straight_with_slope_one_and_end_at_the_bounds(figure, flat):
 def test_a_chain_without_a_scaling_has_no_ridge(slide):
     assert ridge(slide) is None
     assert ridge_figure(slide) is None
-
-
-@pytest.mark.parametrize("which", ["many", "flat", "loaded"])
-def test_a_page_wide_and_nothing_cut_off(which, request):
-    figure = ridge_figure(request.getfixturevalue(which))
-    assert figure.get_figwidth() == PAGE
-    nothing_cut_off(figure, upright=False)

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import platform
-import re
 import shutil
 from dataclasses import replace
 from importlib.metadata import version
@@ -23,17 +22,8 @@ from bayesfric.fit.model import Model
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.paper.tables import (
-    methods_latex,
-    parameter_table,
-    parameters_latex,
-    summary_table,
-)
 from bayesfric.report.run_directory import write_run
 from bayesfric.report.summary.summary import summarise
-
-from .page_reader import read_page
 
 # Two recordings, one with dots and a dash in its name, each with a noise scale of its own.
 NAMES = ("plain", "run-2.left")
@@ -123,46 +113,6 @@ def test_the_files_of_the_design(run):
     assert all(path.stat().st_size for path in run.rglob("*"))
 
 
-def test_what_a_paper_takes_over(run, summary):
-    table = parameter_table(summary)
-    written = {
-        "tables/parameters.tex": parameters_latex(table),
-        "tables/estimates.tex": methods_latex(comparison({"run": summary})),
-    }
-    for name, text in written.items():
-        assert (run / name).read_text(encoding="utf-8") == text, name
-    assert {path.name for path in (run / "tables").iterdir()} == {
-        name.partition("/")[2] for name in written
-    }
-    words = "references.bib captions.md"
-    assert {path.name for path in (run / "text").iterdir()} == set(words.split())
-    captions = (run / "text" / "captions.md").read_text(encoding="utf-8")
-    # every figure has one, once
-    captioned = re.findall(r"^\*\*(\w+)\*\*: .{40}", captions, re.MULTILINE)
-    assert sorted(captioned) == sorted(path.stem for path in run.glob("figures/*.svg"))
-
-
-def test_its_page_tells_what_is_needed_to_repeat_it(folder, run):
-    page = (run / "report.html").read_text(encoding="utf-8")
-    (section,) = read_page(page).all("section", id="repeat")
-    for name in NAMES:
-        assert hashlib.sha256((folder / f"{name}.csv").read_bytes()).hexdigest() in section.text
-    for library in ("numpy", "scipy", "emcee", "arviz", "numba"):
-        assert version(library) in section.text
-    assert platform.python_version() in section.text
-    assert CONFIG.strip() in section.text
-    assert "Seed12" in section.text.replace("\n", "")
-
-
-def test_a_run_can_be_reported_again(run, monkeypatch):
-    """From the folder alone, to the byte; the posterior's draws are not even read."""
-    before = held(run)
-    monkeypatch.setattr("bayesfric.inference.archive.read_archive", None)
-    found = report(run)
-    assert held(run) == before
-    assert set(found["written"]) >= {"report.html", "summary.csv", "tables/parameters.tex"}
-
-
 def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     """Of a run made without it, from draws and recordings: to the byte what --paper gives."""
     some = {stem: run_directory.FIGURES[stem] for stem in DRAWN}
@@ -179,26 +129,6 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     for name in wanted:
         assert (again / name).read_bytes() == (run / name).read_bytes(), name
     assert {path.name for path in again.iterdir()} == {path.name for path in run.iterdir()}
-
-
-def test_a_page_needs_no_paper(tmp_path, make_fit, monkeypatch):
-    monkeypatch.setattr(run_directory, "FIGURES", {"methods": drawn_by("methods", blank)})
-    fit = make_fit(samples=400, ensembles=2)
-    write(tmp_path / "run", (fit, summarise(fit).as_dict()))
-    kinds = {path.suffix for path in (tmp_path / "run").rglob("*") if path.is_file()}
-    assert kinds == {".nc", ".json", ".toml", ".html", ".csv", ".md", ".svg"}
-
-
-def test_nothing_else_is_left_beside_it_and_the_configuration_is_kept(folder, run):
-    names = {f"{name}{end}" for name in NAMES for end in (".csv", ".truth.json")}
-    assert {path.name for path in folder.iterdir()} == names | {"axis.toml", "run"}
-    assert (run / "config.toml").read_bytes() == (folder / "axis.toml").read_bytes()
-
-
-def test_both_summaries_hold_the_same(run, summary):
-    assert (run / "summary.csv").read_text(encoding="utf-8") == summary_table(summary)
-    assert set(summary["parameters"]) == SAMPLED
-    assert set(summary["fit"]["recordings"]) == set(NAMES)
 
 
 def test_the_groups_of_the_design(run, archive):
@@ -250,15 +180,6 @@ def test_pointwise_log_likelihood_adds_up(archive, problem):
         assert away.max() < 1e-7
         # and not one draw over and over
         assert np.unique(row).size > row.size / 2
-
-
-def test_pointwise_log_likelihood_is_gaussian_in_the_residual(archive, problem):
-    """Where the density peaks over draws it is -log(sigma sqrt(2 pi)): no residual is left."""
-    for o in problem.observations:
-        sigma = archive["posterior"][f"noise.sigma.{o.name}"].values
-        found = archive["log_likelihood"][o.name].values
-        assert found.max() <= -np.log(sigma.min() * np.sqrt(2 * np.pi)) + 1e-12
-        assert found.max() == pytest.approx(-np.log(sigma.min() * np.sqrt(2 * np.pi)), abs=0.3)
 
 
 def test_predictions_spread_like_the_noise(archive, problem):
@@ -374,16 +295,6 @@ def test_force_keeps_what_was_there(tmp_path, made):
     kept = {path.name: (path / "config.toml").read_text() for path in tmp_path.iterdir()}
     assert kept == {"run": "# three\n", "run.old1": "# one\n", "run.old2": "# two\n"}
     assert set(held(tmp_path / "run.old1")) == set(held(folder))
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_an_empty_folder_is_used_without_force(tmp_path, made):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    check_free(folder, force=False)
-    write(folder, made)
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
-    assert (folder / "posterior.nc").is_file()
 
 
 def test_force_does_not_move_what_is_no_run(tmp_path):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from bayesfric.report import numbers
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     methods_latex,
@@ -21,9 +20,8 @@ from bayesfric.report.summary.rows import is_skewed
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
 
-from .made_summaries import LEG, every_kind, knee, loaded
+from .made_summaries import every_kind, knee, loaded
 from .made_tables import ends, lines, num, skewed
-from .page_reader import read_page
 
 CASES = {"open": knee, "loaded": loaded, "invented": every_kind}
 
@@ -75,32 +73,6 @@ def test_latex_is_the_summary_to_its_last_digit(summary):
         assert middle == pytest.approx(row["median"], abs=0.5001 * last)
 
 
-def test_notes_speak_of_intervals_and_of_their_level(summary):
-    (first, *others) = parameter_table(summary).notes()
-    assert first.startswith("Values are medians; intervals, and distances from a value to their")
-    assert "hold 90 %" in first
-    assert not [note for note in (first, *others) if "standard deviation" in note]
-
-
-def test_gauge_free_combinations_come_first(summary):
-    groups = [r.group for r in parameter_table(summary).rows]
-    order = ["free", "parameter", "derived", "known"]
-    assert groups == sorted(groups, key=order.index)
-    assert groups[0] == "free"
-    if summary["parameters"]["load.inertia"]["verdict"] == "prior":
-        open_ = {r.name for r in parameter_table(summary).rows if r.cell.status == "undetermined"}
-        assert set(LEG) <= open_
-
-
-def test_a_real_summary(real):
-    table = parameter_table(real)
-    text = parameters_latex(table)
-    assert text.endswith("\n")
-    assert "nan" not in text.lower().replace("determinan", "")
-    felt = {name for name, row in real["derived"].items() if not row.get("of_motion")}
-    assert {r.name for r in table.rows} == set(real["parameters"]) | felt
-
-
 def test_what_least_squares_makes_of_the_motion_is_not_what_the_motor_feels(real):
     """Behind a load loss it may lie outside what is felt in either direction of power."""
     of_motion = {name for name, row in real["derived"].items() if row.get("of_motion")}
@@ -110,16 +82,6 @@ def test_what_least_squares_makes_of_the_motion_is_not_what_the_motor_feels(real
     # beside least squares, marked
     assert "total.inertia" in {row.name for row in comparison({"run": real}).rows}
     assert r"\textsuperscript{m}" in methods_latex(comparison({"run": real}))
-
-
-def test_correlated_residuals_are_confessed():
-    run = knee()
-    run["noise"] |= {"innovation_lag1": 0.67, "accounts_for_correlation": False}
-    run["warnings"] = ["knee: the encoder is coarse"]
-    notes = parameter_table(run).notes()
-    warning = "Residuals count as independent, but are correlated (lag 1: 0.67)"
-    assert warning in " ".join(notes)
-    assert "encoder" not in " ".join(notes)
 
 
 def test_methods_table_is_the_comparison(summary):
@@ -220,21 +182,6 @@ def test_no_uncertainty_no_digits(sd):
         numbers.last_digit(sd)
 
 
-def test_a_verdict_is_the_same_in_every_table_and_on_the_page(tmp_path):
-    told = every_kind()
-    told["parameters"]["motor.inertia"] |= {"verdict": "weak", "doubted": ["noise"]}
-    table = parameter_table(told)
-    tex = lines(parameters_latex(table))
-    page = read_page(run_page(tmp_path, told, "knee"))
-    shown = {r.attrs["data-name"]: r.text for r in page.all("tr") if "data-verdict" in r.attrs}
-    begins = {"motor.coulomb_negative": "data, on one side", "motor.inertia": "doubtful"}
-    for name, words in begins.items():
-        k = next(i for i, r in enumerate(table.rows) if r.name == name)
-        assert tex[k][-1] == words
-        assert words in shown[name]
-    assert "prior" not in shown["motor.coulomb_negative"]
-
-
 @pytest.mark.parametrize(
     ("middle", "low", "high", "sd", "shown"),
     [
@@ -259,10 +206,3 @@ def test_a_value_far_below_its_sd_takes_the_sds_power_of_ten():
     assert numbers.HTML.value(1.35, 690.0) == "(0.0 ± 6.9)\u00a0×\u00a010<sup>2</sup>"
     assert numbers.LATEX.value(1.35, 690.0) == r"\num{0.0(69)e2}"
     assert numbers.TEXT.interval(-1.2e4, 1.0, 6900.0) == "[-1.20e4, 0]"
-
-
-def test_notes_have_the_symbols_of_the_table():
-    """One name may begin another."""
-    symbols = {"motor.inertia": "J_{m}", "motor.inertia_2": "J_{2}", "offset": "c"}
-    text = latex.escaped("motor.inertia_2, motor.inertia and the offset")
-    assert latex.with_symbols(text, symbols) == "$J_{2}$, $J_{m}$ and the offset"

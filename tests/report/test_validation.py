@@ -52,13 +52,7 @@ def test_the_right_model_covers_what_it_says(knee):
         assert abs(found["share"] - p) < 4 * math.sqrt(p * (1 - p) / n), level
         assert found["standard_error"] == pytest.approx(math.sqrt(p * (1 - p) / n), rel=0.3)
     assert pooled["verdict"] == "covered"
-    assert abs(pooled["mean_standardised"]) < 4 * pooled["mean_standardised_error"]
-    assert pooled["mean_standardised_error"] == pytest.approx(1 / math.sqrt(n), rel=0.2)
     assert pooled["residual_rms"] == pytest.approx(NOISE, rel=4 / math.sqrt(2 * n))
-    assert abs(pooled["residual_lag1"]) < 4 / math.sqrt(n)
-    # the entropy of a normal of that sd, whose log density scatters by 1/sqrt(2)
-    entropy = -0.5 * math.log(2 * math.pi * math.e * NOISE**2)
-    assert pooled["log_score"] == pytest.approx(entropy, abs=4 / math.sqrt(2 * n) + 0.002)
 
 
 def off_by(knee, residual):
@@ -101,16 +95,6 @@ def test_bands_that_are_too_wide(knee):
     assert record["pooled"]["discrepancy"]["value"] == 0.0
 
 
-def test_errors_of_one_size_everywhere_are_no_bands_too_wide(knee):
-    """1.2 sds to either side: outside 0.674, what holds a half, and inside 1.645 everywhere."""
-    side = 1.2 * NOISE * np.where(np.arange(SAMPLES) % 200 < 100, 1.0, -1.0)
-    pooled = off_by(knee, side)
-    assert pooled["coverage"]["0.9"]["share"] > 0.99
-    assert pooled["coverage"]["0.5"]["share"] < 0.05
-    assert pooled["verdict"] == "model discrepancy"
-    assert "scatters less" not in pooled["says"]
-
-
 def test_errors_as_large_as_predicted_but_at_some_times_only(knee):
     """1.7 sds for a third of the time: the mean square is 0.96 of the predicted."""
     bursts = 1.7 * NOISE * (np.arange(SAMPLES) % 3 == 0)
@@ -131,7 +115,6 @@ def test_white_noise_on_noise_that_remembers_covers_but_knows_less(knee):
     pooled = off_by(knee, NOISE / sd * simulated(partial, follows, 1, rng)[0])
     cover = pooled["coverage"]["0.9"]
     assert abs(cover["share"] - 0.9) < 4 * cover["standard_error"]
-    assert pooled["residual_lag1"] == pytest.approx(0.9, abs=0.05)
     assert cover["effective_outputs"] < 0.35 * pooled["outputs"]
     assert pooled["verdict"] == "covered"
 

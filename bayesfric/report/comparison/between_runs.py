@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,6 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import array_of, opened_hdf5
-from bayesfric.mechanism.derived import derive
-from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.population.population import (
@@ -24,12 +22,12 @@ from bayesfric.population.population import (
     population,
 )
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.comparison.comparison import on_one_turn
+from bayesfric.report.comparison.cell import next_to, turns_of
+from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import csv_text
 
-_NONE = Interval(0.0, 0.0, 0.0)
 # Fewer runs whose data determine a quantity are no population.
 _LEAST = 2
 # More draws change no interval that could be seen.
@@ -47,26 +45,25 @@ class RunDraws:
     prior: Mapping[str, Array] = field(default_factory=dict)
 
 
-def read_draws(run: Path, summary: Summary, rebuild: Callable[[str], Joint | None]) -> RunDraws:
+def read_draws(run: Path, summary: Summary) -> RunDraws:
     """Read the draws of what a run's checked summary tells; none where there are none to read.
 
     Those with room for the model's error where the run holds such, as its tables do. Totals as
-    least squares would see them need the recordings and are never among them. ``rebuild`` makes the
-    chain from the text of the run's configuration; where it cannot, derived quantities are left
-    out.
+    least squares would see them need the recordings and are never among them.
     """
+    known = {**summary.parameters, **summary.derived}
+    names = [name for name, row in known.items() if row.gauge_free is not False]
     try:
         with opened_hdf5(run / "posterior.nc") as file:
-            group = file["told" if "told" in file else "posterior"]
-            known = {**summary.derived, **summary.parameters}
-            found = {name: _flat(group[name]) for name in known if name in group}
+            groups = ("told",) if "told" in file else ("posterior", "derived")
+            stored = [file[group] for group in groups if group in file]
+            found = {
+                name: _flat(group[name]) for group in stored for name in names if name in group
+            }
             before = file.get("prior", {})
             prior = {name: _flat(before[name]) for name in found if name in before}
-            config = str(file.attrs.get("config", ""))
     except BadInput:
         return RunDraws()
-    sampled = {name: x for name, x in found.items() if name in summary.parameters}
-    found = _derived(rebuild(config), sampled, summary) | found
     return RunDraws({name: x for name, x in found.items() if np.isfinite(x).any()}, prior)
 
 
@@ -76,29 +73,6 @@ def _flat(stored: Any) -> Array:
     if x.size == 0:
         raise ValueError("no draws")
     return x[:: -(-x.size // _MOST)]
-
-
-def _derived(
-    chain: Joint | None, sampled: Mapping[str, Array], summary: Summary
-) -> dict[str, Array]:
-    """Derive what no scaling changes, draw by draw."""
-    if chain is None:
-        return {}
-    known = {name: row.value for name, row in summary.fixed.items()}
-    # recordings with an offset each are named by the draws, not by the configuration
-    own = [name.partition(".")[2] for name in (*sampled, *known) if name.startswith("offset.")]
-    if own:
-        chain = replace(chain, own_offsets=tuple(own))
-    n = {x.size for x in sampled.values()}
-    if len(n) != 1 or not all(name in sampled or name in known for name in chain.names):
-        return {}
-    columns = [
-        sampled[name] if name in sampled else np.full(max(n), known[name]) for name in chain.names
-    ]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # at no load: efficiencies change with the scale anyway
-        found = derive(chain, np.stack(columns, axis=1), 0.0)
-    return {q.name: q.values for q in found if q.gauge_free and q.name in summary.derived}
 
 
 @dataclass(frozen=True)
@@ -166,10 +140,11 @@ def told_by_runs(
     would count several times. Nor does what the data leave open, and a run whose ensembles disagree
     or stand still: it has no posterior.
     """
+    turns = turns_of(runs.values())
     tables = {
-        name: run.rows
-        for name, run in on_one_turn(runs).items()
-        if run.sampler.status != "unusable"
+        run: {name: next_to(row, turns.get(name)) for name, row in put_reported(one).rows.items()}
+        for run, one in runs.items()
+        if one.sampler.status != "unusable"
     }
     if len(tables) < 2:
         return
@@ -217,19 +192,13 @@ def _likelihood(
 
 def between_runs_csv(found: Sequence[PooledQuantity]) -> str:
     """Lay pooled values out as CSV text, every number in full."""
-    lines = [
-        {"name": one.name, "unit": one.told.unit, "runs": len(one.runs), "doubted": one.doubted}
-        | {"level": one.told.level}
-        | asdict(one.pool.mean)
-        | _ends("between_sd", one.pool.spread)
-        | _ends("next", one.pool.following)
-        | {"q": one.pool.q, "p_value": one.pool.p_value, "agree": one.pool.agree}
-        for one in found
-    ]
-    between, following = (list(_ends(key, _NONE)) for key in ("between_sd", "next"))
-    columns = ["name", "unit", "runs", "doubted", "level", "median", "low", "high", *between]
-    return csv_text(lines, [*columns, *following, "q", "p_value", "agree"])
-
-
-def _ends(key: str, interval: Interval) -> dict[str, float]:
-    return {key: interval.median, f"{key}_low": interval.low, f"{key}_high": interval.high}
+    lines = []
+    for one in found:
+        line: dict[str, Any] = {"name": one.name, "unit": one.told.unit, "runs": len(one.runs)}
+        line |= {"doubted": one.doubted, "level": one.told.level}
+        for key in ("mean", "spread", "following"):
+            for end, x in vars(getattr(one.pool, key)).items():
+                line[key if end == "median" else f"{key}_{end}"] = x
+        pool = one.pool
+        lines.append(line | {"q": pool.q, "p_value": pool.p_value, "agree": pool.agree})
+    return csv_text(lines, list(lines[0]) if lines else ["name"])

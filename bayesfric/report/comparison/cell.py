@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from bayesfric.estimates.point_estimate import HALF, Bound
+from bayesfric.mechanism.parameter import turned
 from bayesfric.report.numbers import Medium, finer
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import (
     EstimatedRow,
+    KnownRow,
     PosteriorRow,
+    ReferenceRow,
     is_skewed,
     sd_towards,
 )
 
+AnyRow = TypeVar("AnyRow", PosteriorRow, EstimatedRow, KnownRow, ReferenceRow)
+
 Status = Literal["determined", "undetermined", "bound", "limit", "known"]
 _NOT_DETERMINED = "not determined"
 DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"
+# Keys of rows that whole turns move.
+_PLACES = {"mean", "median", "value", "bound", "interval", "model_error_interval", "span"}
+_PLACES |= {"model_error_value"}
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
 _LOST = "the search has not converged"
@@ -178,6 +186,34 @@ def posterior_cell(row: PosteriorRow, accounts: bool) -> Cell:
         remark="; ".join([settled_by(row)] * (row.verdict == "weak") + row.beside),
         doubted=bool(row.doubted),
     )
+
+
+def turns_of(runs: Iterable[Summary]) -> dict[str, float]:
+    """Give the first value of every angle, next to which others of it are told."""
+    rows = ((name, row) for run in runs for name, row in run.parameters.items())
+    found: dict[str, float] = {}
+    for name, row in rows:
+        if row.period is not None:
+            found.setdefault(name, row.middle)
+    return found
+
+
+def next_to(row: AnyRow, other: float | None) -> AnyRow:
+    """Move all numbers of an angle by whole turns next to another value, if any: 3.13 to -3.13."""
+    middle = getattr(row, "middle", None)
+    middle = row.value if middle is None else middle
+    by = 0.0 if other is None else float(turned(middle, other) - middle)
+    return type(row).model_validate(_moved(row.model_dump(), by)) if by else row
+
+
+def _moved(told: dict[str, Any], by: float) -> dict[str, Any]:
+    moved = dict(told)
+    for key, x in told.items():
+        if key in _PLACES and x is not None:
+            moved[key] = [end + by for end in x] if isinstance(x, list) else x + by
+        elif key == "reported" and x is not None:
+            moved[key] = _moved(x, by)
+    return moved
 
 
 def posterior_cells(summary: Readable) -> dict[str, Cell]:

@@ -16,28 +16,31 @@ from typing import Any, Literal
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.identifiability.sentences import capital
-from bayesfric.mechanism.parameter import quantity_of, scales_with_torque, turned
+from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.report.comparison.cell import Cell, estimate_cell, left_open, posterior_cell
+from bayesfric.report.comparison.cell import (
+    Cell,
+    estimate_cell,
+    next_to,
+    posterior_cell,
+    turns_of,
+)
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import PosteriorRow, ReferenceRow
+from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import csv_text, filled, line_of, listed
 
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate is another one.
 _FAR = 3.0
 _GAIN = "drive.gain"
-# Keys of rows that whole turns move.
-_PLACES, _SPANS = ("mean", "median", "value", "bound"), ("interval", "model_error_interval", "span")
 # Of a terminal, and of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
 _WIDTH = 120
 _NARROWEST, _WIDEST = 24, 30
 _PLAIN = "†"
-_COLUMNS = ["name", "unit", "symbol", "meaning", "kind", "gauge_free", "column", "run",
-    "column_kind", "status", "value", "sd", "sd_uncorrelated", "accounts_for_correlation", "low",
-    "high", "level", "span_low", "span_high", "limit", "disagreement", "remark"]  # fmt: skip
+_COLUMNS = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
+    "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,6 @@ class Column:
     run: str  # name of the run; empty for references
     method: Method | None = None  # of an estimate
     told: str = ""  # what its numbers take for granted
-    # of measured minus modelled; `None` where it is not known
-    residual_rms: float | None = None
-    residual_unit: str = ""
     widened: bool = False  # whether its sds and intervals have room for the model's error
 
 
@@ -88,8 +88,7 @@ class Comparison:
     contested: tuple[str, ...]
     # why numbers are doubtful, by run of which some are, a clause each
     reasons: Mapping[str, list[str]]
-    # the first notes: in what other runs are far from the first, then in what they differ beyond
-    # noise, and not beyond room for the models' errors
+    # the first notes: in what other runs are far from the first
     runs_apart: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Row:
@@ -115,9 +114,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     -------
     Comparison
         Totals first, then what no scaling of leg parameters and alpha changes, then
-        the rest. A run shows an estimate of one of the rest only where all of its columns
-        that have it determine it: otherwise their scales differ and compare nothing. What
-        did not converge, estimate or posterior, says so and leaves the others as they are.
+        the rest. What did not converge, estimate or posterior, says so.
 
     Raises
     ------
@@ -134,46 +131,42 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     than that says. An estimate of the same run saw the same data, so variances do not
     add: the larger of the two standard deviations counts.
     """
-    runs = on_one_turn({name: Summary.read(one, name) for name, one in summaries.items()})
+    runs = {name: put_reported(Summary.read(one, name)) for name, one in summaries.items()}
     shown = len(runs) == 1 if estimates is None else estimates
-    rows: dict[str, Row] = {}
+    turns, rows = turns_of(runs.values()), dict[str, Row]()
     columns: list[Column] = []
     for name, run in runs.items():
-        mine = []
-        for column in _columns(f"{name}: " if len(runs) > 1 else "", name, run):
-            # what a number is, estimates say that are not shown, too
-            visible = shown or column.method is None
-            mine += [column] if visible else []
-            for quantity, one, cell in _told(column, run):
-                row = _row(rows, quantity, one, run, name)
-                if visible:
-                    row.cells[column.label] = cell
+        every = list(_columns(f"{name}: " if len(runs) > 1 else "", name, run))
+        mine = [column for column in every if shown or column.method is None]
         if not mine:
             raise BadInput(name, "holds no result to compare", "name a finished run")
         columns += mine
+        for column in every:
+            for quantity, one in _told(column, run):
+                # what a number is, estimates say that are not shown, too
+                row = _row(rows, quantity, one, run, name)
+                if column in mine:
+                    turned = next_to(one, turns.get(quantity))
+                    row.cells[column.label] = _cell(quantity, turned, column, run)
     for row in rows.values():
         if row.gauge_free is None:
             # the data alone leave what a scaling changes without any sd
             told = [run.parameters[row.name] for run in runs.values() if row.name in run.parameters]
             row.gauge_free = all(one.data_sd is not None for one in told)
-        if not row.gauge_free:
-            for name in runs:
-                _leave_open(row, [column for column in columns if column.run == name])
     _check_common(rows.values(), columns)
     notes = list(_of_runs(runs, rows))
-    sources, more = _add_references(rows, runs)
-    if sources:
+    if sources := _add_references(rows, runs, turns):
         columns.append(Column(REFERENCE, "reference", "", told=", ".join(sources)))
     baseline = next((c for c in columns if c.kind == "posterior"), None)
     found = [row for row in rows.values() if any(c.status != "known" for c in row.cells.values())]
     found.sort(key=_order)  # keeps the order of the files within each group
     for row in found:
         _measure(row, columns, baseline)
-    apart = _runs_apart(runs, found, columns)
+    apart = _runs_apart(found, columns)
     if len(runs) > 1 and not any(_told_twice(row, columns) for row in found):
         notes.insert(0, _note("nothing shared"))
     far = _far_estimates(found, columns, baseline)
-    notes += more + [_note("far estimate", label=one, names=names) for one, names in far.items()]
+    notes += [_note("far estimate", label=one, names=names) for one, names in far.items()]
     return Comparison(
         tuple(columns),
         tuple(found),
@@ -201,33 +194,42 @@ def _order(row: Row) -> int:
 
 def _columns(before: str, run: str, summary: Summary) -> Iterator[Column]:
     for method in METHODS:
-        if method in summary.estimates:
-            one = summary.estimates[method]
-            told = "; ".join(filter(None, [one.assumption, *one.notes]))
-            rms = one.residual_rms, one.residual_unit
-            yield Column(f"{before}{method}", "estimate", run, method, told, *rms)
+        if (one := summary.estimates.get(method)) is not None:
+            told = [one.assumption, *one.notes, _residual(one.residual_rms, one.residual_unit)]
+            yield Column(
+                f"{before}{method}", "estimate", run, method, "; ".join(filter(None, told))
+            )
     if summary.parameters or summary.derived:
-        lag, rms = summary.noise.residual_lag1, (summary.fit.residual_rms, summary.fit.unit)
-        told = f"{summary.likelihood.method}; noise {summary.noise.model}"
-        told += f"; its residuals' lag-1 correlation is {lag:.2f}" if lag is not None else ""
-        yield Column(f"{before}posterior", "posterior", run, None, told, *rms, summary.widened)
+        lag = summary.noise.residual_lag1
+        told = [summary.likelihood.method, f"noise {summary.noise.model}"]
+        told += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
+        told += [_residual(summary.fit.residual_rms, summary.fit.unit)]
+        words = "; ".join(filter(None, told))
+        yield Column(f"{before}posterior", "posterior", run, None, words, summary.widened)
 
 
-def _told(column: Column, summary: Summary) -> Iterator[tuple[str, Any, Cell]]:
-    """All that a column tells of its joint: name, row of the file, and what is said of it."""
-    if column.method is None:
-        for name, row in summary.rows.items():
-            if not of_noise(name):
-                yield name, row, posterior_cell(row, summary.accounts)
-        for name, known in summary.fixed.items():
-            if not of_noise(name):
-                yield name, known, Cell(known.value, "known", remark="taken as known")
+def _residual(rms: float | None, unit: str) -> str:
+    return "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
+
+
+def _told(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
+    """All that a column tells of its joint: names, and rows of the file."""
+    if column.method is not None:
+        yield from summary.estimates[column.method].parameters.items()
         return
-    estimate = summary.estimates[column.method]
-    for name, value in estimate.parameters.items():
-        cell = estimate_cell(value, estimate.converged)
-        why = _of_total(summary, name, value.unit) if column.method == "least-squares" else ""
-        yield name, value, replace(cell, alike=False, remark=cell.remark or why) if why else cell
+    for name, row in (*summary.rows.items(), *summary.fixed.items()):
+        if not of_noise(name):
+            yield name, row
+
+
+def _cell(name: str, row: Any, column: Column, summary: Summary) -> Cell:
+    if isinstance(row, PosteriorRow):
+        return posterior_cell(row, summary.accounts)
+    if column.method is None:
+        return Cell(row.value, "known", remark="taken as known")
+    cell = estimate_cell(row, summary.estimates[column.method].converged)
+    why = _of_total(summary, name, row.unit) if column.method == "least-squares" else ""
+    return replace(cell, alike=False, remark=cell.remark or why) if why else cell
 
 
 def _row(rows: dict[str, Row], name: str, one: Any, summary: Summary, run: str) -> Row:
@@ -251,17 +253,6 @@ def _check_unit(where: str, unit: str, row: Row) -> None:
     if unit != row.unit:
         what = f"is in {unit or 'no unit'!r}, but in {row.unit or 'no unit'!r} in {row.told_by}"
         raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
-
-
-def _leave_open(row: Row, columns: list[Column]) -> None:
-    """Leave an estimate of a scale open where another of the run's columns does."""
-    mine = [(column, row.cells[column.label]) for column in columns if column.label in row.cells]
-    # of a posterior or a search that is none, nothing follows for the others
-    open_ = [c.label for c, cell in mine if cell.status == "undetermined" and cell.converged]
-    for column, cell in mine if open_ else ():
-        # a posterior's own verdict stands: it knows the priors, which settle what is open
-        if column.kind == "estimate" and cell.status not in ("undetermined", "known"):
-            row.cells[column.label] = left_open(cell.value, None, f" (see {open_[0]})")
 
 
 def _of_total(summary: Summary, name: str, unit: str) -> str:
@@ -292,16 +283,10 @@ def _check_common(rows: Iterable[Row], columns: list[Column]) -> None:
 
 
 def _of_runs(runs: Mapping[str, Summary], rows: Mapping[str, Row]) -> Iterator[str]:
-    """Say which runs are not to be relied on, where words differ, and what is the motion's."""
+    """Say which runs are not to be relied on, and what is the motion's."""
     for name, run in runs.items():
         if run.sampler.status != "reliable":
             yield _note("unsure run", run=name, status=run.sampler.status)
-    for name in dict.fromkeys(name for run in runs.values() for name in run.rows):
-        said = {key: run.rows[name].meaning for key, run in runs.items() if name in run.rows}
-        said = {key: words for key, words in said.items() if words and not of_noise(name)}
-        if len(set(said.values())) > 1:
-            each = [f"{words!r} in {key}" for key, words in said.items()]
-            yield _note("meanings", name=name, each=each)
     if names := [name for name, row in rows.items() if row.of_motion]:
         yield _note("of motion", names=names, several=len(runs) > 1)
 
@@ -331,61 +316,41 @@ def _far_estimates(
     return {label: names for label, names in far.items() if names}
 
 
-def _runs_apart(
-    runs: Mapping[str, Summary], rows: list[Row], columns: list[Column]
-) -> tuple[str, ...]:
+def _runs_apart(rows: list[Row], columns: list[Column]) -> tuple[str, ...]:
     """Say in what other runs' posteriors are too far from the first to be of one joint.
 
-    Then where they differ beyond noise, but not beyond room for the models' errors. What a run
-    doubts itself, as of a delay or too wide a band, is no news of the joint.
+    What a run doubts itself, as of a delay or too wide a band, is no news of the joint.
     """
     posteriors = [c for c in columns if c.kind == "posterior"]
-    said: tuple[list[str], list[str]] = [], []
+    said = []
     for column in posteriors[1:]:
-        first, far, beyond = posteriors[0], list[str](), list[str]()
-        for row in rows:
-            cell, base = row.cells.get(column.label), row.cells.get(first.label)
-            if cell is None or base is None or cell.disagreement is None:
-                continue
-            apart = f"{row.name} ({cell.disagreement:+.1f} sd"
-            if abs(cell.disagreement) > _FAR:
-                far += [] if cell.doubted or base.doubted else [f"{apart})"]
-                continue
-            a, b = (runs[run].joint.get(row.name) for run in (first.run, column.run))
-            if not (a and b and a.sd and b.sd) or a.period or not (a.wide or b.wide):
-                continue
-            own = (b.middle - a.middle) / math.hypot(a.sd, b.sd)
-            beyond += [f"{apart}, {own:+.1f} were the models right)"] if abs(own) > _FAR else []
-        for kind, names, into in zip(
-            ("runs apart", "beyond noise"), (far, beyond), said, strict=True
-        ):
-            into += [_note(kind, run=column.run, first=first.run, names=names)] if names else []
-    return (*said[0], *said[1])
+        first = posteriors[0]
+        far = [
+            f"{row.name} ({cell.disagreement:+.1f} sd)"
+            for row in rows
+            if (cell := row.cells.get(column.label)) is not None
+            and abs(cell.disagreement or 0.0) > _FAR
+            and not (cell.doubted or row.cells[first.label].doubted)
+        ]
+        said += [_note("runs apart", run=column.run, first=first.run, names=far)] if far else []
+    return tuple(said)
 
 
 def _add_references(
-    rows: Mapping[str, Row], runs: Mapping[str, Summary]
-) -> tuple[list[str], list[str]]:
-    """Add values from elsewhere to what is shown; give their sources, and what must be known."""
-    found: dict[str, tuple[str, ReferenceRow]] = {}
-    notes = []
+    rows: Mapping[str, Row], runs: Mapping[str, Summary], turns: Mapping[str, float]
+) -> list[str]:
+    """Add values from elsewhere to what is shown, the first of each; give their sources."""
+    sources: dict[str, None] = {}
     for run, summary in runs.items():
-        for name, row in summary.references.items():
+        for name, told in summary.references.items():
             if name not in rows or all(c.status == "known" for c in rows[name].cells.values()):
-                notes.append(_note("no such number", source=row.source, name=name))
                 continue
-            _check_unit(f"{run}: references.{name}", row.unit, rows[name])
-            first, told = found.setdefault(name, (run, row))
-            if told != row:
-                values = [
-                    f"{x.value:.5g} ({x.source}) in {at}" for at, x in ((first, told), (run, row))
-                ]
-                notes.append(
-                    _note("references differ", name=name, shown=values[0], other=values[1])
-                )
-    for name, (_, row) in found.items():
-        rows[name].cells[REFERENCE] = Cell(row.value, "known", sd=row.sd, remark=row.source)
-    return list(dict.fromkeys(row.source for _, row in found.values())), notes
+            _check_unit(f"{run}: references.{name}", told.unit, rows[name])
+            value = next_to(told, turns.get(name)).value
+            cell = Cell(value, "known", sd=told.sd, remark=told.source)
+            rows[name].cells.setdefault(REFERENCE, cell)
+            sources[told.source] = None
+    return list(sources)
 
 
 def _measure(row: Row, columns: list[Column], baseline: Column | None) -> None:
@@ -412,39 +377,6 @@ def _measure(row: Row, columns: list[Column], baseline: Column | None) -> None:
             same = column.kind == "estimate" and column.run == baseline.run
             apart = (cell.value - base.value) / (max(sd, own) if same else math.hypot(sd, own))
             row.cells[column.label] = replace(cell, disagreement=apart)
-
-
-def on_one_turn(runs: Mapping[str, Summary]) -> dict[str, Summary]:
-    """Bring every number of an angle by whole turns next to the first run's: 3.13 to -3.13."""
-    towards: dict[str, float] = {}
-    for run in runs.values():
-        for name, row in run.parameters.items():
-            if row.period is not None:
-                towards.setdefault(name, row.middle)
-
-    def turn(rows: Mapping[str, Any]) -> dict[str, Any]:
-        return {n: _turned(r, towards[n]) if n in towards else r for n, r in rows.items()}
-
-    found = {}
-    for key, run in runs.items():
-        estimates = {
-            method: one.model_copy(update={"parameters": turn(one.parameters)})
-            for method, one in run.estimates.items()
-        }
-        tables = {key: turn(getattr(run, key)) for key in ("parameters", "fixed", "references")}
-        found[key] = run.model_copy(update=tables | {"estimates": estimates})
-    return {key: put_reported(run) for key, run in (found if towards else runs).items()}
-
-
-def _turned(row: Any, towards: float) -> Any:
-    middle = row.middle if isinstance(row, PosteriorRow) else row.value
-    by = float(turned(middle, towards) - middle)
-    told = row.model_dump(exclude_none=True)
-    moved: dict[str, Any] = {key: told[key] + by for key in _PLACES if key in told}
-    moved |= {key: [end + by for end in told[key]] for key in _SPANS if key in told}
-    if isinstance(row, PosteriorRow):
-        moved["reported"] = None  # concluded anew, of what was turned
-    return row.model_copy(update=moved)
 
 
 def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
@@ -482,32 +414,19 @@ def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
 
 def comparison_csv(found: Comparison) -> str:
     """Lay a comparison out as CSV text, one line for each quantity and column."""
-    lines = []
+    lines: list[dict[str, Any]] = []
     for row in found.rows:
-        for column in found.columns:
-            if (cell := row.cells.get(column.label)) is None:
-                continue
-            told = {key: getattr(row, key) for key in _COLUMNS[:6]} | asdict(cell)
-            told |= {
-                "status": "doubtful" if cell.doubted else cell.status,
-                "column": column.label,
-                "run": column.run,
-                "column_kind": column.kind,
-            }
-            told |= {"sd_uncorrelated": cell.sd_plain, "accounts_for_correlation": cell.accounts}
-            told["low"], told["high"] = cell.interval or (None, None)
-            told["span_low"], told["span_high"] = cell.span or (None, None)
-            lines.append(told)
+        for label, cell in row.cells.items():
+            low, high = cell.interval or (None, None)
+            told = asdict(cell) | {"low": low, "high": high}
+            told |= {"status": "doubtful"} if cell.doubted else {}
+            lines.append({"name": row.name, "unit": row.unit, "column": label} | told)
     return csv_text(lines, _COLUMNS)
 
 
 def comparison_dict(found: Comparison) -> dict[str, Any]:
     """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
-
-    def listed(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in pairs}
-
-    quantities = {row.name: asdict(row, dict_factory=listed) for row in found.rows}
+    quantities = {row.name: asdict(row) for row in found.rows}
     for told in quantities.values():
         del told["name"], told["told_by"]
         told["columns"] = told.pop("cells")

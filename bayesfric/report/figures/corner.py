@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,6 @@ from matplotlib.patches import Patch
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.derived import derive
 from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
@@ -33,9 +31,9 @@ from bayesfric.report.figures.style import (
     power_of_ten,
     scaled_unit,
 )
-from bayesfric.report.summary.derived_quantities import LEVEL, described_as
-from bayesfric.report.summary.noise import noise_described
-from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.derived_quantities import LEVEL, coefficients
+from bayesfric.report.summary.record import Summary, of_noise
+from bayesfric.report.summary.rows import PosteriorRow
 
 # Combinations that come first; parameters want to be seen too.
 _COMBINATIONS = 5
@@ -67,31 +65,24 @@ def corner_figure(fit: Fit, summary: Summary) -> Figure:
     combinations that they determine, then what they determine of the parameters; else the
     parameters as sampled.
     """
-    cells = posterior_cells(summary)
-    sampled = quantities(fit.wide)
-    # what fixed parameters make up is known, and has no posterior
-    combined = [q for q in combinations(fit.wide) if q.name in cells]
-    shown = _choice(sampled, combined, cells, fit.target.noise.names)
-    judged = [cells[q.name] for q in shown]
-    left_out = [q.symbol for q in sampled if q not in shown]
+    sampled, shown = quantities(fit.wide, summary), choice(fit.wide, summary)
+    left_out = [q.symbol for q in sampled if q.name not in {one.name for one in shown}]
     k = len(shown)
     with paper_figure(PAGE, PAGE, apart=0.02) as figure:
         grid = figure.add_gridspec(k, k)
         ranges = [q.nearly_all(0.06) for q in shown]
-        open_ = [cell.status == "undetermined" for cell in judged]
         for i in range(k):
             for j in range(i + 1):
                 ax = figure.add_subplot(grid[i, j])
                 if i == j:
-                    _marginal(ax, shown[i], ranges[i], judged[i])
+                    _marginal(ax, shown[i], ranges[i])
                 else:
-                    filled = not (open_[i] or open_[j])
-                    _pair(ax, (shown[j], shown[i]), (ranges[j], ranges[i]), filled=filled)
+                    _pair(ax, (shown[j], shown[i]), (ranges[j], ranges[i]))
                 few_ticks(ax.xaxis, 3, inner=True, exponent=shown[j].exponent)
                 _label(ax, shown[j] if i == k - 1 else None, shown[i] if 0 == j < i else None)
         figure.align_labels()
         # in the empty upper triangle
-        handles = _handles(judged)
+        handles = _handles()
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
         if left_out and k > 1:
             below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
@@ -100,24 +91,20 @@ def corner_figure(fit: Fit, summary: Summary) -> Figure:
     return figure
 
 
-def _choice(
-    sampled: list[Quantity],
-    combined: list[Quantity],
-    cells: Mapping[str, Cell],
-    noise: Sequence[str],
-) -> list[Quantity]:
+def choice(fit: Fit, summary: Summary) -> list[Quantity]:
     """Choose what to show: what the data tell before what they leave open."""
-    joint = [q for q in sampled if q.name not in noise]
-    open_ = [q for q in joint if cells[q.name].status == "undetermined"]
+    sampled = quantities(fit, summary)
+    joint = [q for q in sampled if not of_noise(q.name)]
+    open_ = [q for q in joint if q.is_open]
     if not open_:
         return sampled[:_MOST]
-    told = [q for q in combined if cells[q.name].status == "determined"]
-    known = [q for q in joint if q not in open_]
-    rest = [q for q in sampled if q.name in noise]
+    told = [q for q in combinations(fit, summary) if q.cell.status == "determined"]
+    known = [q for q in joint if not q.is_open]
+    rest = [q for q in sampled if of_noise(q.name)]
     return [*told[:_COMBINATIONS], *known, *open_, *rest][:_MOST]
 
 
-def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) -> None:
+def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float]) -> None:
     """Draw posterior and prior density of a quantity, both in one over the unit of the axis."""
     highest = 0.0
     if q.prior is not None:
@@ -129,13 +116,12 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float], cell: Cell) ->
     if _moves(q.draws):
         height, edges = np.histogram(q.draws, bins=_BINS, range=limits)
         density = height / (q.draws.size * np.diff(edges))
-        open_ = cell.status == "undetermined"
-        gid, look = ("open", _OPEN) if open_ else ("posterior", _TOLD)
+        gid, look = ("open", _OPEN) if q.is_open else ("posterior", _TOLD)
         ax.stairs(density, edges, fill=True, gid=gid, **look)
         ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
         # those of the tables, to the digit; of a limit the end away from the bound
-        told = [cell.limit] if cell.limit is not None else cell.interval or ()
-        for end in () if open_ else told:
+        told = [q.cell.limit] if q.cell.limit is not None else q.cell.interval or ()
+        for end in told:
             ax.axvline(end, ymax=0.8, **_END)
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
@@ -150,17 +136,14 @@ def _moves(draws: Array) -> bool:
 
 
 def _pair(
-    ax: Axes,
-    pair: tuple[Quantity, Quantity],
-    limits: tuple[tuple[float, float], tuple[float, float]],
-    *,
-    filled: bool,
+    ax: Axes, pair: tuple[Quantity, Quantity], limits: tuple[tuple[float, float], ...]
 ) -> None:
     import corner  # brings ArviZ along, which takes a second or more
 
     if all(_moves(q.draws) for q in pair):
         look: Look = {"color": POSTERIOR, "contour_kwargs": {"linewidths": (0.6, 0.9)}}
-        look |= {"plot_datapoints": False, "plot_density": False, "fill_contours": filled}
+        look |= {"plot_datapoints": False, "plot_density": False}
+        look |= {"fill_contours": not any(q.is_open for q in pair)}
         look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
         corner.hist2d(*(q.draws for q in pair), ax=ax, quiet=True, **look)
     ax.set(xlim=limits[0], ylim=limits[1])
@@ -178,33 +161,37 @@ def _label(ax: Axes, below: Quantity | None, beside: Quantity | None) -> None:
         ax.set_ylabel(beside.label("\n"), linespacing=1.3, fontsize=SMALL)
 
 
-def _handles(cells: Sequence[Cell]) -> list[Artist]:
+def _handles() -> list[Artist]:
     """List what the legend explains."""
-    open_ = [cell for cell in cells if cell.status == "undetermined"]
-    told = len(open_) < len(cells)
-    lost = any(not cell.converged for cell in open_)
-    left_open = "draws of ensembles that disagree" if lost else "posterior that the data leave open"
     share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-    contours = f"contours around {share} % of the draws"
-    handles: dict[Artist, bool] = {
-        Patch(label="posterior", **_TOLD): told,
-        Patch(label=left_open, **_OPEN): bool(open_),
-        Line2D([], [], label="prior", **_PRIOR): True,
-        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END): told,
-        Line2D([], [], color=POSTERIOR, label=contours): len(cells) > 1,
-    }
-    return [handle for handle, needed in handles.items() if needed]
+    return [
+        Patch(label="posterior", **_TOLD),
+        Patch(label="posterior that the data leave open", **_OPEN),
+        Line2D([], [], label="prior", **_PRIOR),
+        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END),
+        Line2D([], [], color=POSTERIOR, label=f"contours around {share} % of the draws"),
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
     """A sampled parameter, or a combination of them, as figures show it."""
 
-    name: str  # as in `posterior.names`, or of the derived quantity
-    symbol: str  # with dollar signs, ready for Matplotlib
-    unit: str  # SI, empty where there is none
-    draws: Array  # `(n,)` in `unit`; walkers that never moved are left out
-    prior: Prior | None  # of the parameter; `None` of a combination
+    name: str  # as in the summary
+    row: PosteriorRow
+    cell: Cell  # what may be said of it
+    draws: Array  # `(n,)`; walkers that never moved are left out
+    prior: Prior | None = None  # of the parameter; `None` of a combination
+
+    @property
+    def symbol(self) -> str:
+        """With dollar signs, ready for Matplotlib."""
+        return mathtext(self.row.symbol, self.name)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the data leave it open."""
+        return self.cell.status == "undetermined"
 
     @property
     def exponent(self) -> int:
@@ -214,7 +201,7 @@ class Quantity:
 
     def label(self, between: str = " ") -> str:
         """Symbol and unit for an axis, with ``between`` between them."""
-        return f"{self.symbol}{between}({scaled_unit(self.exponent, self.unit)})"
+        return f"{self.symbol}{between}({scaled_unit(self.exponent, self.row.unit)})"
 
     def nearly_all(self, margin: float) -> tuple[float, float]:
         """Give an axis nearly all draws and a share of their width, nothing beyond the support."""
@@ -226,25 +213,21 @@ class Quantity:
         return max(low - room, min(lower, low)), min(high + room, max(upper, high))
 
 
-def quantities(fit: Fit) -> list[Quantity]:
+def quantities(fit: Fit, summary: Summary) -> list[Quantity]:
     """List the sampled parameters of a fit, noise scales last."""
-    posterior = fit.posterior
-    said = {p.name: described_as(p) for p in fit.chain.parameters} | noise_described(fit)
-    return [
-        Quantity(name, mathtext(said[name]["symbol"], name), said[name]["unit"], draws, prior)
-        for name, draws, prior in zip(
-            posterior.names, posterior.flat().T, posterior.priors, strict=True
-        )
-    ]
+    told, cells = fit.posterior, posterior_cells(summary)
+    each = zip(told.names, told.flat().T, told.priors, strict=True)
+    return [Quantity(n, summary.parameters[n], cells[n], x, prior) for n, x, prior in each]
 
 
-def combinations(fit: Fit) -> list[Quantity]:
+def combinations(fit: Fit, summary: Summary) -> list[Quantity]:
     """List what no scaling of leg parameters and alpha changes, where every draw has it."""
-    # without a load no efficiency is stated
+    cells = posterior_cells(summary)
     return [
-        Quantity(d.name, mathtext(d.symbol, d.name), d.unit, d.values, None)
-        for d in derive(fit.chain, fit.chain_draws(), 0.0)
-        if d.gauge_free and np.isfinite(d.values).all()
+        Quantity(q.name, summary.derived[q.name], cells[q.name], q.values)
+        for q in coefficients(fit).found
+        # what fixed parameters make up is known, and has no posterior
+        if q.gauge_free and q.name in summary.derived and np.isfinite(q.values).all()
     ]
 
 

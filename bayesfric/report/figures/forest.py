@@ -97,7 +97,7 @@ def forest_figure(found: Comparison) -> Figure:
             if k % across == 0:
                 ax.set_yticks([line.y for line in lines], names)
                 ax.tick_params(axis="y", length=0.0)
-        _legend(figure, shown, columns)
+        _legend(figure)
         if left_out := len(rows) - len(shown):
             remark_below(figure, f"{left_out} more quantities are in the table only")
     return figure
@@ -139,18 +139,19 @@ def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
             line.draw(ax, cell.span, "span", _SPAN)
             ax.plot(cell.value, line.y, gid="open", **line.mark(filled=False))
         elif cell.limit is not None:
-            line.draw(ax, [cell.value, cell.limit], "limit", {"linewidth": 0.9})
+            # an arrow to the bound
+            end = cell.value if cell.bound is None else cell.bound
+            line.draw(ax, [end, cell.limit], "limit", {"linewidth": 0.9})
             ax.plot(cell.limit, line.y, color=line.colour, marker="|", markersize=6.0)
+            ax.plot(end, line.y, **line.mark() | {"marker": "<" if end < cell.limit else ">"})
         elif cell.status != "undetermined":
             for ends, kind, look in _bars(cell):
                 line.draw(ax, ends, kind, look)
             ax.plot(cell.value, line.y, gid="value", **line.mark())
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE])
-    ax.set_xlim(ax.get_xlim())  # what is written, and where an arrow ends, moves it no more
+    ax.set_xlim(ax.get_xlim())  # what is written moves it no more
     for line, cell in told:
-        if cell.limit is not None:
-            _arrow(ax, line, cell, cell.limit)
         if cell.status == "undetermined":
             words = "not determined" if cell.converged else "not converged"
             _words(ax, cell.value if cell.span is not None else None, line.y, words)
@@ -180,17 +181,6 @@ def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
     return bars
 
 
-def _arrow(ax: Axes, line: _Line, cell: Cell, limit: float) -> None:
-    """Draw an arrow from the limit to the bound, or as far towards it as there is room."""
-    low, high = ax.get_xlim()
-    towards = low if cell.at_bound == "lower" else high
-    end = 0.97 * towards + 0.015 * (low + high)
-    if cell.bound is not None:
-        end = max(cell.bound, end) if towards == low else min(cell.bound, end)
-    line.draw(ax, [limit, end], "limit", {"linewidth": 0.9})
-    ax.plot(end, line.y, gid="limit", **line.mark() | {"marker": "<" if towards == low else ">"})
-
-
 def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
     """Write beside a place, on the side with more room; else in the middle."""
     low, high = ax.get_xlim()
@@ -216,29 +206,20 @@ def _reference(ax: Axes, cell: Cell) -> None:
     ax.annotate(words, (cell.value, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
 
 
-def _legend(figure: Figure, rows: list[Row], columns: list[Column]) -> None:
+def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
-    cells = [row.cells[c.label] for row in rows for c in columns if c.label in row.cells]
-    widened = {c.widened for c in columns if c.kind == "posterior"}
-    room = " (posterior: model's error)" if widened == {True} else " (some: model's error)"
-    words = f"90 %, correlated residuals{room if any(widened) else ''}"
     grey: Look = {"color": _ESTIMATES["output-error"][1]}
     open_ = _SPAN | {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
-    open_ |= {"markerfacecolor": "white", "label": "not determined: fits as well"}
     capped = Line2D([], [], label="90 %, uncorrelated residuals", **_THIN, **grey)
-    line = Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference")
-    handles = {
-        Line2D([], [], label=words, **_THICK, **grey): any(c.accounts and c.sd for c in cells),
-        capped: any(c.sd_plain is not None for c in cells),
-        Line2D([], [], **open_, **grey): any(
-            c.status == "undetermined" and c.converged for c in cells
-        ),
-        line: any(REFERENCE in row.cells for row in rows),
-    }
-    if shown := [handle for handle, needed in handles.items() if needed]:
-        look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
-        across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
+    handles = [
+        Line2D([], [], label="90 %, correlated residuals", **_THICK, **grey),
+        capped,
+        Line2D([], [], label="not determined", markerfacecolor="white", **open_, **grey),
+        Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"),
+    ]
+    look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
+    across = 2 if figure.get_figwidth() == style.COLUMN else 4
+    figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
 
 
 _BARS = (

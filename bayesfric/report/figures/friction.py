@@ -29,7 +29,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.ndimage import binary_dilation
-from scipy.spatial import cKDTree
 
 from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.identifiability.local import WIDE, local_information
@@ -43,7 +42,7 @@ from bayesfric.recordings.inputs import AT_ROOM
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
-from bayesfric.report.summary.derived_quantities import LEVEL, prior_values
+from bayesfric.report.summary.derived_quantities import LEVEL, prior_draws
 
 # Of the recorded range of speed, and of load: outputs so near to a place cover it.
 NEAR = 0.08
@@ -79,7 +78,7 @@ def friction_figure(fit: Fit) -> Figure:
         few_ticks(ax.yaxis, 6)
         if len(curves) > 1:
             ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
-        legend_above(figure, _handles(curves), 2)
+        legend_above(figure, _handles(), 2)
     return figure
 
 
@@ -104,19 +103,15 @@ def _area(colour: str, open_: bool) -> Look:
     return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0}
 
 
-def _handles(curves: list[Curve]) -> list[Artist]:
+def _handles() -> list[Artist]:
     """List what a legend explains of curves."""
     colour = style.PALETTE[0]
-    told = Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False))
-    few = Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE)
-    left = Patch(label="NOT determined by the data", **_area(colour, True))
-    needed = {
-        told: any((c.shown & c.determined).any() for c in curves),
-        few: any((~c.covered & np.isfinite(c.median)).any() for c in curves),
-        left: any((c.shown & ~c.determined).any() for c in curves),
-    }
-    median = Line2D([], [], color=colour, label="posterior median")
-    return [median, *(handle for handle, there in needed.items() if there)]
+    return [
+        Line2D([], [], color=colour, label="posterior median"),
+        Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False)),
+        Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE),
+        Patch(label="NOT determined by the data", **_area(colour, True)),
+    ]
 
 
 def friction_caption(fit: Fit) -> str:
@@ -168,10 +163,10 @@ def friction_curves(fit: Fit) -> list[Curve]:
     open_scale = has_open_scale(fit)
     place = covered(fit, fit.target.chain_values(fit.posterior.median[None])[0], open_scale)
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    ways = [place.load[place.load > 0.0], place.load[place.load < 0.0]] if lossy else []
+    ways = [place[1][place[1] > 0.0], place[1][place[1] < 0.0]] if lossy else []
     loads = [float(np.quantile(np.abs(x), 0.9) * np.sign(x[0])) for x in ways if x.size]
     loads = [float(f"{x:.1g}") for x in loads]
-    low, high = float(place.speed.min()), float(place.speed.max())
+    low, high = float(place[0].min()), float(place[0].max())
     least = 1e-3 * max(-low, high)
     sides = [(low, -least)] if low < -least else []
     sides += [(least, high)] if high > least else []
@@ -181,8 +176,9 @@ def friction_curves(fit: Fit) -> list[Curve]:
     curves = []
     for load in (np.full(speed.size, x) for x in (0.0, *loads)):
         of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
-        near = place.near(speed, load if loads else None)
-        curves.append(Curve(speed, load, *band(fit, of), near))
+        k = 2 if loads else 1
+        seen = near(np.stack([speed, load])[:k], place[:k])
+        curves.append(Curve(speed, load, *band(fit, of), seen))
     return curves
 
 
@@ -200,7 +196,8 @@ def band(fit: Fit, curve: Callable[[Array], Array]) -> tuple[Array, Flags]:
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # points that no draw has are nan, and say so by that
         warnings.simplefilter("ignore", RuntimeWarning)
-        every = [curve(fit.chain_draws(_DRAWS)), curve(prior_values(fit, _PRIOR_DRAWS, 4))]
+        before = prior_draws(fit, _PRIOR_DRAWS, 4)
+        every = [curve(fit.chain_draws(_DRAWS)), curve(fit.target.chain_values(before))]
         drawn, before = (np.where(np.isfinite(x), x, np.nan) for x in every)
         ends = np.nanquantile(drawn, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0)
         # between quartiles: what divides by 1 - mu_2 has no finite sd under many priors
@@ -245,41 +242,27 @@ def friction_torque(
     return np.asarray(np.where(sign == 0.0, np.nan, sign * torque - load))
 
 
-@dataclass(frozen=True, eq=False)
-class Covered:
-    """Where the recordings were."""
-
-    speed: Array  # `(M,)` of the motor at every output, rad/s or m/s
-    # `(M,)` loss-free torque of the load at the motor at the posterior median, its inertia
-    # included; positive where it resists the motion
-    load: Array
-
-    def near(self, speed: Array, load: Array | None) -> Flags:
-        """Tell which places ``(N,)`` have ``FEWEST`` outputs near; all loads count if ``None``."""
-        mine, places = [self.speed], [speed]
-        if load is not None:
-            mine.append(self.load)
-            places.append(load)
-        spans = np.array([max(float(np.ptp(x)), 1e-300) for x in mine])
-        # nine tenths of the outputs, or one jerk would stretch what counts as near
-        inner = np.array([float(np.subtract(*np.quantile(x, [0.95, 0.05]))) for x in mine])
-        spans = np.where(inner > 0.0, inner / 0.9, spans)
-        tree = cKDTree(np.stack(mine, axis=1) / spans)
-        distance, _ = tree.query(
-            np.stack(places, axis=1) / spans, k=min(FEWEST, self.speed.size), p=np.inf
-        )
-        return np.asarray(np.reshape(distance, (speed.size, -1))[:, -1] <= NEAR)
+def near(places: Array, recorded: Array) -> Flags:
+    """Tell which places ``(k, N)`` have ``FEWEST`` of the outputs ``(k, M)`` near, ``(N,)``."""
+    # nine tenths of the outputs, or one jerk would stretch what counts as near
+    inner = np.subtract(*np.quantile(recorded, [0.95, 0.05], axis=1)) / 0.9
+    reach = NEAR * np.where(inner > 0.0, inner, np.ptp(recorded, axis=1))[:, None]
+    apart = (np.abs(recorded - at[:, None]) <= reach for at in places.T)
+    return np.array([np.all(one, axis=0).sum() >= FEWEST for one in apart])
 
 
-def covered(fit: Fit, median: Array, open_scale: bool) -> Covered:
-    """Collect speeds of all outputs, and their loads at the chain parameters ``median``."""
+def covered(fit: Fit, median: Array, open_scale: bool) -> Array:
+    """Give the motor's speed at all outputs and, at the chain parameters ``median``, their loads.
+
+    ``(2, M)``; loads are loss-free, at the motor, and positive where they resist the motion.
+    """
     reach = float(load_reach(fit.chain, median[None], open_scale=open_scale)[0])
     speeds, loads = [], []
     for o in fit.observations:
         gamma = load_at_outputs(fit.chain, o, median)
         speeds.append(fit.chain.ratio * o.speed)
         loads.append(reach * gamma * np.sign(o.speed))
-    return Covered(np.concatenate(speeds), np.concatenate(loads))
+    return np.stack([np.concatenate(speeds), np.concatenate(loads)])
 
 
 FIGURE = RunFigure(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -32,27 +31,20 @@ _GREY = "#8a8a8a"
 _MOST_POINTS = 5000
 
 
-@dataclass(frozen=True)
-class Predictive:
-    """Posterior predictive of one recording."""
+class Predictive(NamedTuple):
+    """Posterior predictive of one recording, ``(n_outputs,)`` each."""
 
-    mean: Array  # `(n_outputs,)`
-    sd: Array  # `(n_outputs,)`, noise included
-    sigma: Array  # `(n_outputs,)` noise alone, root mean square over the draws
-
-    def band(self, level: float) -> tuple[Array, Array]:
-        """Lower and upper end of the central interval of probability ``level``.
-
-        The predictive is taken for normal: it is the normal noise, spread a
-        little by what is unknown of the parameters. Quantiles of a few hundred
-        draws would be far rougher than that.
-        """
-        reach = float(ndtri(0.5 + level / 2.0)) * self.sd
-        return self.mean - reach, self.mean + reach
+    mean: Array
+    reach: Array  # half the 90 % interval, noise included
+    sigma: Array  # sd of the noise alone, root mean square over the draws
 
 
 def predictive(fit: Fit) -> list[Predictive]:
-    """Mean and standard deviation of the predicted outputs of every recording."""
+    """Predict the outputs of every recording.
+
+    The predictive is taken for normal: it is the normal noise, spread a little by what is unknown
+    of the parameters. Quantiles of a few hundred draws would be far rougher than that.
+    """
     flat = fit.posterior.flat(_DRAWS)
     n = len(flat)
     values = fit.target.chain_values(flat)
@@ -73,7 +65,8 @@ def predictive(fit: Fit) -> list[Predictive]:
     for r in range(len(origin)):
         variance = np.maximum(second[r] / n - (first[r] / n) ** 2, 0.0)
         noise = np.mean([one[r] ** 2 for one in sds], axis=0)
-        found.append(Predictive(origin[r] + first[r] / n, np.sqrt(variance + noise), noise**0.5))
+        reach = float(ndtri(0.5 + LEVEL / 2.0)) * np.sqrt(variance + noise)
+        found.append(Predictive(origin[r] + first[r] / n, reach, noise**0.5))
     return found
 
 
@@ -127,7 +120,8 @@ def _left_out(ax: Axes, o: Observation) -> None:
 
 def _predicted(ax: Axes, o: Outputs, p: Predictive) -> None:
     """Draw what was measured, and mean and band of what is predicted."""
-    draw_band(ax, o, *p.band(LEVEL), label=f"{100 * LEVEL:.0f} % predictive band", gid="band")
+    label = f"{100 * LEVEL:.0f} % predictive band"
+    draw_band(ax, o, p.mean - p.reach, p.mean + p.reach, label=label, gid="band")
     time, measured, mean = broken(o, o.measured, p.mean)
     # wide below and thin above, so that both are seen where they agree
     width = 1.0 if as_pixels(o) else 1.5
@@ -138,7 +132,7 @@ def _predicted(ax: Axes, o: Outputs, p: Predictive) -> None:
 
 def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
     # once more, for on the scale of the torque a good fit's band is a hairline
-    draw_band(ax, o, *(end - p.mean for end in p.band(LEVEL)))
+    draw_band(ax, o, -p.reach, p.reach)
     time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
     draw_measured(ax, o, time, residual, linewidth=0.4, gid="residual")
     look: Look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,13 @@ from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.calculator import Calculator, read_calculator
 from bayesfric.report.comparison.between_runs import PooledQuantity
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
-from bayesfric.report.summary.record import OpenDirectionRow, Readable, RemedyRow, Summary
+from bayesfric.report.summary.record import Readable, RemedyRow, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
 
@@ -94,47 +93,25 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
     rows = [*joint, *(r for r in table.rows if r.group == "free")]
     directions = found.directions or []
     null = found.null_directions if found.directions is None else []
+    steps: dict[str, RemedyRow] = {}
+    for one in directions:
+        for remedy in one.remedies:
+            steps.setdefault(remedy.text, remedy)
     return {
         "lost": [r.name for r in rows if not r.cell.converged],
         "open": {r.name: r.meaning for r in rows if r.by == "open" and r.cell.converged},
         "why": [(one.meaning, one.reasons) for one in directions] + [(n.meaning, []) for n in null],
-        # remedies, each with how many of the directions it lifts, if any were looked for
-        "steps": _steps(directions),
-        "directions": len(directions),
+        # each remedy once, an experiment before a value from elsewhere, which has to be believed
+        "steps": sorted(steps.values(), key=lambda remedy: remedy.kind == "known value"),
         "command": _command(joint),
     }
 
 
-def _steps(directions: Sequence[OpenDirectionRow]) -> list[tuple[RemedyRow, int]]:
-    """List remedies, those that leave fewest directions open first, each one once."""
-    found: dict[str, tuple[RemedyRow, int]] = {}
-    for direction in directions:
-        for remedy in direction.remedies:
-            first, lifted = found.get(remedy.text, (remedy, 0))
-            found[remedy.text] = first, lifted + 1
-
-    def order(one: tuple[RemedyRow, int]) -> tuple[int, int, bool]:
-        remedy, lifted = one
-        after = len(directions) if remedy.open_after is None else remedy.open_after
-        # an experiment was simulated; a value from elsewhere has to be believed
-        return after, -lifted, remedy.kind == "known value"
-
-    return sorted(found.values(), key=order)
-
-
 def _command(joint: Sequence[ParameterRow]) -> str:
-    """Ask for advice on what is open, or else on what is known least."""
-    if not joint or not all(row.cell.converged for row in joint):
-        return ""
-
-    def unknown(row: ParameterRow) -> tuple[bool, float]:
-        told = row.row
-        return row.by == "open", told.told.sd / abs(told.mean) if told and told.mean else 0.0
-
-    # a constant in the measurement is asked for last
-    asked = [row for row in joint if row.name.partition(".")[0] != "offset"] or joint
-    name = shlex.quote(max(asked, key=unknown).name)
-    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}"
+    """Ask for advice on what is open."""
+    open_ = [row.name for row in joint if row.by == "open" and row.cell.converged]
+    name = shlex.quote(open_[0]) if open_ else ""
+    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}" if name else ""
 
 
 class Provenance(Part):
@@ -147,11 +124,6 @@ class Provenance(Part):
     seed: str = ""  # as text; empty where it is not known
     # first and last second that was fitted of a recording, by its name; older files do not tell
     spans: dict[str, Pair] = Field(default_factory=dict)
-
-    @property
-    def known(self) -> bool:
-        """Whether any recording can be told from others."""
-        return any(self.recordings.values())
 
     def saw_of(self, other: Provenance) -> bool:
         """Whether both fitted a part of one recording, by SHA-256 and seconds."""
@@ -181,15 +153,6 @@ def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple
     return [(a, b) for a, b in combinations(known, 2) if known[a].saw_of(known[b])]
 
 
-def _counts(run: Summary) -> Iterator[int]:
-    """Count parameters by the data, with the prior, open or limits; then the warnings of a run."""
-    cells = posterior_cells(run)
-    joint = [(cells[name].status == "determined", row.verdict) for name, row in run.joint.items()]
-    by = [verdict if determined else "open" for determined, verdict in joint]
-    yield from (by.count(kind) for kind in ("data", "weak", "open"))
-    yield len(alerts_of(run))
-
-
 def compare_page(
     folder: Path,
     found: Comparison,
@@ -202,11 +165,9 @@ def compare_page(
         "compare.html.j2",
         title=" and ".join(runs) if len(runs) < 3 else f"{len(runs)} runs",
         runs=runs,
-        counts={name: tuple(_counts(run)) for name, run in runs.items()},
         pooled=pooled,
         same=shared_recordings(provenance),
         provenance=provenance,
-        unknown=[run for run, one in provenance.items() if not (one and one.known)],
         methods=found,
         explained=list(explained(found)),
         figures=page_figures(folder, [FOREST], {}),

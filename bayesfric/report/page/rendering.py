@@ -15,6 +15,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
+from unicodedata import lookup
 from urllib.parse import quote
 
 from jinja2 import Environment
@@ -28,18 +29,9 @@ from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
-from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.record import Summary
 from bayesfric.report.words import FILTERS, clause
 
-_GREEK = {
-    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "eta": "η",
-    "theta": "θ", "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "phi": "φ", "pi": "π",
-    "rho": "ρ", "sigma": "σ", "tau": "τ", "chi": "χ", "psi": "ψ", "omega": "ω",
-    "Delta": "Δ", "Gamma": "Γ", "Lambda": "Λ", "Omega": "Ω", "Phi": "Φ", "Sigma": "Σ",
-    "Theta": "Θ", "dot": "", "cdot": "·", "times": "×",
-    "sin": "\u2009sin\u2009", "cos": "\u2009cos\u2009",
-}  # fmt: skip
+_SIGNS = {"dot": "", "cdot": "·", "times": "×", "sin": "\u2009sin\u2009", "cos": "\u2009cos\u2009"}
 _SPACES = {"!": "", **dict.fromkeys(",;: ", "\u2009")}
 _TOKEN = re.compile(
     r"\\(?:mathrm|text|mathit|operatorname)\{((?:[^{}\\]|\\.)*)\}"
@@ -71,12 +63,6 @@ def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any)
     )
     fixed = {"style": Markup(style), "script": Markup(script), "policy": policy}
     return _environment().get_template(template).render(**fixed, **told)
-
-
-def notebook_table(summary: Summary) -> str:
-    """Write what a notebook shows of a summary: every number with its verdict."""
-    template = _environment().get_template("notebook.html.j2")
-    return template.render(summary=summary, table=parameter_table(summary))
 
 
 @cache
@@ -134,10 +120,17 @@ def _set(token: re.Match[str]) -> str:
     if mark or letter:
         return mark or f"<i>{letter}</i>"
     if len(command) > 1:
-        return _GREEK[command]
+        return _SIGNS[command] if command in _SIGNS else _greek(command)
     plain = re.sub(r"\\(.)", r"\1", words) + _SPACES.get(command, command)
     plain += {" ": "", "-": "\u2212"}.get(other, other)  # a space means nothing in mathematics
     return re.sub("[{}_^]", lambda m: f"&#{ord(m[0])};", escape(plain))
+
+
+def _greek(name: str) -> str:
+    """Give a letter by its LaTeX command; ``KeyError`` where it is none."""
+    case = "CAPITAL" if name[0].isupper() else "SMALL"
+    # as Unicode spells it
+    return lookup(f"GREEK {case} LETTER {name.upper().replace('LAMBDA', 'LAMDA')}")
 
 
 @dataclass(frozen=True)

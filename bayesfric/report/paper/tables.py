@@ -19,7 +19,6 @@ from bayesfric.report.summary.derived_quantities import described_as
 from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.summary.self_check_part import seldom_held_sentence
 from bayesfric.report.words import filled
 
 _GROUPS = {
@@ -109,7 +108,6 @@ class ParameterTable:
             summary=self.summary,
             correlated=correlation_warning(self.summary),
             marked=marked,
-            seldom_held=seldom_held_sentence(self.summary, [row.name for row in self.rows]),
         )
         return tuple(text.splitlines())
 
@@ -188,7 +186,6 @@ def methods_latex(found: Comparison) -> str:
         "methods_notes.txt.j2",
         found=found,
         cells=told,
-        empty=len(told) < len(found.rows) * len(found.columns),
         skewed=any("^{+" in text for _, texts in lines for text in texts),
     ).splitlines()
     head = ["", "Unit", *(latex.escaped(c.label) for c in found.columns)]

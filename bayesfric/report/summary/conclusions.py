@@ -9,45 +9,17 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
-from bayesfric.estimates.point_estimate import Bound
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.prior.priors import bound_of
-from bayesfric.report.summary.derived_quantities import Groups, spread
+from bayesfric.report.summary.derived_quantities import Groups, leaning, limits_of, spread
 from bayesfric.report.summary.record import ModelError, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import cited
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import Spread, concluded
-
-# Quantities that a loss per torque makes by itself, and on which side of one they are, eq. (6).
-_SIDES: dict[str, dict[str, Bound]] = {
-    "load": {"alpha_drive": "upper", "alpha_back": "lower"},
-    "load_drive": {"alpha_drive": "upper"},
-    "load_back": {"alpha_back": "lower"},
-}
-# Efficiencies, which are those factors where no constant loss counts in them.
-_EFFICIENCY = {"alpha_drive": "efficiency_drive", "alpha_back": "efficiency_back"}
-_SAME = 1e-9
-
-
-def leaning(
-    x: NDArray[np.float64], prior: tuple[float, float], possible: tuple[float, float]
-) -> dict[str, Any]:
-    """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
-    side = bound_of(x, *prior)
-    if side is None:
-        return {"at_bound": None}
-    end = 0 if side == "lower" else 1
-    return {
-        "at_bound": side,
-        "bound": prior[end],
-        "bound_physical": prior[end] == possible[end],
-    }
 
 
 def told_by_data(row: PosteriorRow) -> bool:
@@ -97,31 +69,6 @@ def bound_warning(name: str, row: PosteriorRow) -> str | None:
     return line_of("bound", {"name": name, "side": row.at_bound, "mend": mend})
 
 
-def limits_of_losses(summary: Summary) -> Summary:
-    """Say that a torque factor is known from one side only where its loss is.
-
-    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.
-    """
-    changes: dict[str, dict[str, Any]] = {}
-    for name, row in summary.parameters.items():
-        element, _, quantity = name.partition(".")
-        if row.at_bound != "lower" or row.bound != 0.0:
-            continue
-        for alpha, side in _SIDES.get(quantity, {}).items():
-            factor = summary.derived.get(f"{element}.{alpha}")
-            if factor is None:
-                continue
-            limit = {"bound": 1.0, "bound_physical": True}
-            changes[f"{element}.{alpha}"] = {"at_bound": side, **limit}
-            efficiency = f"{element}.{_EFFICIENCY[alpha]}"
-            share = factor.middle if side == "upper" else 1.0 / factor.middle
-            other = summary.derived.get(efficiency)
-            # nothing but that factor, or one over it
-            if other is not None and abs(other.middle - share) < _SAME:
-                changes[efficiency] = {"at_bound": "upper", **limit}
-    return summary.with_rows(changes) if changes else summary
-
-
 def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     """Put intervals with room for what the model may lack into a summary, and judge by them.
 
@@ -136,17 +83,15 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     wide = fit.wide.posterior.flat()
     found = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
     for group in derived:
-        if group.found:
-            some = wide[:: -(-len(wide) // group.most)]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                values = group.values(fit.target.chain_values(some))
-            found |= {q.name: x for q, x in zip(group.found, values, strict=True)}
+        found |= group.named(wide[:: -(-len(wide) // group.most)])
     changes = {name: _change(summary, name, x) for name, x in found.items()}
-    limits = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
-    for name, prior in zip(fit.posterior.names, fit.posterior.priors, strict=True):
-        if changes.get(name) and summary.rows[name].at_bound is None:
+    possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    priors = {n: p.limits for n, p in zip(fit.posterior.names, fit.posterior.priors, strict=True)}
+    for name, change in changes.items():
+        limits = priors.get(name) or limits_of(name)
+        if change and limits is not None and summary.rows[name].at_bound is None:
             # what has more room may come to lean on a bound
-            changes[name] |= leaning(found[name], prior.limits, limits[name])
+            change |= leaning(found[name], limits, possible.get(name, limits))
     return summary.with_rows(changes, model_error=told)
 
 

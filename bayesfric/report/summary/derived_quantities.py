@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +14,11 @@ from bayesfric.estimates.torque import typical_load, weighed_torque
 from bayesfric.identifiability.local import LocalInformation, verdict
 from bayesfric.identifiability.scale_from_priors import given_by
 from bayesfric.inference.fitting import Fit
+from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling import convergence
+from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
+from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.rows import Described
 from bayesfric.report.words import listed
@@ -24,21 +28,35 @@ LEVEL = 0.9
 _TOTALS_BUDGET = 25_000_000
 # A total below this share of the others of its unit is zero but for rounding.
 _NOUGHT = 1e-9
+_LOSSY = {"alpha_drive": (0.0, 1.0), "alpha_back": (1.0, math.inf)}
+_LOSSY |= {"efficiency_drive": (0.0, 1.0), "efficiency_back": (0.0, 1.0)}
 
 
 @dataclass(frozen=True)
 class Group:
     """Quantities computed alike.
 
-    ``found`` has the posterior's draws of each; ``values`` brings the chain's parameters
+    ``found`` has the posterior's draws of each; ``of_chain`` brings the chain's parameters
     ``(n, n_parameters)`` to them, ``(k, n)``; ``most`` draws are enough to judge them by;
     ``prior`` is how many of its draws, and the key of their random numbers.
     """
 
     found: list[Derived]
-    values: Callable[[Array], Array]
+    target: Target
+    of_chain: Callable[[Array], Array]
     most: int
     prior: tuple[int, int]
+
+    def values(self, draws: Array) -> Array:
+        """Bring draws ``(n, d)`` of the sampled parameters to the quantities, ``(k, n)``."""
+        if not self.found:
+            return np.empty((0, len(draws)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.of_chain(self.target.chain_values(draws))
+
+    def named(self, draws: Array) -> dict[str, Array]:
+        """Give the quantities of draws by name, ``(n,)`` each."""
+        return {q.name: x for q, x in zip(self.found, self.values(draws), strict=True)}
 
 
 Groups = tuple[Group, Group]
@@ -75,49 +93,65 @@ def spread(x: Array) -> dict[str, Any]:
     }
 
 
-def gradients(fit: Fit, values: Callable[[Array], Array]) -> Array:
-    """Give the change of quantities with each free parameter at the posterior's median, ``(n, k)``.
+def limits_of(name: str) -> tuple[float, float] | None:
+    """Give the physical limits of a factor or efficiency, eqs. (4) and (6); no other has any.
 
-    For ``values`` see :class:`Group`.
+    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of a loss does not.
     """
+    return _LOSSY.get(quantity_of(name))
+
+
+def leaning(x: Array, prior: tuple[float, float], possible: tuple[float, float]) -> dict[str, Any]:
+    """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
+    side = bound_of(x[np.isfinite(x)], *prior)
+    if side is None:
+        return {"at_bound": None}
+    end = 0 if side == "lower" else 1
+    return {
+        "at_bound": side,
+        "bound": prior[end],
+        "bound_physical": prior[end] == possible[end],
+    }
+
+
+def gradients(fit: Fit, group: Group) -> Array:
+    """Give the change of quantities with each free parameter at the median, ``(k, n_free)``."""
     median, k = fit.posterior.median, len(fit.target.free)
     steps = 1e-5 * np.maximum(np.abs(median[:k]), 1e-9)
     either = np.concatenate([np.diag(steps), -np.diag(steps)])
-    change = values(
-        fit.target.chain_values(median + np.pad(either, ((0, 0), (0, median.size - k))))
-    )
+    change = group.values(median + np.pad(either, ((0, 0), (0, median.size - k))))
     return np.asarray((change[:, :k] - change[:, k:]) / (2.0 * steps))
 
 
-def prior_values(fit: Fit, draws: int, key: int) -> Array:
-    """Draw chain parameters from the prior; ``key`` is that of the random numbers."""
+def prior_draws(fit: Fit, draws: int, key: int) -> Array:
+    """Draw from the prior, ``(draws, d)``; ``key`` is that of the random numbers."""
     rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(key,)))
-    drawn = np.stack([prior.draw(draws, rng) for prior in fit.posterior.priors], axis=1)
-    return fit.target.chain_values(drawn)
+    return np.stack([prior.draw(draws, rng) for prior in fit.posterior.priors], axis=1)
 
 
 def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
     rows = {}
     for group in derived:
-        if not group.found:
-            continue
-        with np.errstate(divide="ignore", invalid="ignore"):
-            in_prior = group.values(prior_values(fit, *group.prior))
-            changes = gradients(fit, group.values)
-        sound = sound_quantities(fit, group.values, len(group.found), group.most)
-        for q, prior, change, converged in zip(group.found, in_prior, changes, sound, strict=True):
+        of_each = (
+            group.values(prior_draws(fit, *group.prior)),
+            gradients(fit, group),
+            sound_quantities(fit, group),
+        )
+        for q, prior, change, converged in zip(group.found, *of_each, strict=True):
             told = local.data_sd_of(change, gauge_free=q.gauge_free)
             prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
-            by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told)}
+            by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told), "prior_sd": prior_sd}
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
+            if (limits := limits_of(q.name)) is not None:
+                by |= leaning(q.values, limits, limits)
+            if np.isfinite(prior).any():
+                by["prior_interval"] = spread(prior)["interval"]
             rows[q.name] = {
                 **described_as(q),
                 **spread(q.values),
                 "converged": bool(converged),
-                **({"prior_sd": prior_sd} if np.isfinite(prior_sd) else {}),
-                **_prior_interval(prior),
                 **by,
                 "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
                 "gauge_free": q.gauge_free,
@@ -129,14 +163,6 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
 def weakly_given(names: list[str]) -> dict[str, Any]:
     """Say that neither data nor a prior of its own settle a number, but told priors do."""
     return {"verdict": "weak", "given_by": names} if names else {}
-
-
-def _prior_interval(drawn: Array) -> dict[str, Any]:
-    drawn = drawn[np.isfinite(drawn)]
-    if not drawn.size:
-        return {}
-    ends = np.quantile(drawn, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
-    return {"prior_interval": ends.tolist()}
 
 
 def _totals(fit: Fit) -> Group:
@@ -160,9 +186,6 @@ def _totals(fit: Fit) -> Group:
     described = [projection.describe(name) for name, *_ in names]
     wanted = [i for i in wanted if not _nought(i, drawn, [unit for unit, *_ in described])]
 
-    def values(parameters: Array) -> Array:
-        return every(parameters)[wanted]
-
     # what a load loss adds is spread over the other terms, along each motion differently
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     bent = sorted({p.row.bent_by for p in fit.chain.parameters if p.row.bends}, reverse=True)
@@ -173,7 +196,7 @@ def _totals(fit: Fit) -> Group:
         meaning += without
         told = {"gauge_free": True, "of_motion": lossy}
         found.append(Derived(names[i][1], unit, symbol, meaning, drawn[i], **told))
-    return Group(found, values, most, (300, 3))
+    return Group(found, fit.target, lambda parameters: every(parameters)[wanted], most, (300, 3))
 
 
 def _nought(i: int, drawn: Array, units: Sequence[str]) -> bool:
@@ -195,7 +218,7 @@ def coefficients(fit: Fit) -> Group:
         of = {q.name: q.values for q in derive(fit.chain, parameters, at_load)}
         return np.stack([of[q.name] for q in found])
 
-    return Group(found, values, fit.posterior.log_density.size, (2000, 2))
+    return Group(found, fit.target, values, fit.posterior.log_density.size, (2000, 2))
 
 
 def _has_interval(x: Array) -> bool:
@@ -213,21 +236,20 @@ def _robust_sd(x: Array) -> float:
     return float((high - low) / 1.349)
 
 
-def sound_quantities(fit: Fit, values: Callable[[Array], Array], number: int, most: int) -> Flags:
-    """Judge so many quantities by R-hat and independent draws of their own, ``(number,)``.
+def sound_quantities(fit: Fit, group: Group) -> Flags:
+    """Judge quantities by R-hat and independent draws of their own, ``(k,)``.
 
-    What no scaling changes may be known where the parameters it is made of still wander. At most
-    so many draws are looked at; for ``values`` see :class:`Group`.
+    What no scaling changes may be known where the parameters it is made of still wander.
     """
-    diagnostics = fit.posterior.diagnostics
+    number, diagnostics = len(group.found), fit.posterior.diagnostics
     if diagnostics.status == "reliable":
         return np.ones(number, dtype=np.bool_)
     draws = convergence.without_stuck(fit.posterior.draws, diagnostics.acceptance)
     ensembles, walkers, steps, d = draws.shape
-    draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // most))]
+    draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.most))]
     if draws.shape[2] < 2:
         return np.zeros(number, dtype=np.bool_)
-    found = values(fit.target.chain_values(draws.reshape(-1, d)))
+    found = group.values(draws.reshape(-1, d))
     with np.errstate(invalid="ignore"):
         middle = np.nanmedian(np.where(np.isfinite(found), found, np.nan), axis=1, keepdims=True)
     # draws that do not have a quantity say nothing against it

@@ -22,7 +22,7 @@ from bayesfric.diagnostics.before_a_fit import (
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import KNOWN
-from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
+from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.conclusions import held, noise_cut
@@ -103,8 +103,9 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
 
 def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
     """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
-    compared = (references_off(summary) or {"compared": ()})["compared"]
-    if off := {one["name"]: one["times"] for one in compared if one["by"] == "prior"}:
+    rows = {n: row for n, row in summary.joint.items() if n not in summary.references}
+    off = {name: _times(row, *told) for name, row in rows.items() if (told := _of_data(row))}
+    if off := {name: times for name, times in off.items() if times > _FAR}:
         yield {"kind": "prior", "priors": off}
 
 
@@ -147,34 +148,19 @@ def _accelerates(row: Quantity | None) -> bool:
     return bool(row.column(still, *shape) != row.column(faster, *shape))
 
 
-def references_off(summary: Summary) -> dict[str, Any] | None:
-    """Name references far from what was found, and the one factor of all.
+def references_off(summary: Summary) -> dict[str, float]:
+    """Name references far from what was found, and by how many standard deviations.
 
-    So are priors that the data contradict. Far counts the sd of the told interval and the
-    reference's own. ``None`` where none is; what the data leave open contradicts nothing.
+    Those of the told interval and the reference's own; what the data leave open contradicts
+    nothing.
     """
-    compared = list(_compared(summary))
-    off = [one for one in compared if one["times"] > _FAR]
-    if not off:
-        return None
-    scaled = [one for one in compared if one["scaled"]]
-    # a gain that is fitted is that factor already
-    factor = _common(scaled) if not summary.scaled and any(one in off for one in scaled) else None
-    return {"off": {one["name"]: one["times"] for one in off}, "compared": off, "factor": factor}
-
-
-def _compared(summary: Summary) -> Iterator[dict[str, Any]]:
+    times = {}
     for name, reference in summary.references.items():
         row = summary.rows.get(name)
         if row is not None and row.verdict != "prior" and row.converged is not False:
             sd = sd_towards(reference.value, row.middle, (row.told.low, row.told.high), row.told.sd)
-            found = _beside(row, reference.value, reference.sd, row.middle, sd)
-            yield {"name": name, "by": "reference"} | found
-    for name, row in summary.joint.items():
-        if name in summary.references or row.converged is False:
-            continue
-        if told := _of_data(row):
-            yield {"name": name, "by": "prior"} | _beside(row, *told)
+            times[name] = _times(row, reference.value, reference.sd, row.middle, sd)
+    return {name: far for name, far in times.items() if far > _FAR}
 
 
 def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
@@ -184,6 +170,8 @@ def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
     model right, as when the two were made one: a model error may be no more than that they differ.
     """
     if row.prior_default or row.prior_sd is None or row.prior_interval is None or row.period:
+        return None
+    if row.converged is False:
         return None
     value, sd = sum(row.prior_interval) / 2.0, row.prior_sd
     if not 0.0 < row.sd < sd < KNOWN * abs(value):
@@ -195,28 +183,12 @@ def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
     return value, sd, found, row.sd / share**0.5
 
 
-def _beside(
+def _times(
     row: PosteriorRow, value: float, known: float | None, found: float, found_sd: float
-) -> dict[str, Any]:
-    """Put what was found beside a value that is ``known`` so well."""
+) -> float:
+    """Give how many sds what was found is from a value that is ``known`` so well."""
     away = found - value
     if row.period:
         away -= row.period * round(away / row.period)
     sd = float(np.hypot(found_sd, known or 0.0))
-    return {
-        "times": abs(away) / sd if sd > 0.0 else 0.0,
-        "factor": found / value if value * found > 0.0 and not row.period else None,
-        "relative": sd / abs(found) if found else 0.0,
-        "scaled": scales_with_torque(row.unit),
-    }
-
-
-def _common(scaled: list[dict[str, Any]]) -> float | None:
-    """Give the factor by which all are off alike, if there is one."""
-    if not all(one["factor"] and one["relative"] for one in scaled):
-        return None
-    logs = np.log([one["factor"] for one in scaled])
-    weights = np.array([one["relative"] for one in scaled]) ** -2.0
-    mean = float(weights @ logs / weights.sum())
-    alike = np.abs(logs - mean) < _FAR * weights**-0.5
-    return float(np.exp(mean)) if alike.all() else None
+    return abs(away) / sd if sd > 0.0 else 0.0

@@ -92,22 +92,12 @@ def linearisation_warning(likelihood: Likelihood) -> str | None:
 
 def correlation_warning(summary: Summary) -> str | None:
     """Warn where residuals that count as independent are not, and by how much it matters."""
-    noise, lag = summary.noise, summary.noise.innovation_lag1
+    lag = summary.noise.innovation_lag1
     # drifting positions are correlated by their model; there it says nothing
     if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
         return None
-    # version 0.1.0 told the memory by its coefficients only
-    memory = bool(noise.order or noise.autoregression)
-    beside = summary.estimates.get("input-error")
-    # by estimates of the same kind where there are
-    ratios = [
-        v.sd_robust / v.sd
-        for v in (beside.parameters.values() if beside and not memory else ())
-        if v.determined and v.sd and v.sd_robust is not None
-    ]
-    # else the factor of a first-order autoregression
-    first_order = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
-    times = most if (most := max(ratios, default=0.0)) > 1.0 else first_order
+    # the factor of a first-order autoregression
+    times = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
     return line_of("independent", {"lag": lag, "times": times})
 
 

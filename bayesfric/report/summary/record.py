@@ -15,7 +15,6 @@ from pydantic import Field, FiniteFloat
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import read_json
 from bayesfric.estimates.point_estimate import Method
-from bayesfric.inference.likelihood.noise_choice import EVIDENCE
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,
@@ -74,7 +73,6 @@ class RemedyRow(Open):
     kind: str = ""
     text: str
     log_sd_after: NotNegative | None = None
-    open_after: int | None = None
 
 
 class OpenDirectionRow(Open):
@@ -91,7 +89,6 @@ class Identifiability(Part):
     """What no recording of this kind can tell; ``directions`` is ``None`` in older runs."""
 
     null_directions: list[NullDirection] = Field(default_factory=list)
-    singular_values: list[FiniteFloat] = Field(default_factory=list)
     directions: list[OpenDirectionRow] | None = None
 
 
@@ -100,8 +97,6 @@ class Tried(Part):
 
     order: int
     bic: FiniteFloat
-    innovation_share: FiniteFloat | None = None
-    p_value: FiniteFloat | None = None
 
 
 class Whiteness(Part):
@@ -124,14 +119,6 @@ class Noise(Part):
     innovation_whiteness: Whiteness | None = None
     autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
     order_chosen_from: list[Tried] = Field(default_factory=list)
-
-    @property
-    def not_taken(self) -> dict[str, Any] | None:
-        """The order that BIC asks for, where another was taken, and whether it gains enough."""
-        best = min(self.order_chosen_from, key=lambda one: one.bic, default=None)
-        if best is None or best.order == self.order:
-            return None
-        return {"order": best.order, "moves": best.bic < -EVIDENCE}
 
 
 class Coverage(Part):
@@ -165,10 +152,6 @@ class HeldOut(Part):
     coverage: dict[str, Coverage]
     residual_rms: NotNegative
     predictive_sd: NotNegative | None = None
-    mean_standardised: FiniteFloat | None = None
-    mean_standardised_error: FiniteFloat | None = None
-    residual_lag1: FiniteFloat | None = None
-    log_score: FiniteFloat | None = None
     discrepancy: Discrepancy | None = None
     verdict: str
     says: str

@@ -280,16 +280,14 @@ class MotionError(Part):
 class RollOutRow(Part):
     """One recording, or all together.
 
-    In a share ``blind`` of the time the position's band is wider than ``room``, beyond which it
-    tells nothing; ``over`` is the share of the plays that went another way over the top.
+    In a share ``blind`` of the time the position's band is too wide to tell anything; ``over`` is
+    the share of the plays that went another way over the top.
     """
 
     part: Which | None = None
     input: Input | None = None
     position: MotionError
     speed: MotionError
-    runaway: Share = 0.0
-    room: NotNegative | None = None
     blind: Share = 0.0
     over: Share = 0.0
 

@@ -7,8 +7,7 @@ truth, so what is left is of second order, the bias times its relative change ov
 
 from __future__ import annotations
 
-import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
 from bayesfric.report.summary.record import SelfCheck, SelfCheckRow, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.words import line_of
 from bayesfric.results.reported import Spread
 
 # Bias in posterior sds that is corrected; its own error must be this many times smaller.
@@ -39,11 +37,10 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
 
     ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.
     """
-    begun, worked = time.perf_counter(), time.process_time()
     made = len(checked.fits)
     told: dict[str, Any] = {"asked": TWINS, "made": made}
+    told |= {"seconds": round(checked.seconds, 3), "cpu_seconds": round(checked.cpu_seconds, 3)}
     if checked.reason is not None:
-        told |= {"seconds": checked.seconds, "cpu_seconds": checked.cpu_seconds}
         return SelfCheck(**told, reason=checked.reason, said=checked.said)
     unexplained = np.array([one.unexplained for one in checked.fits])
     support = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
@@ -55,13 +52,7 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
         if row.sd > 0.0 and np.isfinite(missed).sum() >= max(2.0, 0.5 * made):
             limits = support.get(name, (-np.inf, np.inf))
             rows[name] = _row(row, truth, missed, unexplained, limits)
-    return SelfCheck(
-        **told,
-        rows=rows,
-        unexplained=float(unexplained.mean()),
-        seconds=round(checked.seconds + time.perf_counter() - begun, 3),
-        cpu_seconds=round(checked.cpu_seconds + time.process_time() - worked, 3),
-    )
+    return SelfCheck(**told, rows=rows, unexplained=float(unexplained.mean()))
 
 
 def _held(row: SelfCheckRow) -> float:
@@ -115,15 +106,6 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     return {n: row for n, row in _rows(summary).items() if n in shown or row.coverage < LOW}
 
 
-def seldom_held_sentence(summary: Summary, names: Collection[str]) -> str:
-    """Say of ``names`` whose printed intervals hold the truth too seldom that they do; or empty."""
-    shown = cited(summary)
-    held = {n: _held(r) if n in shown else r.coverage for n, r in _rows(summary).items()}
-    held = {name: share for name, share in held.items() if share < LOW and name in names}
-    shares = [f"{name} {100 * share:.0f} %" for name, share in held.items()]
-    return line_of("seldom held", {"held": shares, "level": LEVEL}) if held else ""
-
-
 def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:
     """Give each quantity's name, its true values and by how much fits miss them, a replay each."""
     nearby = np.stack([one.nearby for one in checked.fits])
@@ -132,14 +114,10 @@ def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, 
         if not of_noise(name):
             truth = checked.truth[:, j]
             yield name, truth, (nearby[:, j] - truth) / shares
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for group in derived:
-            if not group.found:
-                continue
-            true = group.values(fit.target.chain_values(checked.truth))
-            moved = group.values(fit.target.chain_values(nearby))
-            for q, before, after in zip(group.found, true, moved, strict=True):
-                yield q.name, before, (after - before) / shares
+    for group in derived:
+        moved = group.named(nearby)
+        for name, true in group.named(checked.truth).items():
+            yield name, true, (moved[name] - true) / shares
 
 
 def _row(

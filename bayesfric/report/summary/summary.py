@@ -21,13 +21,14 @@ from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report import shown
 from bayesfric.report.summary import noise as noise_part
-from bayesfric.report.summary.conclusions import bound_warning, leaning
+from bayesfric.report.summary.conclusions import bound_warning
 from bayesfric.report.summary.derived_quantities import (
     LEVEL,
     Groups,
     derived_rows,
     described_as,
     groups,
+    leaning,
     rms_of,
     spread,
     weakly_given,
@@ -78,7 +79,6 @@ def summarise(
                 {"parameters": n.exponents, "meaning": str(n.meaning)}
                 for n in local.null_directions
             ],
-            "singular_values": [float(x) for x in local.directions.singular_values],
         },
         "noise": noise_part.noise_record(fit, residual, choice),
         "fit": {

@@ -47,38 +47,6 @@
     });
   }
 
-  // figures: the drawing itself moves into the dialog
-  const dialog = document.getElementById("enlarged");
-  const place = document.getElementById("enlarged-body");
-  const title = document.getElementById("enlarged-title");
-  let home = null;
-  const back = () => {
-    if (home) home.append(...place.children);
-    home = null;
-  };
-  document.getElementById("enlarged-close").addEventListener("click", () => dialog.close());
-  dialog.addEventListener("close", back);
-  dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
-  for (const figure of document.querySelectorAll("figure")) {
-    const card = figure.querySelector(".card");
-    const enlarge = figure.querySelector(".enlarge");
-    const save = figure.querySelector(".save");
-    enlarge.hidden = save.hidden = false;
-    enlarge.addEventListener("click", () => {
-      title.textContent = card.getAttribute("aria-label");
-      home = card;
-      place.append(...card.children);
-      dialog.showModal();
-      place.focus();
-    });
-    save.addEventListener("click", () => {
-      const link = document.createElement("a");
-      link.href = card.querySelector("img").src;
-      link.download = `${card.dataset.stem}.svg`;
-      link.click();
-    });
-  }
-
   // what a link leads to is opened
   const open = () => {
     const there = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
