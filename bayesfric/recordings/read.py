@@ -102,7 +102,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if source.target is not None and told.channel is not source.target:
         aims = position_law(source.target, table, drive)
 
-    grid = make_grid(time, chosen, processing, table.where)
+    grid = make_grid(time, chosen, table.where)
     checks.check_moves(position[part], table.label(source.position.column), "position")
     checks.check_moves(told.law.command[part], table.label(channel.column), kind)
     warnings = [*grid.warnings]

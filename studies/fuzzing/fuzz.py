@@ -173,7 +173,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
         for keys in more
         for columns in (by_name, by_number)
     ]
-    processing = Processing(min_samples=5, lowpass="off", dead_zone=0.0, trim=0.0)
+    processing = Processing(lowpass="off", dead_zone=0.0, trim=0.0)
 
     def target(data: bytes) -> None:
         path.write_bytes(data[1:])

@@ -61,10 +61,6 @@ decimate = 3
 band = 10.0
 dead_zone = "0.5 deg/s"
 trim = "50 ms"
-resample = "auto"
-gap = 5.0
-jitter = 0.01
-min_samples = 20
 
 [likelihood]
 method = "output-error"
@@ -164,9 +160,7 @@ def content(form, n=N, data=None):
 
 def config(file, extra=""):
     """The good configuration for a file, with more keys for its recording."""
-    text = CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}').replace(
-        "order = 4", "order = 4\nmin_samples = 20"
-    )
+    text = CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}')
     for name, other in NAMES.get(file.rpartition(".")[2], {}).items():
         text = text.replace(f'column = "{name}"', f'column = "{other}"')
     return text

@@ -37,15 +37,6 @@ def rows(cell, every=False):
 # -- sizes
 
 
-@pytest.mark.parametrize("period", ["1 us", "100 us", "0.9 ms"])
-def test_resampling_makes_ten_samples_of_one_at_most(process, tmp_path, period):
-    (tmp_path / "run.csv").write_bytes(good.content("csv", 900))
-    text = good.config("run.csv").replace("order = 4", f'order = 4\nresample = "{period}"')
-    (tmp_path / "c.toml").write_text(text)
-    for command in ("check", "identify"):
-        process.refused(tmp_path, command, "c.toml", parts=["run.csv, resample", "0.001 s or more"])
-
-
 @pytest.mark.parametrize(
     "text",
     cases(

@@ -346,9 +346,6 @@ def test_numbers_in_units_are_still_read(text, value):
         ("band", '[processing]\nband = "1e-300 Hz"', ["band", "next to nothing"]),
         ("band-narrow", '[processing]\nband = "1e-3 Hz"', ["'run', decimate"]),
         ("lowpass", '[processing]\nlowpass = "1e-300 Hz"', ["lowpass", "next to nothing"]),
-        ("resample", '[processing]\nresample = "1e-300 s"', ["run.csv", "period"]),
-        ("resample-denormal", '[processing]\nresample = "1e-320 s"', ["run.csv", "period"]),
-        ("resample-fine", '[processing]\nresample = "1 ns"', ["run.csv", "0.001 s or more"]),
     ),
 )
 def test_processing(tmp_path, edit, parts):

@@ -143,8 +143,8 @@ def constant(column):
         ([*ROWS[:18], ROWS[17], *ROWS[19:]], ["'t'", "row 18 (line 19)", "repeats"]),
         (constant(1), ["'q'", "position", "0.5"]),
         (constant(2), ["'tau'", "torque", "0.5"]),
-        (lines(30), ["30 samples", "min_samples = 50"]),
-        ([line for i, line in enumerate(ROWS) if i == 0 or i % 40 < 30], ["gap", "min_samples"]),
+        (lines(30), ["30 samples", "fewer than 50"]),
+        ([line for i, line in enumerate(ROWS) if i == 0 or i % 40 < 30], ["gap", "50 samples"]),
     ],
     ids=["unsorted", "repeated", "constant position", "constant torque", "short", "gaps"],
 )

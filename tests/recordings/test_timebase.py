@@ -62,30 +62,6 @@ def test_resampling_a_smooth_signal_is_accurate(tmp_path):
     assert any("PCHIP" in step for step in recording.steps)
 
 
-def test_resampling_on_request(tmp_path):
-    t, q, tau = swing(400)
-    save(tmp_path, t, q, tau)
-    recording = read(tmp_path, from_npz(), processing=Processing(resample="12 ms"))[0]
-    assert recording.period == 0.012
-    np.testing.assert_allclose(recording.position, np.sin(1.4 * np.pi * recording.time), atol=1e-3)
-    finer = read(tmp_path, from_npz(), processing=Processing(resample="1 ms"))[0]
-    assert any("invented" in warning for warning in finer.warnings)
-    coarse = read(tmp_path, from_npz(), processing=Processing(resample="40 ms"))[0]
-    assert any("not filtered" in warning for warning in coarse.warnings)
-    for period in ("1 ps", "1 s"):
-        with pytest.raises(BadInput, match="resample"):
-            read(tmp_path, from_npz(), processing=Processing(resample=period))
-
-
-def test_never_resampling_warns(tmp_path):
-    t, q, tau = swing()
-    t[1::2] += 0.002
-    save(tmp_path, t, q, tau)
-    recording = read(tmp_path, from_npz(), processing=Processing(resample="never"))[0]
-    np.testing.assert_array_equal(recording.torque, tau)
-    assert any("irregular" in warning for warning in recording.warnings)
-
-
 @pytest.mark.parametrize(("times", "unit"), [(1, "ns"), (1, "h"), (1e3, "s"), (1e6, "s")])
 def test_strange_periods_warn(tmp_path, times, unit):
     """Such a recording is read, however slow it is taken to be."""
