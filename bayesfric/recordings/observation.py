@@ -178,7 +178,7 @@ def observe(
         speed = derivative(q, segments, period, numbers.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
         late = checks.speed_delay(qd, speed, compared, period)
-        warnings += _velocity_warnings(factor, late, recording.ratio)
+        warnings += _velocity_warnings(factor, late)
         # a smaller one may come of filters
         if factor is not None and not 0.5 < factor < 2.0:
             mismatch["velocity_factor"] = factor
@@ -508,22 +508,19 @@ def _band_warnings(numbers: _Numbers) -> Iterator[str]:
         )
 
 
-def _velocity_warnings(factor: float | None, late: float | None, ratio: float) -> Iterator[str]:
+def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str]:
+    mend = "leave its line out, and the position is differentiated"
     if late is not None:
         yield (
             f"velocity: comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
-            "differentiated position, as where a drive filters it: leave its line out, so that the "
-            "position is differentiated"
+            f"differentiated position, as where a drive filters it: {mend}"
         )
-        return
-    if factor is None:
-        return
-    said = f"is {factor:.3g} times the differentiated position: "
-    if factor == 0.0:
-        said = "has nothing to do with the differentiated position: is it the right column"
-    else:
-        said += checks.taken_for(factor, ratio)
-    yield f"velocity: {said}? Inertia and speed losses come out wrong by as much"
+    elif factor is not None:
+        yield (
+            f"velocity: is {factor:.3g} times the differentiated position, and inertia and speed "
+            f"losses come out wrong by as much: are column, unit, sign and side of both right? "
+            f"If a drive filters it, {mend}"
+        )
 
 
 def _end_of_band(numbers: _Numbers) -> float:

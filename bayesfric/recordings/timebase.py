@@ -111,7 +111,7 @@ def make_grid(time: Array, chosen: tuple[int, int], where: str) -> Grid:
 def _evenly(stamps: Array, period: float) -> Array:
     # the tolerance keeps a last stamp that lies on the grid but for rounding
     n = int(np.floor((stamps[-1] - stamps[0]) / period + 1e-9)) + 1
-    return np.minimum(stamps[0] + period * np.arange(n), stamps[-1])
+    return np.asarray(np.minimum(stamps[0] + period * np.arange(n), stamps[-1]))
 
 
 def _pieces(
