@@ -134,7 +134,9 @@ def temperature(channel: Channel, table: Table) -> Array:
             f"'{channel.unit}' is no temperature",
             "write 'degC' or 'K'",
         )
-    return signed(channel, table) - _ZERO[channel.unit]
+    degrees = signed(channel, table) - _ZERO[channel.unit]
+    checks.check_not_huge(degrees, table.label(channel.column), "temperature")
+    return degrees
 
 
 def load_torque(channel: LoadTorque, table: Table, drive: Drive) -> Array:

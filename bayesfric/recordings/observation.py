@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.acting import acting, unlagged
-from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
@@ -30,7 +30,7 @@ from bayesfric.recordings.filters import (
     reach_of,
 )
 from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import LeftOut, Measurement
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.moving import (
     Rest,
     at_rest,
@@ -105,7 +105,7 @@ class Observation:
     position_step: float = 0.0
     # what samples at rest say, where they are asked and the position tells rest
     rest: Rest | None = None
-    left_out: tuple[LeftOut, ...] = ()  # what the user left out
+    left_out: tuple[tuple[float, float], ...] = ()  # spans that the user excluded, s as time
     # (N,) acceleration that the encoder tells, where qdd is finer
     smooth: Array | None = None
 
@@ -205,7 +205,6 @@ def observe(
         **mismatch,
         **({} if constant is None else {"torque_constant": constant}),
         "torque_lag": recording.torque_lag.cutoff if recording.torque_lag else 0.0,
-        **recording.made_of,
         "dead_zone": made.dead_zone,
         "rest": processing.rest,
         "trim": numbers.trim_samples * period,
@@ -218,8 +217,6 @@ def observe(
         "n_outputs": chosen.n_outputs,
         **made.dropped,
     }
-    if recording.interpolated_from is not None:
-        settings["interpolated_from"] = recording.interpolated_from
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     torque = acting(recording, numbers.reach)
     passed = as_position(torque, segments, period, settings)
@@ -258,7 +255,10 @@ def observe(
         settings=settings,
         position_step=finest_step(recording.position),
         rest=resting,
-        left_out=recording.left_out,
+        left_out=tuple(
+            (float(recording.time[a]), float(recording.time[b - 1]))
+            for a, b in runs(recording.excluded)
+        ),
     )
 
 
