@@ -52,9 +52,11 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
         if channel is not None:
             command = channels.scaled(channel, table, gives, gives)
             scale, back_emf, how = _motor(gives, channel, table, drive)
+            if gives == "current":
+                law = Law(command * scale, np.ones(command.shape))
+                return Told(channel, gives, law, f"{kind}: {how}", scale)
             law = Law(command, np.full(command.shape, scale), back_emf=back_emf)
-            constant_of = scale if gives == "current" else None
-            return Told(channel, gives, law, f"{kind}: {how}", constant_of)
+            return Told(channel, gives, law, f"{kind}: {how}")
     assert source.target is not None
     return position_law(source.target, table, drive)
 

@@ -128,12 +128,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     inputs = _inputs(source, table, drive, grid, steps)
     if source.target is not None:
         law = position_law(source.target, table, drive).law.on(grid)
-    excluded = _excluded(source, grid.time, warnings)
-    if source.valid is not None:
-        valid = table.column(source.valid) != 0
-        # between a valid and an invalid stamp the grid is not valid either
-        off = grid.linear(valid.astype(np.float64)) < 1.0
-        law, excluded = replace(law, off=off), excluded | off
+    off, excluded = _excluded(source, table, grid, warnings)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     return Measurement(
@@ -157,7 +152,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
         torque_constant=told.torque_constant,
-        law=law,
+        law=replace(law, off=off),
         ratio=drive.ratio,
     )
 
@@ -248,14 +243,23 @@ def _torque(
     return torque - back_emf, back_emf, step
 
 
-def _excluded(source: Columns, time: Array, warnings: list[str]) -> Flags:
-    excluded = np.zeros(len(time), dtype=np.bool_)
+def _excluded(
+    source: Columns, table: Table, grid: Grid, warnings: list[str]
+) -> tuple[Flags | None, Flags]:
+    """Flag where the drive is off, if that is told, and what is not to be compared."""
+    off = None
+    excluded = np.zeros(len(grid.time), dtype=np.bool_)
+    if source.valid is not None:
+        valid = table.column(source.valid) != 0
+        # between a valid and an invalid stamp the grid is not valid either
+        off = grid.linear(valid.astype(np.float64)) < 1.0
+        excluded |= off
     for start, stop in source.exclude:
-        span = (time >= start) & (time <= stop)
+        span = (grid.time >= start) & (grid.time <= stop)
         if not span.any():
             warnings.append(f"exclude: no sample lies in [{start:g}, {stop:g}] s")
         excluded |= span
-    return excluded
+    return off, excluded
 
 
 def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:

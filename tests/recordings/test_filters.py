@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.filters import (
     derivative,
-    exact_reach,
     lay_windows,
     lowpass,
     parallel_taps,
+    reach_of,
 )
 
 FS = 1000.0
@@ -76,7 +76,7 @@ def test_differentiation_has_the_right_gain_in_the_pass_band(share):
     """A sine's second derivative is -w^2 sin; central differences lack 12 % of it at fs/10."""
     cutoff = share * FS
     t = np.arange(3000) / FS
-    reach = exact_reach(cutoff, FS)
+    reach = reach_of("exact", cutoff, FS)
     for frequency in (0.1 * cutoff, 0.5 * cutoff, cutoff):
         w = 2 * np.pi * frequency
         wave = np.sin(w * t)
