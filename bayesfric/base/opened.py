@@ -176,8 +176,8 @@ def check_size(size: int, what: str = "an array") -> None:
         raise ValueError(f"{what} of {size / 2**20:.0f} MiB, {most}")
 
 
-def array_of(dataset: h5py.Dataset, field: str | None = None) -> NDArray[Any]:
-    """Read a dataset, or a field of its rows, whole; ``ValueError`` where it is none.
+def array_of(dataset: h5py.Dataset) -> NDArray[Any]:
+    """Read a dataset whole; ``ValueError`` where it is none.
 
     Its size is known before, and that of the pieces that are unpacked one at a time.
     """
@@ -192,7 +192,7 @@ def array_of(dataset: h5py.Dataset, field: str | None = None) -> NDArray[Any]:
     check_size(math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize, "pieces")
     if size > _PACKED * max(dataset.id.get_storage_size(), 2**10):
         raise ValueError(f"an array of {size / 2**20:.0f} MiB that are not there")
-    return np.asarray(dataset[()] if field is None else dataset[field])
+    return np.asarray(dataset[()])
 
 
 def _number(text: str) -> float:

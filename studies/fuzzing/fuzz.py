@@ -157,7 +157,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
     by_number = {"time": 1, "position": 2, "torque": 3}
     more: list[dict[str, object]] = [{}]
     if reader == "csv":
-        more += [{"header": True}, {"header": False}, {"delimiter": ";", "decimal": ","}]
+        more += [{"delimiter": ";", "decimal": ","}]
         more += [{"skip_rows": 2}, {"delimiter": "whitespace"}, {"delimiter": "tab"}]
     elif reader in ("json", "jsonl", "mat", "h5"):
         more += [{"table": "log"}, {"table": "a.b"}]

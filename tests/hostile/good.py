@@ -40,7 +40,6 @@ load = { gravity_angle = false, gravity = 9.81 }
 file = ["run.csv"]
 format = "csv"
 delimiter = ","
-header = true
 decimal = "."
 skip_rows = 0
 time = { column = "t", unit = "s" }

@@ -360,17 +360,6 @@ def test_hdf5_of_one_group_needs_no_table(tmp_path):
     assert opened(tmp_path / "run.h5").column("t").tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_hdf5_rows_with_fields(tmp_path):
-    rows = np.zeros(4, dtype=[("t", "f8"), ("q", "i4", (2,)), ("name", "S3")])
-    rows["q"] = np.arange(8).reshape(4, 2)
-    with h5py.File(tmp_path / "run.h5", "w") as file:
-        file["log"] = rows
-    table = opened(tmp_path / "run.h5")
-    assert table.names == ["t", "q", "name"]
-    assert table.column("q[1]").tolist() == [1.0, 3.0, 5.0, 7.0]
-    has(refusal(lambda: table.column("name")), "'name'", "not numbers")
-
-
 def test_matlab_73_text_and_cells(tmp_path):
     logs.write_matlab_73(tmp_path / "run.mat", *logs.numbers())
     table = opened(tmp_path / "run.mat", table="log")

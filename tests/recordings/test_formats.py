@@ -67,10 +67,9 @@ def test_decimal_comma(tmp_path, mark, delimiter):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".dat", ".CSV"])
-@pytest.mark.parametrize("header", [None, False])
-def test_headerless(tmp_path, suffix, header):
+def test_headerless(tmp_path, suffix):
     write(tmp_path, "\n".join(lines(header=None)), "run" + suffix)
-    same(read(tmp_path, numbered("run" + suffix, header=header))[0])
+    same(read(tmp_path, numbered("run" + suffix))[0])
 
 
 def test_format_wins_over_suffix(tmp_path):

@@ -137,7 +137,7 @@ def test_a_table_in_memory_is_kept_as_a_file(tmp_path):
             lambda: Recording.from_dataframe(
                 pd.DataFrame({"t": T, "q": Q}), time="t", position="q", torque="tau"
             ),
-            ["'recording-1', column 'tau'", "it has 't', 'q'"],
+            ["'recording-1', column 'tau'", "use one of t, q"],
         ),
     ],
 )

@@ -41,10 +41,6 @@ class TableOptions(Options):
         description="Text: the character between columns, or 'tab' or 'whitespace'; found by "
         "itself if left out.",
     )
-    header: bool | None = Field(
-        None,
-        description="Text: whether the first line names the columns; found by itself if left out.",
-    )
     decimal: Literal[".", ","] = Field(".", description="Text: decimal mark.")
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
     table: str | None = Field(
