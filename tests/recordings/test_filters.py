@@ -30,14 +30,6 @@ def test_butterworth_halves_a_sine_at_the_cutoff_without_shifting_it(order, cuto
     assert shifted == pytest.approx(0.0, abs=1e-6)
 
 
-def test_butterworth_passes_below_and_stops_above():
-    t = np.arange(4000) / FS
-    for frequency, gain in ((5.0, 1.0), (400.0, 0.0)):
-        wave = np.sin(2 * np.pi * frequency * t)
-        passed = lowpass(wave, [(0, 4000)], FS, 50.0, 4)
-        np.testing.assert_allclose(passed[1000:3000], gain * wave[1000:3000], atol=1e-3)
-
-
 def test_lowpass_off_and_constant():
     x = np.random.default_rng(0).normal(size=300)
     np.testing.assert_array_equal(lowpass(x, [(0, 300)], FS, 0, 4), x)
@@ -134,15 +126,6 @@ def test_parallel_filter(factor, band, edges, seed):
         both = used.apply(np.stack([x, y]).reshape(2, 1, 400))
         assert both.shape == (2, 1, used.n_outputs)
         np.testing.assert_allclose(both[1, 0], used.apply(y), atol=1e-12)
-
-
-def test_parallel_filter_halves_at_its_cutoff():
-    t = np.arange(5000) / FS
-    used = lay_windows(parallel_taps(10, 50.0, FS), [(0, 5000)], 10, np.ones(5000, dtype=bool))
-    centres = t[used.centres]
-    wave = np.sin(2 * np.pi * 50 * t + 0.4)
-    expected = 0.5 * np.sin(2 * np.pi * 50 * centres + 0.4)
-    np.testing.assert_allclose(used.apply(wave), expected, atol=0.01)
 
 
 @pytest.mark.parametrize("factor", [2, 3, 10, 43])
