@@ -51,19 +51,15 @@ def check_ordinary(path: Path, mend: str = "check the name") -> int:
         what = "its name is not UTF-8"
         raise BadInput(str(path), what, "rename the file or its folder") from None
     except FileNotFoundError:
-        raise BadInput(str(path), "there is no such file", mend) from None
+        raise BadInput(str(path), "does not exist", mend) from None
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
     if stat.S_ISDIR(found.st_mode):
         raise BadInput(str(path), "is a folder", mend)
-    refuse_special(path, found.st_mode)
-    return found.st_size
-
-
-def refuse_special(path: Path, mode: int) -> None:
-    """Refuse what is no ordinary file: opening a pipe waits for ever, a device never ends."""
-    if not stat.S_ISREG(mode):
+    # opening a pipe waits for ever, a device never ends
+    if not stat.S_ISREG(found.st_mode):
         raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
+    return found.st_size
 
 
 def matching(pattern: str, folder: Path, where: str) -> dict[Path, tuple[str, ...]]:

@@ -24,9 +24,9 @@ def test_recording_too_short_for_its_processing(bench, n, parts):
 @pytest.mark.parametrize(
     ("file", "parts"),
     cases(
-        ("missing", '"ran.csv"', ["ran.csv", "does not exist", "check the file's name"]),
+        ("missing", '"ran.csv"', ["ran.csv", "does not exist", "give a file"]),
         ("pattern", '"runs/*.csv"', ["c.toml: recordings.1", "'runs/*.csv'", "no file"]),
-        ("folder", '"."', ["is a directory", "give a file"]),
+        ("folder", '"."', ["is a folder", "give a file"]),
         ("suffix", '"c.toml"', ["'.toml'", "set format to csv"]),
         ("none", "[]", ["c.toml: recordings.1.file", "names no file"]),
         ("number", "3", ["c.toml: recordings.1.file: got 3"]),
@@ -176,7 +176,7 @@ def test_configuration_in_another_encoding(bench, encoding):
 @pytest.mark.parametrize(
     ("name", "parts"),
     cases(
-        ("missing", "d.toml", ["d.toml: there is no such file"]),
+        ("missing", "d.toml", ["d.toml: does not exist"]),
         ("folder", ".", ["is a folder; name the .toml file"]),
         ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml: cannot be read (Not a directory)"]),
         ("endless", "/dev/zero", ["is no ordinary file"]),

@@ -47,7 +47,7 @@ def linked(to):
 
 SPECIAL = {
     "pipe": (os.mkfifo, "no ordinary file"),
-    "folder": (Path.mkdir, "is a directory"),
+    "folder": (Path.mkdir, "is a folder"),
     "link to itself": (lambda path: path.symlink_to(path.name), "symbolic links"),
     "link to nothing": (linked("gone.csv"), "does not exist"),
 } | {

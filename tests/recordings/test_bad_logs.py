@@ -88,7 +88,7 @@ def talk(topic):
     [
         (("/other", logs.joint_states(*logs.numbers())), None, ["'/joint_states', '/other'"]),
         (talk("/talk"), "/jo", ["'/jo'", "no message", "'/joint_states'"]),
-        (floats("/joint_states"), None, ["several types", "Float64", "JointState"]),
+        (floats("/joint_states"), None, ["several types"]),
     ],
 )
 def test_topics_that_are_not_one(tmp_path, more, table, parts):
@@ -350,7 +350,7 @@ def test_json_lines(tmp_path):
     path.write_text('{"t": 1}\n\n{"t": 2}\n{"t": ')
     has(refusal(lambda: opened(path)), "line 4", "not valid JSON", "cut it out")
     path.write_text('{"t": 1}\n\n{"q": 2}\n')
-    has(refusal(lambda: opened(path).column("t")), "'t'", "row 2 (line 3)", "missing")
+    has(refusal(lambda: opened(path).column("t")), "'t'", "row 2 (line 3)", "empty")
     path.write_text('{"t": 1}\n[2]\n')
     has(refusal(lambda: opened(path)), "row 2 (line 2)", "no object")
     path.write_text('{"t": 1}\n\n{"t": "x"}\n')
