@@ -10,15 +10,7 @@ import numpy as np
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.source import (
-    SI,
-    Channel,
-    Columns,
-    LoadTorque,
-    Position,
-    Torque,
-    Velocity,
-)
+from bayesfric.recordings.source import SI, Channel, Columns, Position, Torque, Velocity
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -139,10 +131,8 @@ def temperature(channel: Channel, table: Table) -> Array:
     return degrees
 
 
-def load_torque(channel: LoadTorque, table: Table, drive: Drive) -> Array:
-    """Return a torque or force from outside as it acts on the load, N m or N, shape (n,)."""
-    motor = channel.side == "motor"
-    kind = TORQUE[drive.motor_motion if motor else drive.motion]
-    values = scaled(channel, table, kind, "load_torque")
+def load_torque(channel: Channel, table: Table, drive: Drive) -> Array:
+    """Return a torque or force from outside that acts on the load, N m or N, shape (n,)."""
+    values = scaled(channel, table, TORQUE[drive.motion], "load_torque")
     checks.check_not_huge(values, table.label(channel.column), "load torque")
-    return values * drive.ratio if motor else values
+    return values

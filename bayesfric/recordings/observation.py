@@ -34,12 +34,11 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.moving import (
     Rest,
     at_rest,
-    compared_parts,
     moving_samples,
     near,
     rests,
     too_slow,
-    trimmed,
+    without_excluded,
 )
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
@@ -408,7 +407,8 @@ def _prepared(
         qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
         if recording.velocity_lag:
             qd = unlagged(qd, segments, recording.period, recording.velocity_lag, numbers.reach)
-    kept = trimmed(segments, trim)
+    # nothing may be left of a segment
+    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
         inside[a:b] = True
@@ -426,7 +426,8 @@ def _prepared(
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
-    parts = compared_parts(recording, trim)
+    # the low-pass carries what is excluded a little way past its borders, as past a segment's
+    parts = without_excluded(kept, near(recording.excluded, trim))
     chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
 

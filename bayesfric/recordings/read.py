@@ -166,9 +166,7 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
     if source.load_torque is not None:
         outside = channels.load_torque(source.load_torque, table, drive)
         pushed = Signal(grid.time, grid.linear(outside))
-        motor = source.load_torque.side == "motor"
-        how = f"of the motor, times {drive.ratio:g}" if motor else "as measured"
-        steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
+        steps.append(f"load {channels.TORQUE[drive.motion]}: as measured")
     return Inputs(
         source.added_mass,
         source.radius,
