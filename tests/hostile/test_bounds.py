@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from bayesfric.export.formats.mujoco import patched
-from bayesfric.recordings.tables.table import is_number
 from tests.commands.bench import PRIOR, SAMPLED, cases
 from tests.fleet.made import FLEET, TEMPLATE
 from tests.hostile import good
@@ -54,12 +53,6 @@ def test_cells_of_many_digits(process, tmp_path, text):
     outcome = process.run(tmp_path, "check", "c.toml")
     assert outcome.code in (0, 2)  # what stands above a table is skipped
     assert outcome.code == 0 or "run.csv" in outcome.err
-
-
-def test_a_number_is_known_in_linear_time():
-    with at_most(SECONDS):
-        assert not is_number("9" * 10**6 + "x")
-        assert is_number("9" * 10**6 + ".")
 
 
 def hdf5(path, shape, chunks, pieces=1):

@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Channel, Current, Position, tables, units
+from bayesfric.recordings import Position, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers
 from tests.hostile import good
@@ -177,29 +177,6 @@ def test_recorder_preamble_of_a_real_file(real_data):
     torque = table.column(3) * units.scale(["9.84e-5 N m"], "torque", "torque")
     assert torque[0] == pytest.approx(-0.106 * 9.84e-3)
     assert table.row(0) == "row 1 (line 15)"
-
-
-def test_robot_log_by_column_numbers(real_data):
-    raw = np.loadtxt(real_data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
-    used = source(
-        "joint_2.csv",
-        time=Channel(column=1, unit="s"),
-        position=Position(column=3, unit="rad", side="joint"),
-        velocity={"column": 9, "unit": "rad/s", "side": "joint"},
-        torque=None,
-        current=Current(column=15, unit="A", torque_constant="10.6956 N m/A"),
-        start=8,
-        stop="60 s",
-    )
-    recording = read(real_data / "ur10e-joint2", used, ratio=101.0)[0]
-    stamps = raw[:, 0] - raw[0, 0]
-    assert 8 <= recording.time[0] < 8.05
-    assert 59.9 < recording.time[-1] <= 60
-    expected = 10.6956 * np.interp(recording.time, stamps, raw[:, 14])
-    np.testing.assert_allclose(recording.torque, expected, atol=1e-9)
-    expected = np.interp(recording.time, stamps, raw[:, 8])
-    assert recording.velocity is not None
-    np.testing.assert_allclose(recording.velocity, expected, atol=1e-9)
 
 
 def test_a_format_is_one_file(tmp_path, monkeypatch):
