@@ -22,6 +22,15 @@ _COUNTS_AS = 0.01
 # Correlation of a measured velocity with the differentiated position from which on they are
 # taken for the same, and below which for strangers; and by how much their factor may differ from 1.
 _ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
+# Factors between units that are taken for each other, and how near to one of them a factor is it.
+_BETWEEN = {
+    "deg and rad": 180.0 / np.pi,
+    "rpm and rad/s": 30.0 / np.pi,
+    "turn and rad": 2.0 * np.pi,
+    "rpm and deg/s": 6.0,
+    "thousandths and whole": 1e3,
+}
+_NEAR = 0.02
 # Whole numbers of fewer kinds may be a torque that is switched.
 _COUNTS = 20
 # A torque of two levels: their width, and the share of samples on them and in step with speed.
@@ -157,6 +166,13 @@ def _not_alike(x: Array, y: Array) -> float:
     """Give the share of one's power that no multiple of the other makes up."""
     powers = float(x @ x) * float(y @ y)
     return 1.0 - float(x @ y) ** 2 / powers if powers > 0.0 else 1.0
+
+
+def between(factor: float) -> str:
+    """Say between which units a factor is that of them; empty for none."""
+    size = max(abs(factor), 1.0 / abs(factor)) if factor else 0.0
+    named = (words for words, times in _BETWEEN.items() if abs(size / times - 1.0) < _NEAR)
+    return next((f" (the factor between {words})" for words in named), "")
 
 
 def whole_numbers(values: Array) -> bool:

@@ -508,9 +508,9 @@ def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str
         )
     elif factor is not None:
         yield (
-            f"velocity: is {factor:.3g} times the differentiated position, and inertia and speed "
-            f"losses come out wrong by as much: are column, unit, sign and side of both right? "
-            f"If a drive filters it, {mend}"
+            f"velocity: is {factor:.3g} times the differentiated position"
+            f"{checks.between(factor)}, and inertia and speed losses come out wrong by as much: "
+            f"are column, unit, sign and side of both right? If a drive filters it, {mend}"
         )
 
 

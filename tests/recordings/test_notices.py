@@ -13,11 +13,15 @@ T = 0.005 * np.arange(4000)
 Q, V = np.sin(3 * T), 3 * np.cos(3 * T)
 
 
-@pytest.mark.parametrize("factor", [180 / np.pi, 0.02, -1.0, 1.3])
-def test_a_velocity_of_another_size_than_the_differentiated_position(factor):
+@pytest.mark.parametrize(
+    ("factor", "says"),
+    [(180 / np.pi, "deg and rad"), (-np.pi / 30, "rpm and rad/s"), (-1.0, ""), (1.3, "")],
+)
+def test_a_velocity_of_another_size_than_the_differentiated_position(factor, says):
     wrong = made_recording(T, Q, V, 0.005, velocity=factor * V)
     (said,) = [w for w in observe(wrong, Processing()).warnings if w.startswith("velocity")]
-    has(said, f"{factor:.3g} times", "unit, sign and side")
+    has(said, f"{factor:.3g} times", says, "unit, sign and side")
+    assert bool(says) == ("factor between" in said)
 
 
 def warned(tmp_path, columns, word, **used):
