@@ -224,9 +224,14 @@ OPENS = {
     "from_netcdf",
 }
 # the gate, and what the table's gate has let through
-THROUGH = {"opened", "recordings/tables", "recordings/source"}
+THROUGH = {"base/opened", "recordings/tables", "recordings/source"}
 # what they wrote themselves in this process, write, or append
-OWN = {"inference/sampling/step_file", "inference/archive", "inference/sampling/checkpoint", "cli"}
+OWN = {
+    "inference/sampling/step_file",
+    "inference/archive",
+    "inference/sampling/checkpoint",
+    "commands/cli",
+}
 
 
 def test_nothing_else_opens_a_file():
