@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings import Position, Processing, Torque, observe
+from bayesfric.recordings import Processing, observe
 from bayesfric.recordings.checks import clipped
 from tests.conftest import made_recording
-from tests.recordings.samples import Channel, has, read, source
+from tests.recordings.samples import has, read, source
 from tests.recordings.test_motion_checks import table
 
 T = 0.005 * np.arange(4000)
@@ -30,27 +30,26 @@ def warned(tmp_path, columns, word, **used):
     return [w for w in found.warnings if word in w]
 
 
-def test_counts_that_are_taken_for_radians(tmp_path):
-    counts = np.round(4096 * Q)
-    (said,) = warned(tmp_path, {"t": T, "q": counts, "tau": V}, "whole")
-    has(said, "position", "encoder counts")
-    used = {"position": Position(column="q", unit="turn/4096")}
-    assert not warned(tmp_path, {"t": T, "q": counts, "tau": V}, "whole", **used)
-
-
-def test_milliamperes_and_milliseconds(tmp_path):
-    columns = {"t": 1000 * T, "q": Q, "tau": np.round(1000 * V)}
+@pytest.mark.parametrize(
+    ("columns", "channels", "used"),
+    [
+        ({"q": np.round(4096 * Q)}, ["position"], {"position": ("q", "turn/4096", {})}),
+        (
+            {"t": 1000 * T, "tau": np.round(1000 * V)},
+            ["time", "torque"],
+            {"time": ("t", "ms", {}), "torque": ("tau", "N m", {"constant": "0.001"})},
+        ),
+        ({"tau": np.sign(V)}, [], {}),  # switched
+    ],
+)
+def test_counts_and_thousandths_that_are_taken_for_whole(tmp_path, columns, channels, used):
+    columns = {"t": T, "q": Q, "tau": V} | columns
     said = warned(tmp_path, columns, "whole")
-    assert [w.partition(":")[0] for w in said] == ["time", "torque"]
-    used = {
-        "time": Channel(column="t", unit="ms"),
-        "torque": Torque(column="tau", unit="N m", constant="0.001"),
+    assert [w.partition(":")[0] for w in said] == channels
+    right = {
+        key: {"column": column, "unit": unit, **more} for key, (column, unit, more) in used.items()
     }
-    assert not warned(tmp_path, columns, "whole", **used)
-
-
-def test_a_torque_that_is_switched_is_no_count(tmp_path):
-    assert not warned(tmp_path, {"t": T, "q": Q, "tau": np.sign(V)}, "whole")
+    assert not warned(tmp_path, columns, "whole", **right)
 
 
 def test_limits_to_both_sides_are_one():
