@@ -121,11 +121,7 @@ def _without_end(
     if begin >= n:
         raise BadInput(where, f"{whose} is not even one sample", "hold out more")
     rest, end = _piece(recording, 0, last), _piece(recording, begin, n)
-    try:
-        o = observe(rest, processing)
-    except BadInput as error:
-        what = f"what is left of recording {recording.name!r} cannot be fitted: {error.what}"
-        raise BadInput(where, what, "hold out less") from None
+    o = _observed(rest, processing, f"what is left of recording {recording.name!r}")
     told = (
         f"held out: {whose}, from {end.time[0]:.4g} s on, "
         f"and {begin - last} samples before it as a gap"
@@ -133,12 +129,17 @@ def _without_end(
     o = replace(o, steps=(*o.steps, told))
     # a dead zone from the end's own speeds would be none where the joint is at rest
     same = processing.model_copy(update={"dead_zone": float(o.settings["dead_zone"])})
-    try:
-        predicted = observe(end, same)
-    except BadInput as error:
-        raise BadInput(where, f"{whose}: {error.what}", "hold out another share") from None
+    predicted = _observed(end, same, whose)
     _check(end, predicted, where, whose)
     return rest, o, HeldOut(end, replace(predicted, warnings=()), part)
+
+
+def _observed(recording: Measurement, processing: Processing, whose: str) -> Observation:
+    try:
+        return observe(recording, processing)
+    except BadInput as error:
+        what = f"{whose}: {error.what}"
+        raise BadInput("validation.hold_out", what, "hold out another share") from None
 
 
 def _check(recording: Measurement, o: Observation, where: str, whose: str) -> None:
