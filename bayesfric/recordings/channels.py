@@ -127,12 +127,12 @@ def temperature(channel: Channel, table: Table) -> Array:
             "write 'degC' or 'K'",
         )
     degrees = signed(channel, table) - _ZERO[channel.unit]
-    checks.check_not_huge(degrees, table.label(channel.column), "temperature")
+    checks.check_size(degrees, table.label(channel.column), "temperature")
     return degrees
 
 
 def load_torque(channel: Channel, table: Table, drive: Drive) -> Array:
     """Return a torque or force from outside that acts on the load, N m or N, shape (n,)."""
     values = scaled(channel, table, TORQUE[drive.motion], "load_torque")
-    checks.check_not_huge(values, table.label(channel.column), "load torque")
+    checks.check_size(values, table.label(channel.column), "load torque")
     return values

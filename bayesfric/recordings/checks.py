@@ -15,7 +15,8 @@ _NO_STEP = 1e-6
 # Shorter runs of one value are chance in a quantised signal
 _RUN = 4
 _CLIPPED_SHARE = 0.01
-_HUGE = 1e15
+# What no signal reaches, and what it is to reach for its products to stay in floating point.
+_HUGE, TINY = 1e15, 1e-15
 # Latest that a velocity is looked for, s, and share of its power that it then must be off by.
 _LATEST = 0.1
 _COUNTS_AS = 0.01
@@ -54,21 +55,10 @@ def check_moves(values: Array, where: str, what: str) -> None:
         )
 
 
-def check_not_huge(values: Array, where: str, what: str) -> None:
-    """Refuse a signal with a value, in SI, that no joint has, or that left floating point."""
-    fine = np.abs(values) < _HUGE
-    if not fine.all():
-        raise BadInput(
-            where,
-            f"the {what} reaches {values[int(np.argmin(fine))]:.3g} in SI units",
-            "check its unit",
-        )
-
-
-def check_size(values: Array, where: str, what: str) -> None:
-    """Refuse a signal of a size that no joint has: its products would leave floating point."""
-    largest = float(np.abs(values).max())
-    if not 1 / _HUGE < largest < _HUGE:
+def check_size(values: Array, where: str, what: str, least: float = 0.0) -> None:
+    """Refuse a signal of a size, in SI units, that no joint has, or that left floating point."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if not least <= largest < _HUGE:
         raise BadInput(where, f"the {what} is at most {largest:.3g} in SI units", "check its unit")
 
 

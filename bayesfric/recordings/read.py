@@ -88,15 +88,15 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     steps = [*table.notes, step]
     time = _time(source, table, len(position))
     chosen = slice(*_chosen(source, time, table.where))
-    checks.check_not_huge(position, where, "position")
+    checks.check_size(position, where, "position")
     velocity = None
     if source.velocity is not None:
         velocity, step = channels.joint_signal(source.velocity, "velocity", table, drive)
-        checks.check_not_huge(velocity, table.label(source.velocity.column), "velocity")
+        checks.check_size(velocity, table.label(source.velocity.column), "velocity")
         steps.append(step)
     told = measured_law(source, table, drive)
     channel, kind = told.channel, told.kind
-    checks.check_not_huge(told.law.command, table.label(channel.column), kind)
+    checks.check_size(told.law.command, table.label(channel.column), kind)
 
     grid = make_grid(time, (chosen.start, chosen.stop), table.where)
     checks.check_moves(position[chosen], where, "position")
@@ -123,8 +123,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         steps.append(f"{kind}: means over samples, stamped at {whose}; position averaged alike")
     torque, back_emf, step = _torque(told, law, joint, speed, grid, processing)
     steps.append(step)
-    checks.check_size(joint, where, "position")
-    checks.check_size(torque, table.label(channel.column), "torque")
+    checks.check_size(joint, where, "position", checks.TINY)
+    checks.check_size(torque, table.label(channel.column), "torque", checks.TINY)
     inputs = _inputs(source, table, drive, grid, steps)
     if source.target is not None:
         law = position_law(source.target, table, drive).law.on(grid)
@@ -192,7 +192,7 @@ def _time(source: Columns, table: Table, count: int) -> Array:
     time = channels.scaled(source.time, table, "time", "time")
     where = table.label(source.time.column)
     check_order(time, where, table.row)
-    checks.check_not_huge(time, where, "time")
+    checks.check_size(time, where, "time")
     since = np.asarray(time - time[0]) if count else time
     # steps far smaller than the stamps themselves are lost
     check_order(since, where, table.row)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import array_of
+from bayesfric.recordings.tables.json_text import inside
 from bayesfric.recordings.tables.matlab_elements import check_elements
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
@@ -98,13 +99,14 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
     check_elements(path.read_bytes())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
-        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+        content = loadmat(path, simplify_cells=True)
     given = {key: value for key, value in content.items() if not key.startswith("__")}
     kinds = (MatlabFunction, MatlabOpaque)
     variables = {key: value for key, value in given.items() if not isinstance(value, kinds)}
     objects = ", ".join(key for key in given if key not in variables)
-    if options.table is not None:
-        variables = _struct(path, variables, options.table)
+    variables = inside(str(path), variables, options.table)
+    if not isinstance(variables, dict):
+        raise BadInput(f"{path}, table '{options.table}'", "is no struct", "name a struct")
     if not variables:
         what = "holds only objects and functions" if given else "holds no variables"
         raise BadInput(str(path), what, "save the columns as plain arrays")
@@ -116,18 +118,6 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
         names_at="variables",
         notes=(f"objects left out, which only MATLAB reads: {objects}",) if objects else (),
     )
-
-
-def _struct(path: Path, variables: dict[str, Any], table: str) -> dict[str, Any]:
-    for key in table.split("."):
-        found = variables.get(key)
-        fields = getattr(found, "_fieldnames", None)
-        if fields is None:
-            kind = "does not exist" if found is None else "is no struct"
-            known = ", ".join(f"'{name}'" for name in list(variables)[:20])
-            raise BadInput(f"{path}, table '{table}'", f"'{key}' {kind}", f"it has {known}")
-        variables = {name: getattr(found, name) for name in fields}
-    return variables
 
 
 READERS = (Reader("hdf5", (".h5", ".hdf5"), read_hdf5), Reader("mat", (".mat",), read_matlab))

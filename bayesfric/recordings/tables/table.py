@@ -228,7 +228,7 @@ def check_names(where: str, names: Sequence[str], names_at: str) -> None:
 def _shown(cell: object) -> str:
     if isinstance(cell, _LISTS):
         return f"a list of {len(cell)}"
-    if isinstance(cell, dict) or hasattr(cell, "_fieldnames"):
+    if isinstance(cell, dict):
         return "a table"
     text = repr(cell.item() if isinstance(cell, np.generic) else cell)
     return text if len(text) <= 60 else text[:57] + "..."
