@@ -51,19 +51,15 @@ def check_ordinary(path: Path, mend: str = "check the name") -> int:
         what = "its name is not UTF-8"
         raise BadInput(str(path), what, "rename the file or its folder") from None
     except FileNotFoundError:
-        raise BadInput(str(path), "there is no such file", mend) from None
+        raise BadInput(str(path), "does not exist", mend) from None
     except (OSError, ValueError) as error:
         raise unreadable(path, error) from None
     if stat.S_ISDIR(found.st_mode):
         raise BadInput(str(path), "is a folder", mend)
-    refuse_special(path, found.st_mode)
-    return found.st_size
-
-
-def refuse_special(path: Path, mode: int) -> None:
-    """Refuse what is no ordinary file: opening a pipe waits for ever, a device never ends."""
-    if not stat.S_ISREG(mode):
+    # opening a pipe waits for ever, a device never ends
+    if not stat.S_ISREG(found.st_mode):
         raise BadInput(str(path), "is no ordinary file", "save what it gives to a file")
+    return found.st_size
 
 
 def matching(pattern: str, folder: Path, where: str) -> dict[Path, tuple[str, ...]]:
@@ -176,8 +172,8 @@ def check_size(size: int, what: str = "an array") -> None:
         raise ValueError(f"{what} of {size / 2**20:.0f} MiB, {most}")
 
 
-def array_of(dataset: h5py.Dataset, field: str | None = None) -> NDArray[Any]:
-    """Read a dataset, or a field of its rows, whole; ``ValueError`` where it is none.
+def array_of(dataset: h5py.Dataset) -> NDArray[Any]:
+    """Read a dataset whole; ``ValueError`` where it is none.
 
     Its size is known before, and that of the pieces that are unpacked one at a time.
     """
@@ -192,7 +188,7 @@ def array_of(dataset: h5py.Dataset, field: str | None = None) -> NDArray[Any]:
     check_size(math.prod(dataset.chunks or (1,)) * dataset.dtype.itemsize, "pieces")
     if size > _PACKED * max(dataset.id.get_storage_size(), 2**10):
         raise ValueError(f"an array of {size / 2**20:.0f} MiB that are not there")
-    return np.asarray(dataset[()] if field is None else dataset[field])
+    return np.asarray(dataset[()])
 
 
 def _number(text: str) -> float:

@@ -136,8 +136,8 @@ def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
     """Give the keys of every channel; of position and torque also where no column has the name."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
     found = {}
-    for channel in ("time", "position", "velocity", drive, "temperature"):
-        one = log.chosen.get(channel) or Chosen(channel, OPEN, "")
+    for channel in ("time", "position", "velocity", drive):
+        one = log.chosen.get(channel) or Chosen(OPEN, "")
         if one.column != OPEN or channel in ("position", drive):
             side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
             keys = {"column": one.column, "unit": one.unit or OPEN}

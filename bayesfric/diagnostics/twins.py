@@ -274,9 +274,7 @@ def _observed(
     """Filter what was read, and refine its motion, as the recording's was."""
     told, looked = observation.settings, None
     if told["motion"] != "refined":  # what the position resolves is not asked then
-        looked = Resolution(
-            float(told["band"]), "asked", float(told["noise_seen"]), *2 * (math.inf,)
-        )
+        looked = Resolution(float(told["band"]), "asked", float(told["noise_seen"]), math.inf)
     try:
         found = observe(seen, processing, looked)
         late = told.get("delay")

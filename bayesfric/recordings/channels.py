@@ -10,15 +10,7 @@ import numpy as np
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.source import (
-    SI,
-    Channel,
-    Columns,
-    LoadTorque,
-    Position,
-    Torque,
-    Velocity,
-)
+from bayesfric.recordings.source import SI, Channel, Columns, Position, Torque, Velocity
 from bayesfric.recordings.tables.table import Table
 
 Motion = Literal["rotary", "linear"]
@@ -134,13 +126,13 @@ def temperature(channel: Channel, table: Table) -> Array:
             f"'{channel.unit}' is no temperature",
             "write 'degC' or 'K'",
         )
-    return signed(channel, table) - _ZERO[channel.unit]
+    degrees = signed(channel, table) - _ZERO[channel.unit]
+    checks.check_size(degrees, table.label(channel.column), "temperature")
+    return degrees
 
 
-def load_torque(channel: LoadTorque, table: Table, drive: Drive) -> Array:
-    """Return a torque or force from outside as it acts on the load, N m or N, shape (n,)."""
-    motor = channel.side == "motor"
-    kind = TORQUE[drive.motor_motion if motor else drive.motion]
-    values = scaled(channel, table, kind, "load_torque")
-    checks.check_not_huge(values, table.label(channel.column), "load torque")
-    return values * drive.ratio if motor else values
+def load_torque(channel: Channel, table: Table, drive: Drive) -> Array:
+    """Return a torque or force from outside that acts on the load, N m or N, shape (n,)."""
+    values = scaled(channel, table, TORQUE[drive.motion], "load_torque")
+    checks.check_size(values, table.label(channel.column), "load torque")
+    return values

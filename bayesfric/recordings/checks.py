@@ -15,27 +15,23 @@ _NO_STEP = 1e-6
 # Shorter runs of one value are chance in a quantised signal
 _RUN = 4
 _CLIPPED_SHARE = 0.01
-_HUGE = 1e15
+# What no signal reaches, and what it is to reach for its products to stay in floating point.
+_HUGE, TINY = 1e15, 1e-15
 # Latest that a velocity is looked for, s, and share of its power that it then must be off by.
 _LATEST = 0.1
 _COUNTS_AS = 0.01
 # Correlation of a measured velocity with the differentiated position from which on they are
 # taken for the same, and below which for strangers; and by how much their factor may differ from 1.
 _ALIKE, _STRANGERS, _FACTOR = 0.9, 0.3, 0.1
-# Factors of units that are taken for each other.
-_NEAR = 0.05
-_DEG = 180.0 / np.pi
-_TAKEN = {
-    "in deg/s and taken for rad/s, or the position in rad and taken for deg": _DEG,
-    "in rpm and taken for rad/s": 30.0 / np.pi,
-    "in turn/s and taken for rad/s": 0.5 / np.pi,
-    "in rad/s and taken for deg/s, or the position in deg and taken for rad": 1.0 / _DEG,
-    "in rad/s and taken for rpm": np.pi / 30.0,
-    "in rad/s and taken for turn/s": 2.0 * np.pi,
-    "in deg/s and taken for rpm": 6.0,
-    "in thousandths and taken for whole, or the time in ms and taken for s": 1e3,
-    "in whole and taken for thousandths, or the time in s and taken for ms": 1e-3,
+# Factors between units that are taken for each other, and how near to one of them a factor is it.
+_BETWEEN = {
+    "deg and rad": 180.0 / np.pi,
+    "rpm and rad/s": 30.0 / np.pi,
+    "turn and rad": 2.0 * np.pi,
+    "rpm and deg/s": 6.0,
+    "thousandths and whole": 1e3,
 }
+_NEAR = 0.02
 # Whole numbers of fewer kinds may be a torque that is switched.
 _COUNTS = 20
 # A torque of two levels: their width, and the share of samples on them and in step with speed.
@@ -59,39 +55,27 @@ def check_moves(values: Array, where: str, what: str) -> None:
         )
 
 
-def check_not_huge(values: Array, where: str, what: str) -> None:
-    """Refuse a signal with a value, in SI, that no joint has, or that left floating point."""
-    fine = np.abs(values) < _HUGE
-    if not fine.all():
-        raise BadInput(
-            where,
-            f"the {what} reaches {values[int(np.argmin(fine))]:.3g} in SI units",
-            "check its unit",
-        )
-
-
-def check_size(values: Array, where: str, what: str) -> None:
-    """Refuse a signal of a size that no joint has: its products would leave floating point."""
-    largest = float(np.abs(values).max())
-    if not 1 / _HUGE < largest < _HUGE:
+def check_size(values: Array, where: str, what: str, least: float = 0.0) -> None:
+    """Refuse a signal of a size, in SI units, that no joint has, or that left floating point."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if not least <= largest < _HUGE:
         raise BadInput(where, f"the {what} is at most {largest:.3g} in SI units", "check its unit")
 
 
 def clipped(values: Array, what: str) -> list[str]:
-    """Warn of each limit of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
-    most, least = float(values.max()), float(values.min())
-    warnings = []
-    for limits in [(most, least)] if most == -least else [(most,), (least,)]:
-        share = sum(_in_runs(values == limit) for limit in limits) / len(values)
-        # nearer to zero than half of all it is an idle drive, not a limited one
-        if share >= _CLIPPED_SHARE and 2 * abs(limits[0]) >= max(abs(most), abs(least)):
-            warnings.append(
-                f"{what}: stays at {'±' * (len(limits) - 1)}{limits[0]:.6g} (raw) in this "
-                f"recording, for {100 * share:.2g} % of the samples; does the drive or sensor "
-                "saturate there? A drive that gives no more is measured right; of a sensor that "
-                "shows no more leave those seconds out (exclude)"
-            )
-    return warnings
+    """Warn of limits of a raw signal at which 1 % of the samples lie, in runs of 4 and more."""
+    ends = {float(values.max()), float(values.min())}
+    # nearer to zero than half of all it is an idle drive, not a limited one
+    limits = [end for end in sorted(ends) if 2 * abs(end) >= max(map(abs, ends))]
+    share = sum(b - a for end in limits for a, b in runs(values == end) if b - a >= _RUN)
+    if share < _CLIPPED_SHARE * len(values):
+        return []
+    return [
+        f"{what}: stays at {' or '.join(f'{end:.6g}' for end in limits)} (raw) for "
+        f"{100 * share / len(values):.2g} % of the samples; does the drive or sensor saturate "
+        "there? A drive that gives no more is measured right; of a sensor that shows no more "
+        "leave those seconds out (exclude)"
+    ]
 
 
 def quantisation(values: Array) -> float | None:
@@ -174,23 +158,11 @@ def _not_alike(x: Array, y: Array) -> float:
     return 1.0 - float(x @ y) ** 2 / powers if powers > 0.0 else 1.0
 
 
-def taken_for(factor: float, ratio: float) -> str:
-    """Say what a velocity would be that is so many times the differentiated position."""
-    size = abs(factor)
-    words = [word for word, times in _TAKEN.items() if abs(size / times - 1.0) < _NEAR]
-    if abs(ratio) > 1.5 or abs(ratio) < 0.67:
-        for side, times in (("the motor", abs(ratio)), ("the joint", 1.0 / abs(ratio))):
-            if abs(size / times - 1.0) < _NEAR:
-                words.append(f"that of {side}, or the position the other's (side)")
-    turned = "with the sign turned around" if factor < 0.0 else ""
-    if words:
-        return f"is it {' or '.join(words)}{', ' + turned if turned else ''}"
-    if turned and abs(size - 1.0) < _FACTOR:
-        return "is its sign turned around (sign = -1)"
-    return (
-        "are its unit, sign and side right, and does no drive filter it (then leave its line out, "
-        "and the position is differentiated)"
-    )
+def between(factor: float) -> str:
+    """Say between which units a factor is that of them; empty for none."""
+    size = max(abs(factor), 1.0 / abs(factor)) if factor else 0.0
+    named = (words for words, times in _BETWEEN.items() if abs(size / times - 1.0) < _NEAR)
+    return next((f" (the factor between {words})" for words in named), "")
 
 
 def whole_numbers(values: Array) -> bool:
@@ -226,7 +198,3 @@ def feedback(
     if share > _FOLLOWS and found[1] < 0.0 and np.var(found[1] * q) > 0.5 * np.var(t):
         return "position error", share
     return None
-
-
-def _in_runs(flags: Flags) -> int:
-    return sum(b - a for a, b in runs(flags) if b - a >= _RUN)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -12,25 +12,15 @@ from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import channels, units
 from bayesfric.recordings.channels import CONSTANT, POSITION, TORQUE, VELOCITY, Drive
 from bayesfric.recordings.drive_law import Law
-from bayesfric.recordings.source import Columns, Effort, Target
+from bayesfric.recordings.source import Columns, Current, Effort, Target, Voltage
 from bayesfric.recordings.tables.table import Table
 
-
-class _Gives(NamedTuple):
-    """What a position controller's gains are per angle of, and what makes a torque of it."""
-
-    what: str
-    measured: str  # as which kind of measurement it counts
-    kind: units.Kind
-    constants: tuple[str, ...]
-
-
-_LAWS = {
-    "force": _Gives("force", "force", "force", ()),
-    "torque": _Gives("torque", "torque", "torque", ()),
-    "current": _Gives("current", "current", "current", ("torque_constant",)),
-    "voltage": _Gives("voltage", "voltage", "voltage", ("torque_constant", "resistance")),
-    "share": _Gives("duty", "voltage", "share", ("torque_constant", "resistance", "times")),
+# What makes a torque of what a controller gives.
+_NEEDED: dict[units.Kind, tuple[str, ...]] = {
+    "current": ("torque_constant",),
+    "voltage": ("torque_constant", "resistance"),
+    # of a supply
+    "share": ("torque_constant", "resistance", "times"),
 }
 
 
@@ -42,52 +32,33 @@ class Told(NamedTuple):
     law: Law
     step: str  # how the torque comes about
     torque_constant: float | None = None  # torque per current, of a measured current
-    made_of: Mapping[str, str] = MappingProxyType({})  # as a measurement has it
 
 
 def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
     """Take the torque from what was measured of it, or from the position aimed at."""
     kind = TORQUE[drive.motor_motion]
-    constant_kind = CONSTANT[drive.motor_motion]
-    if source.torque is not None:
-        constant = [] if source.torque.constant is None else [source.torque.constant]
-        torque = channels.scaled(source.torque, table, kind, kind, *constant)
-        step, made_of = f"{kind}: as measured", dict[str, str]()
-        if source.torque.constant is not None:
-            made_of = {"signal_unit": source.torque.unit, "signal_constant": constant[0]}
-            step = f"{kind}: the signal in {source.torque.unit} times {constant[0]}"
-            if constant[0].endswith("/V"):
-                step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
-                step += "loss, and the key voltage takes it off"
-        law = Law(torque, np.ones(torque.shape))
-        return Told(source.torque, kind, law, step, made_of=made_of)
-    if source.current is not None:
-        current = channels.scaled(source.current, table, "current", "current")
-        where = f"{table.label(source.current.column)}, torque_constant"
-        factor = units.scale([source.current.torque_constant], constant_kind, where)
-        law = Law(current * factor, np.ones(current.shape))
-        step = f"{kind}: current times {source.current.torque_constant}"
-        return Told(source.current, "current", law, step, factor)
-    if source.voltage is None:
-        assert source.target is not None
-        return position_law(source.target, table, drive)
-    voltage = channels.scaled(source.voltage, table, "voltage", "voltage")
-    factor = units.scale([source.voltage.torque_constant], constant_kind)
-    resistance = units.scale([source.voltage.resistance], "resistance")
-    law = Law(
-        voltage,
-        np.full(voltage.shape, factor / resistance),
-        back_emf=factor**2 * drive.ratio / resistance,
-    )
-    step = (
-        f"{kind}: kt V/R - kt^2 (motor speed)/R with kt = {source.voltage.torque_constant}, "
-        f"R = {source.voltage.resistance}"
-    )
-    made_of = {
-        "motor_constant": source.voltage.torque_constant,
-        "motor_resistance": source.voltage.resistance,
-    }
-    return Told(source.voltage, "voltage", law, step, made_of=made_of)
+    if (one := source.torque) is not None:
+        constant = [] if one.constant is None else [one.constant]
+        torque = channels.scaled(one, table, kind, kind, *constant)
+        step = f"{kind}: the signal in {one.unit} times {one.constant}"
+        if constant and constant[0].endswith("/V"):
+            step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
+            step += "loss, and the key voltage takes it off"
+        step = step if constant else f"{kind}: as measured"
+        return Told(one, kind, Law(torque, np.ones(torque.shape)), step)
+    measured: tuple[tuple[units.Kind, Current | Voltage | None], ...]
+    measured = ("current", source.current), ("voltage", source.voltage)
+    for gives, channel in measured:
+        if channel is not None:
+            command = channels.scaled(channel, table, gives, gives)
+            scale, back_emf, how = _motor(gives, channel, table, drive)
+            if gives == "current":
+                law = Law(command * scale, np.ones(command.shape))
+                return Told(channel, gives, law, f"{kind}: {how}", scale)
+            law = Law(command, np.full(command.shape, scale), back_emf=back_emf)
+            return Told(channel, gives, law, f"{kind}: {how}")
+    assert source.target is not None
+    return position_law(source.target, table, drive)
 
 
 def position_law(target: Target, table: Table, drive: Drive) -> Told:
@@ -96,55 +67,58 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
     What the gains are per angle of says what the law gives: the motor's torque, current, voltage,
     or the duty of a supply.
     """
-    where = table.label(target.column)
-    side = drive.motor_motion if target.side == "motor" else drive.motion
+    where, kind = table.label(target.column), TORQUE[drive.motor_motion]
+    motion = drive.motor_motion if target.side == "motor" else drive.motion
     # what it is multiplied by is the supply, and comes later
     alone = target.model_copy(update={"times": None})
     aimed, _ = channels.joint_signal(alone, "target", table, drive)
-    gives, kp = _gain(target.kp, units.si(POSITION[side]), drive, f"{where}, kp")
-    missing = [key for key in gives.constants if getattr(target, key) is None]
+    gives, kp = _gain(target.kp, POSITION[motion], (kind, *_NEEDED), f"{where}, kp")
+    missing = [key for key in _NEEDED.get(gives, ()) if getattr(target, key) is None]
     if missing:
-        what = f"is not given, and kp = '{target.kp}' makes a {gives.what}"
+        what = f"is not given, and kp = '{target.kp}' needs it"
         raise BadInput(f"{where}, {missing[0]}", what, f"add {missing[0]} = ...")
-    kd = 0.0
+    kd, limit = 0.0, np.inf
     if target.kd is not None:
-        other, kd = _gain(target.kd, units.si(VELOCITY[side]), drive, f"{where}, kd")
-        if other is not gives:
-            what = f"makes a {other.what}, and kp a {gives.what}"
-            raise BadInput(f"{where}, kd", what, "give both per angle and per speed of the same")
-    limit = np.inf
+        _, kd = _gain(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
     if target.limit is not None:
-        limit = units.scale([target.limit], gives.kind, f"{where}, limit")
+        limit = units.scale([target.limit], gives, f"{where}, limit")
     to_side = drive.ratio if target.side == "motor" else 1.0
-    scale, back_emf = np.ones(aimed.shape), 0.0
-    told = f"{TORQUE[drive.motor_motion]}: kp = {target.kp} towards column '{target.column}'"
-    if gives.constants:
-        assert target.torque_constant is not None
-        kind = CONSTANT[drive.motor_motion]
-        constant = units.scale([target.torque_constant], kind, f"{where}, torque_constant")
-        scale = scale * constant
-        if gives.what != "current":
-            assert target.resistance is not None
-            resistance = units.scale([target.resistance], "resistance", f"{where}, resistance")
-            scale = scale / resistance
-            back_emf = constant**2 * drive.ratio / resistance
-            told += f", kt = {target.torque_constant}, R = {target.resistance}"
-        if gives.what == "duty":
-            assert target.times is not None
-            unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
-            scale = scale * table.column(target.times) * unit
+    factor, back_emf, how = _motor(gives, target, table, drive)
+    scale = np.full(aimed.shape, factor)
+    if gives == "share" and target.times is not None:
+        unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
+        scale = scale * table.column(target.times) * unit
     kp, kd = kp * to_side, kd * to_side
     law = Law(kp * aimed, scale, kp, kd, limit, back_emf)
-    return Told(target, gives.measured, law, told)
+    step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
+    step += f"; {how}" if how else ""
+    return Told(target, "voltage" if gives == "share" else gives, law, step)
 
 
-def _gain(text: str, per: str, drive: Drive, where: str) -> tuple[_Gives, float]:
-    """Read a gain per angle or speed, and of what."""
-    names = [TORQUE[drive.motor_motion], "current", "voltage", "share"]
-    for name in names:
-        try:
-            return _LAWS[name], units.product([text, per], [_LAWS[name].kind])
-        except Unfit:
-            continue
-    wanted = ", ".join(f"'{unit}/({per})'" for unit in ("N m", "A", "V", "1"))
+def _motor(
+    gives: units.Kind, channel: Current | Voltage | Target, table: Table, drive: Drive
+) -> tuple[float, float, str]:
+    """Give the motor's torque for one of what drives it, and for a speed; and how, in words."""
+    if gives not in _NEEDED:
+        return 1.0, 0.0, ""
+    assert channel.torque_constant is not None
+    where, kind = table.label(channel.column), CONSTANT[drive.motor_motion]
+    constant = units.scale([channel.torque_constant], kind, f"{where}, torque_constant")
+    if gives == "current" or isinstance(channel, Current):
+        return constant, 0.0, f"current times {channel.torque_constant}"
+    assert channel.resistance is not None
+    resistance = units.scale([channel.resistance], "resistance", f"{where}, resistance")
+    how = f"kt V/R - kt^2 (motor speed)/R with kt = {channel.torque_constant}, "
+    how += f"R = {channel.resistance}"
+    return constant / resistance, constant**2 * drive.ratio / resistance, how
+
+
+def _gain(
+    text: str, per: units.Kind, kinds: Sequence[units.Kind], where: str
+) -> tuple[units.Kind, float]:
+    """Read a gain per angle or speed, and of which kind it is."""
+    for kind in kinds:
+        with suppress(Unfit):
+            return kind, units.product([text, units.si(per)], [kind])
+    wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
     raise BadInput(where, f"'{text}' is no gain", f"give it in one of {wanted}")

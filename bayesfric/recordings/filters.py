@@ -121,11 +121,14 @@ def differentiator(reach: int) -> Array:
     return weights
 
 
-def exact_reach(cutoff: float, fs: float) -> int:
-    """Neighbours, from 4 to 24, that make a derivative's gain right within 1e-4 up to a cut-off.
+def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
+    """Neighbours on either side that a derivative is made of: one for ``central`` differences.
 
-    It is 0 for a signal without low-pass, of which nothing is known.
+    Else from 4 to 24, so many that its gain is right within 1e-4 up to a cut-off; 4 for a signal
+    without low-pass (0), of which nothing is known.
     """
+    if how == "central":
+        return 1
     least, most = _REACH
     w = 2.0 * np.pi * cutoff / fs
     angles = np.arange(1, most + 1)
@@ -134,11 +137,6 @@ def exact_reach(cutoff: float, fs: float) -> int:
         if abs(gain - w) <= _GAIN_ERROR * w:
             return reach
     return most if cutoff else least
-
-
-def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
-    """Neighbours of the differentiation that is asked for; see :func:`exact_reach`."""
-    return 1 if how == "central" else exact_reach(cutoff, fs)
 
 
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:

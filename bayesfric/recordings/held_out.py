@@ -14,6 +14,7 @@ from bayesfric.base.options import Options
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.timebase import LEAST_SAMPLES
 from bayesfric.recordings.units import in_unit
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
@@ -106,9 +107,9 @@ def _without_end(
     where = "validation.hold_out"
     n = recording.time.size
     begin = n - round(share * n)
-    if begin > processing.min_samples:
+    if begin > LEAST_SAMPLES:
         # the band is chosen by what is fitted alone
-        first = _piece(recording, 0, begin, processing.min_samples)
+        first = _piece(recording, 0, begin)
         with suppress(BadInput):  # what is left is refused below, with the mend
             processing = settled(first, processing)
     length, step = window(recording, processing)
@@ -119,13 +120,8 @@ def _without_end(
         raise BadInput(where, f"leaves nothing of recording {recording.name!r}", "hold out less")
     if begin >= n:
         raise BadInput(where, f"{whose} is not even one sample", "hold out more")
-    least = processing.min_samples
-    rest, end = _piece(recording, 0, last, least), _piece(recording, begin, n, least)
-    try:
-        o = observe(rest, processing)
-    except BadInput as error:
-        what = f"what is left of recording {recording.name!r} cannot be fitted: {error.what}"
-        raise BadInput(where, what, "hold out less") from None
+    rest, end = _piece(recording, 0, last), _piece(recording, begin, n)
+    o = _observed(rest, processing, f"what is left of recording {recording.name!r}")
     told = (
         f"held out: {whose}, from {end.time[0]:.4g} s on, "
         f"and {begin - last} samples before it as a gap"
@@ -133,12 +129,17 @@ def _without_end(
     o = replace(o, steps=(*o.steps, told))
     # a dead zone from the end's own speeds would be none where the joint is at rest
     same = processing.model_copy(update={"dead_zone": float(o.settings["dead_zone"])})
-    try:
-        predicted = observe(end, same)
-    except BadInput as error:
-        raise BadInput(where, f"{whose}: {error.what}", "hold out another share") from None
+    predicted = _observed(end, same, whose)
     _check(end, predicted, where, whose)
     return rest, o, HeldOut(end, replace(predicted, warnings=()), part)
+
+
+def _observed(recording: Measurement, processing: Processing, whose: str) -> Observation:
+    try:
+        return observe(recording, processing)
+    except BadInput as error:
+        what = f"{whose}: {error.what}"
+        raise BadInput("validation.hold_out", what, "hold out another share") from None
 
 
 def _check(recording: Measurement, o: Observation, where: str, whose: str) -> None:
@@ -153,10 +154,10 @@ def _check(recording: Measurement, o: Observation, where: str, whose: str) -> No
         )
 
 
-def _piece(r: Measurement, begin: int, end: int, least: int) -> Measurement:
+def _piece(r: Measurement, begin: int, end: int) -> Measurement:
     """Cut a recording to samples ``begin`` to ``end``; a segment's stump goes, as in reading."""
     cut = [(max(a, begin), min(b, end)) for a, b in r.segments if a < end and b > begin]
-    kept = [(a, b) for a, b in cut if b - a >= least] or cut
+    kept = [(a, b) for a, b in cut if b - a >= LEAST_SAMPLES] or cut
     begin, end = kept[0][0], kept[-1][1]
     return replace(
         r,

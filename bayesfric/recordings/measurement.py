@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -21,21 +20,6 @@ class Lag:
 
     cutoff: float  # Hz, -3 dB
     order: int  # 1 or 2
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A span that is not compared with the model, s from the file's first stamp."""
-
-    start: float
-    stop: float
-    # the keys that say so: `cut` is `start` and `stop`
-    by: Literal["cut", "exclude", "valid"]
-
-    @property
-    def length(self) -> float:
-        """Seconds from its first stamp to its last."""
-        return self.stop - self.start
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +49,7 @@ class Measurement:
     velocity_lag: Lag | None = None
     ratio: float = 1.0  # of the gear, motor motion per joint motion
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint
-    drive: str = "torque"  # what the torque was measured as: torque, force, current or voltage
     torque_constant: float | None = None  # N m/A or N/A, where a current was measured
-    # how a torque came about that was not measured as one: `signal_unit` and `signal_constant` that
-    # it was multiplied by, or `motor_constant` and `motor_resistance` of a voltage, as given
-    made_of: Mapping[str, str] = field(default_factory=dict)
     # Hz beyond which an acceleration is not what the joint's is, where a model has told
     widest_band: float | None = None
     # s by which the position comes after the torque, where a model has told: so much is cut off
@@ -78,9 +58,6 @@ class Measurement:
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin
     law: Law | None = None
-    left_out: tuple[LeftOut, ...] = ()  # what the user left out, in the order of time
-    # number of samples as measured, where they were interpolated to even steps
-    interpolated_from: int | None = None
 
     @property
     def hold(self) -> Hold:

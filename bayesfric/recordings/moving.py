@@ -9,23 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.filters import lay_windows
-from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.resolution import finest_step
-
-
-def compared_parts(recording: Measurement, trim: int) -> Segments:
-    """Give the stretches that may be compared: segments without ``trim`` samples at either end.
-
-    Without what is excluded, too, and as many samples beside that: the low-pass carries it a little
-    way past its borders, as past a segment's.
-    """
-    kept = trimmed(recording.segments, trim)
-    return without_excluded(kept, near(recording.excluded, trim))
-
-
-def trimmed(segments: Segments, trim: int) -> Segments:
-    """Take ``trim`` samples off both ends of every segment; nothing may be left of one."""
-    return tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
 
 
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
@@ -124,16 +108,15 @@ def rests(
 
     ``torque`` has passed what outputs in motion have passed before the windows.
     """
-    inner = _shrunk(still, parts, guard)
+    inner = tuple(
+        (begin + guard, end - guard)
+        for a, b in parts
+        for begin, end in runs(still[a:b], a)
+        if end - begin > 2 * guard
+    )
     laid = lay_windows(taps, inner, factor, np.ones(position.size, dtype=np.bool_))
     if laid.n_outputs == 0:
         return None
     kept = np.unique(np.linspace(0, laid.n_outputs - 1, _MOST).astype(int))
     centres = laid.centres[kept]
     return Rest(position[centres], laid.apply(torque)[kept], time[centres])
-
-
-def _shrunk(still: Flags, parts: Segments, guard: int) -> Segments:
-    """Give the stretches of rest inside parts, without ``guard`` samples at either end."""
-    found = (stretch for a, b in parts for stretch in runs(still[a:b], a))
-    return tuple((x + guard, y - guard) for x, y in found if y - x > 2 * guard)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
 from bayesfric.recordings.acting import acting, unlagged
-from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
@@ -30,16 +30,15 @@ from bayesfric.recordings.filters import (
     reach_of,
 )
 from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import LeftOut, Measurement
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.moving import (
     Rest,
     at_rest,
-    compared_parts,
     moving_samples,
     near,
     rests,
     too_slow,
-    trimmed,
+    without_excluded,
 )
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
@@ -62,6 +61,8 @@ _GUARD = 10
 _LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
+# Every number actually used, in SI units.
+Settings = dict[str, float | int | str]
 # What ends a band.
 _ENDED: dict[Reason, str] = {
     "sampling": "as wide as the sampling rate allows",
@@ -100,12 +101,12 @@ class Observation:
     inputs: Inputs  # what the joint feels besides its motion
     steps: tuple[str, ...]  # one sentence for every choice made, reading included
     warnings: tuple[str, ...]  # one sentence for everything a user should look at
-    settings: dict[str, float | int | str]  # every number actually used, in SI units
+    settings: Settings
     # smallest difference of positions as read, rad or m of the joint; 0 where it is not known
     position_step: float = 0.0
     # what samples at rest say, where they are asked and the position tells rest
     rest: Rest | None = None
-    left_out: tuple[LeftOut, ...] = ()  # what the user left out
+    left_out: tuple[tuple[float, float], ...] = ()  # spans that the user excluded, s as time
     # (N,) acceleration that the encoder tells, where qdd is finer
     smooth: Array | None = None
 
@@ -169,65 +170,27 @@ def observe(
             "lower dead_zone (0 for none), or decimate less",
         )
     q, qd, chosen = made.q, made.qd, made.filter
-    segments, period = recording.segments, recording.period
+    segments, period, found = recording.segments, recording.period, numbers.resolution
     compared = made.compared & ~recording.excluded
-    warnings = [*recording.warnings, *_band_warnings(numbers)]
-    warnings += too_coarse(numbers.resolution, recording)
-    mismatch: dict[str, float] = {}
+    warnings = [*recording.warnings, *_band_warnings(numbers), *too_coarse(found, recording)]
+    settings = _settings(recording, processing, numbers, made)
+    if law := checks.feedback(recording.torque, q, qd, compared):
+        settings["feedback"] = law[0]
     if recording.velocity is not None:
         speed = derivative(q, segments, period, numbers.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
-        late = checks.speed_delay(qd, speed, compared, period)
-        warnings += _velocity_warnings(factor, late, recording.ratio)
+        warnings += _velocity_warnings(factor, checks.speed_delay(qd, speed, compared, period))
         # a smaller one may come of filters
         if factor is not None and not 0.5 < factor < 2.0:
-            mismatch["velocity_factor"] = factor
-    constant = recording.torque_constant
-    law = checks.feedback(recording.torque, q, qd, compared)
-    found = numbers.resolution
-    ratios = {"speed_ratio": found.speed_ratio, "acceleration_ratio": found.acceleration_ratio}
-    settings: dict[str, float | int | str] = {
-        "sampling_rate": numbers.fs,
-        "lowpass": numbers.cutoff,
-        "order": processing.order,
-        "decimate": numbers.factor,
-        "band": numbers.used_band,
-        "filter_cutoff": parallel_cutoff(numbers.factor, numbers.band, numbers.fs),
-        "differentiation": processing.differentiation,
-        "velocity": "differentiated" if recording.velocity is None else "measured",
-        "reach": numbers.reach,
-        "guard": numbers.guard,
-        "band_by": found.reason,
-        "noise_seen": found.noise,
-        # no noise seen is no number
-        **{key: ratio for key, ratio in ratios.items() if np.isfinite(ratio)},
-        **({} if law is None else {"feedback": law[0]}),
-        **mismatch,
-        **({} if constant is None else {"torque_constant": constant}),
-        "torque_lag": recording.torque_lag.cutoff if recording.torque_lag else 0.0,
-        **recording.made_of,
-        "dead_zone": made.dead_zone,
-        "rest": processing.rest,
-        "trim": numbers.trim_samples * period,
-        "trim_samples": numbers.trim_samples,
-        "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
-        "motion": "encoder",
-        "resample": processing.resample,
-        "gap": processing.gap,
-        "jitter": processing.jitter,
-        "min_samples": processing.min_samples,
-        "taps": len(chosen.taps),
-        "n_samples": len(q),
-        "n_segments": len(segments),
-        "n_outputs": chosen.n_outputs,
-        **made.dropped,
-    }
-    if recording.interpolated_from is not None:
-        settings["interpolated_from"] = recording.interpolated_from
+            settings["velocity_factor"] = factor
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     torque = acting(recording, numbers.reach)
     passed = as_position(torque, segments, period, settings)
-    resting = None
+    inputs, resting = replace(recording.inputs, recording=recording.name), None
+    if (load := inputs.load_torque) is not None:
+        # what is compared with it has passed this, too
+        values = as_position(load.at(recording.time), segments, period, settings)
+        inputs = replace(inputs, load_torque=Signal(recording.time, values))
     if processing.rest:
         still = (recording.position, passed, recording.time, chosen.taps, made.parts)
         resting = rests(*still, numbers.factor, made.still, numbers.guard)
@@ -251,34 +214,56 @@ def observe(
         period=numbers.factor * period,
         segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
         stamps=recording.time,
-        inputs=replace(
-            recording.inputs,
-            recording=recording.name,
-            # what is compared with it has passed this, too
-            load_torque=_smoothed(recording.inputs.load_torque, recording, settings),
-        ),
+        inputs=inputs,
         steps=(*recording.steps, *_told(numbers, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
         position_step=finest_step(recording.position),
         rest=resting,
-        left_out=recording.left_out,
+        left_out=tuple(
+            (float(recording.time[a]), float(recording.time[b - 1]))
+            for a, b in runs(recording.excluded)
+        ),
     )
 
 
-def _smoothed(
-    signal: Signal | None, recording: Measurement, settings: Mapping[str, float | int | str]
-) -> Signal | None:
-    if signal is None:
-        return None
-    values = signal.at(recording.time)
-    passed = as_position(values, recording.segments, recording.period, settings)
-    return Signal(recording.time, passed)
+def _settings(
+    recording: Measurement, processing: Processing, numbers: _Numbers, made: _Prepared
+) -> Settings:
+    found = numbers.resolution
+    settings: Settings = {
+        "sampling_rate": numbers.fs,
+        "lowpass": numbers.cutoff,
+        "order": processing.order,
+        "decimate": numbers.factor,
+        "band": numbers.used_band,
+        "filter_cutoff": parallel_cutoff(numbers.factor, numbers.band, numbers.fs),
+        "differentiation": processing.differentiation,
+        "velocity": "differentiated" if recording.velocity is None else "measured",
+        "reach": numbers.reach,
+        "guard": numbers.guard,
+        "band_by": found.reason,
+        "noise_seen": found.noise,
+        "dead_zone": made.dead_zone,
+        "rest": processing.rest,
+        "trim": numbers.trim_samples * recording.period,
+        "trim_samples": numbers.trim_samples,
+        "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
+        "motion": "encoder",
+        "taps": len(made.filter.taps),
+        "n_samples": len(made.q),
+        "n_segments": len(recording.segments),
+        "n_outputs": made.filter.n_outputs,
+        **made.dropped,
+    }
+    if np.isfinite(found.acceleration_ratio):
+        settings["acceleration_ratio"] = found.acceleration_ratio
+    if recording.torque_constant is not None:
+        settings["torque_constant"] = recording.torque_constant
+    return settings
 
 
-def as_position(
-    torque: Array, segments: Segments, period: float, settings: Mapping[str, float | int | str]
-) -> Array:
+def as_position(torque: Array, segments: Segments, period: float, settings: Settings) -> Array:
     """Low-pass a measured torque ``(N,)`` where the position's filter is the torque's too."""
     cutoff, order = float(settings.get("torque_lowpass", 0.0)), int(settings.get("order", 1))
     return lowpass(torque, segments, 1.0 / period, cutoff, order)
@@ -422,7 +407,8 @@ def _prepared(
         qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
         if recording.velocity_lag:
             qd = unlagged(qd, segments, recording.period, recording.velocity_lag, numbers.reach)
-    kept = trimmed(segments, trim)
+    # nothing may be left of a segment
+    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
         inside[a:b] = True
@@ -440,7 +426,8 @@ def _prepared(
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
-    parts = compared_parts(recording, trim)
+    # the low-pass carries what is excluded a little way past its borders, as past a segment's
+    parts = without_excluded(kept, near(recording.excluded, trim))
     chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
 
@@ -512,70 +499,58 @@ def _band_warnings(numbers: _Numbers) -> Iterator[str]:
         )
 
 
-def _velocity_warnings(factor: float | None, late: float | None, ratio: float) -> Iterator[str]:
+def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str]:
+    mend = "leave its line out, and the position is differentiated"
     if late is not None:
         yield (
             f"velocity: comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
-            "differentiated position, as where a drive filters it: leave its line out, so that the "
-            "position is differentiated"
+            f"differentiated position, as where a drive filters it: {mend}"
         )
-        return
-    if factor is None:
-        return
-    said = f"is {factor:.3g} times the differentiated position: "
-    if factor == 0.0:
-        said = "has nothing to do with the differentiated position: is it the right column"
-    else:
-        said += checks.taken_for(factor, ratio)
-    yield f"velocity: {said}? Inertia and speed losses come out wrong by as much"
+    elif factor is not None:
+        yield (
+            f"velocity: is {factor:.3g} times the differentiated position"
+            f"{checks.between(factor)}, and inertia and speed losses come out wrong by as much: "
+            f"are column, unit, sign and side of both right? If a drive filters it, {mend}"
+        )
 
 
-def _end_of_band(numbers: _Numbers) -> float:
-    """Highest frequency that is compared, Hz."""
-    return numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
-
-
-def _told(
-    numbers: _Numbers, recording: Measurement, settings: dict[str, float | int | str]
-) -> Iterator[str]:
+def _told(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iterator[str]:
+    both = ", of position and torque alike" if settings["torque_lowpass"] else ""
     yield (
         f"low-pass: zero-phase Butterworth of order {settings['order']} at "
-        f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling)"
-        + (", of position and torque alike" if settings["torque_lowpass"] else "")
+        f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling){both}"
         if numbers.cutoff
         else "low-pass: none"
     )
-    lags = ("torque", recording.torque_lag), ("velocity", recording.velocity_lag)
-    for what, lag in ((name, one) for name, one in lags if one):
-        times = math.hypot(1.0, (_end_of_band(numbers) / lag.cutoff) ** lag.order)
-        yield (
-            f"{what}: what a low-pass at {lag.cutoff:.4g} Hz took is given back; at the end of the "
-            f"band that makes it, and what noise came after the filter, {times:.2g} times as large"
-        )
-    used = "differentiated position" if recording.velocity is None else "measured velocity"
+    end = numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
+    for what, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
+        if lag:
+            times = math.hypot(1.0, (end / lag.cutoff) ** lag.order)
+            yield (
+                f"{what}: what a low-pass at {lag.cutoff:.4g} Hz took is given back; at the end of "
+                f"the band that makes it, and what noise came after the filter, {times:.2g} times "
+                "as large"
+            )
+    of, length = "position", "rad" if recording.motion == "rotary" else "m"
+    unit, used = length, "differentiated position"
+    if recording.velocity is not None:
+        of, unit, used = "speed", f"{length}/s", "measured velocity"
     how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
     found = numbers.resolution
-    ratios = [
-        f"{what} {settings[key]:.3g}"
-        for what in ("speed", "acceleration")
-        if (key := f"{what}_ratio") in settings
-    ]
-    length = "rad" if recording.motion == "rotary" else "m"
-    if ratios:
-        of, unit = ("position", length) if recording.velocity is None else ("speed", f"{length}/s")
+    if "acceleration_ratio" in settings:
         yield (
-            f"signal to noise in the band to {found.band:.3g} Hz (rms): {', '.join(ratios)}; noise "
-            f"of a sample of the {of} {found.noise:.2g} {unit}"
+            f"signal to noise of the acceleration in the band to {found.band:.3g} Hz (rms): "
+            f"{found.acceleration_ratio:.3g}; noise of a sample of the {of} {found.noise:.2g} "
+            f"{unit}"
         )
-    yield f"band: ends at {_end_of_band(numbers):.3g} Hz, {_ENDED[found.reason]}"
-    cutoff = parallel_cutoff(numbers.factor, numbers.band, numbers.fs)
+    yield f"band: ends at {end:.3g} Hz, {_ENDED[found.reason]}"
     yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
     yield (
         "parallel filter: none, every sample is an output"
         if settings["taps"] == 1
-        else f"parallel filter: {settings['taps']} taps, cut-off {cutoff:.4g} Hz, "
-        f"one output in {numbers.factor} samples"
+        else f"parallel filter: {settings['taps']} taps, cut-off "
+        f"{settings['filter_cutoff']:.4g} Hz, one output in {numbers.factor} samples"
     )
     slow = too_slow(f"{settings['dead_zone']:.3g} {length}/s")
     dropped, left = int(settings["dropped_dead_zone"]), int(settings["n_outputs"])

@@ -58,26 +58,6 @@ class Processing(Options):
         description="Cut from both ends of every segment after differentiation, in seconds; the "
         "longer of 10 samples and one period of the low-pass if left out.",
     )
-    resample: str = Field(
-        "auto",
-        description="'auto' (if the time steps jitter), 'never', or a period such as '5 ms', of "
-        "at least a tenth of the recording's.",
-    )
-    gap: float = Field(
-        5.0,
-        gt=1,
-        allow_inf_nan=False,
-        description="A time step longer than this many median periods separates segments.",
-        json_schema_extra=in_unit(""),
-    )
-    jitter: float = Field(
-        0.01,
-        ge=0,
-        allow_inf_nan=False,
-        description="Relative rms jitter of the time steps above which 'auto' resamples.",
-        json_schema_extra=in_unit(""),
-    )
-    min_samples: int = Field(50, ge=5, description="Segments with fewer samples are left out.")
 
     @property
     def chooses_band(self) -> bool:
@@ -93,11 +73,4 @@ class Processing(Options):
         )
         if number is not None and not 0 <= number < float("inf"):
             raise Unfit("a speed of 0 or more", f"got {value}")
-        return value
-
-    @field_validator("resample")
-    @classmethod
-    def _period(cls, value: str) -> str:
-        if value not in ("auto", "never") and not units.quantity(value, "time") > 0:
-            raise Unfit("'auto', 'never' or a period like '5 ms'", f"got '{value}'")
         return value

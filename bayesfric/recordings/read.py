@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import matching
 from bayesfric.recordings import channels, checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags, runs
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.effort import Told, measured_law, position_law
 from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import LeftOut, Measurement
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Columns, Source
@@ -82,36 +82,32 @@ def _sha256(source: Columns, table: Table) -> str:
 # what overflows is refused by its size
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
-    steps = list(table.notes)
     channels.check_columns(source, table)
+    where = table.label(source.position.column)
     position, step = channels.joint_signal(source.position, "position", table, drive)
-    steps.append(step)
+    steps = [*table.notes, step]
     time = _time(source, table, len(position))
-    chosen = _chosen(source, time, table.where)
-    part = slice(*chosen)
-    checks.check_not_huge(position, table.label(source.position.column), "position")
+    chosen = slice(*_chosen(source, time, table.where))
+    checks.check_size(position, where, "position")
     velocity = None
     if source.velocity is not None:
         velocity, step = channels.joint_signal(source.velocity, "velocity", table, drive)
-        checks.check_not_huge(velocity, table.label(source.velocity.column), "velocity")
+        checks.check_size(velocity, table.label(source.velocity.column), "velocity")
         steps.append(step)
     told = measured_law(source, table, drive)
     channel, kind = told.channel, told.kind
-    checks.check_not_huge(told.law.command, table.label(channel.column), kind)
-    aims = told
-    if source.target is not None and told.channel is not source.target:
-        aims = position_law(source.target, table, drive)
+    checks.check_size(told.law.command, table.label(channel.column), kind)
 
-    grid = make_grid(time, chosen, processing, table.where)
-    checks.check_moves(position[part], table.label(source.position.column), "position")
-    checks.check_moves(told.law.command[part], table.label(channel.column), kind)
+    grid = make_grid(time, (chosen.start, chosen.stop), table.where)
+    checks.check_moves(position[chosen], where, "position")
+    checks.check_moves(told.law.command[chosen], table.label(channel.column), kind)
     warnings = [*grid.warnings]
     if not told.law.closed:
-        warnings += checks.clipped(channels.signed(channel, table)[part], kind)
-    if (read_in := checks.quantisation(position[part])) is not None:
+        warnings += checks.clipped(channels.signed(channel, table)[chosen], kind)
+    if (read_in := checks.quantisation(position[chosen])) is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
         steps.append(f"position: read in steps of {read_in:.3g} {unit} at the joint")
-    warnings += channels.counts(source, table, part)
+    warnings += channels.counts(source, table, chosen)
     steps.extend(grid.steps)
 
     joint = grid.smooth(position)
@@ -127,32 +123,12 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         steps.append(f"{kind}: means over samples, stamped at {whose}; position averaged alike")
     torque, back_emf, step = _torque(told, law, joint, speed, grid, processing)
     steps.append(step)
-    checks.check_size(joint, table.label(source.position.column), "position")
-    checks.check_size(torque, table.label(channel.column), "torque")
-    warmth = None
-    if source.temperature is not None:
-        degrees = channels.temperature(source.temperature, table)
-        checks.check_not_huge(degrees, table.label(source.temperature.column), "temperature")
-        warmth = Signal(grid.time, grid.linear(degrees))
-        low, high = float(degrees[part].min()), float(degrees[part].max())
-        steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
-    pushed = None
-    if source.load_torque is not None:
-        outside = channels.load_torque(source.load_torque, table, drive)
-        pushed = Signal(grid.time, grid.linear(outside))
-        motor = source.load_torque.side == "motor"
-        how = f"of the motor, times {drive.ratio:g}" if motor else "as measured"
-        steps.append(f"load {channels.TORQUE[drive.motion]}: {how}")
-    others = {str(one): Signal(grid.time, grid.linear(table.column(one))) for one in source.others}
-    excluded = _excluded(source, grid.time, warnings)
-    left_out = [*_cut(time, *chosen), *_spans(excluded, grid.time, "exclude")]
-    law = law if source.target is None else aims.law.on(grid)
-    if source.valid is not None:
-        valid = table.column(source.valid) != 0
-        # between a valid and an invalid stamp the grid is not valid either
-        off = grid.linear(valid.astype(np.float64)) < 1.0
-        left_out += _spans(off & ~excluded, grid.time, "valid")
-        law, excluded = replace(law, off=off), excluded | off
+    checks.check_size(joint, where, "position", checks.TINY)
+    checks.check_size(torque, table.label(channel.column), "torque", checks.TINY)
+    inputs = _inputs(source, table, drive, grid, steps)
+    if source.target is not None:
+        law = position_law(source.target, table, drive).law.on(grid)
+    off, excluded = _excluded(source, table, grid, warnings)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
     return Measurement(
@@ -167,13 +143,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
-        inputs=Inputs(
-            source.added_mass,
-            source.radius,
-            temperature=warmth,
-            load_torque=pushed,
-            others=others,
-        ),
+        inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
         # a mean over the sample has no bend to miss
@@ -181,13 +151,28 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         torque_lag=channel.lag,
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
-        drive=kind,
         torque_constant=told.torque_constant,
-        made_of=dict(told.made_of),
-        law=law,
+        law=replace(law, off=off),
         ratio=drive.ratio,
-        left_out=tuple(sorted(left_out, key=lambda one: one.start)),
-        interpolated_from=sum(b - a for a, b in grid.pieces) if grid.resampled else None,
+    )
+
+
+def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list[str]) -> Inputs:
+    warmth = pushed = None
+    if source.temperature is not None:
+        degrees = grid.linear(channels.temperature(source.temperature, table))
+        warmth = Signal(grid.time, degrees)
+        steps.append(f"temperature: {degrees.min():.3g} to {degrees.max():.3g} degC")
+    if source.load_torque is not None:
+        outside = channels.load_torque(source.load_torque, table, drive)
+        pushed = Signal(grid.time, grid.linear(outside))
+        steps.append(f"load {channels.TORQUE[drive.motion]}: as measured")
+    return Inputs(
+        source.added_mass,
+        source.radius,
+        temperature=warmth,
+        load_torque=pushed,
+        others={str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others},
     )
 
 
@@ -207,7 +192,7 @@ def _time(source: Columns, table: Table, count: int) -> Array:
     time = channels.scaled(source.time, table, "time", "time")
     where = table.label(source.time.column)
     check_order(time, where, table.row)
-    checks.check_not_huge(time, where, "time")
+    checks.check_size(time, where, "time")
     since = np.asarray(time - time[0]) if count else time
     # steps far smaller than the stamps themselves are lost
     check_order(since, where, table.row)
@@ -256,28 +241,23 @@ def _torque(
     return torque - back_emf, back_emf, step
 
 
-def _excluded(source: Columns, time: Array, warnings: list[str]) -> Flags:
-    excluded = np.zeros(len(time), dtype=np.bool_)
+def _excluded(
+    source: Columns, table: Table, grid: Grid, warnings: list[str]
+) -> tuple[Flags | None, Flags]:
+    """Flag where the drive is off, if that is told, and what is not to be compared."""
+    off = None
+    excluded = np.zeros(len(grid.time), dtype=np.bool_)
+    if source.valid is not None:
+        valid = table.column(source.valid) != 0
+        # between a valid and an invalid stamp the grid is not valid either
+        off = grid.linear(valid.astype(np.float64)) < 1.0
+        excluded |= off
     for start, stop in source.exclude:
-        span = (time >= start) & (time <= stop)
+        span = (grid.time >= start) & (grid.time <= stop)
         if not span.any():
             warnings.append(f"exclude: no sample lies in [{start:g}, {stop:g}] s")
         excluded |= span
-    return excluded
-
-
-def _cut(time: Array, first: int, last: int) -> Iterator[LeftOut]:
-    """Name what lies before ``start`` and after ``stop``, where there is anything."""
-    if first > 0:
-        yield LeftOut(float(time[0]), float(time[first]), "cut")
-    if last < len(time):
-        yield LeftOut(float(time[last - 1]), float(time[-1]), "cut")
-
-
-def _spans(flags: Flags, time: Array, by: Literal["exclude", "valid"]) -> Iterator[LeftOut]:
-    """Name the spans of flagged samples."""
-    for a, b in runs(flags):
-        yield LeftOut(float(time[a]), float(time[b - 1]), by)
+    return off, excluded
 
 
 def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:
@@ -317,14 +297,18 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Name files by their stem, and as many of their folders as tell them apart."""
-    names = [path.stem for path in paths]
-    deepest = max((len(path.parts) for path in paths), default=0)
-    for level in range(1, deepest + 1):
-        counts = Counter(names)
-        longer = [(*path.parts[-1 - level : -1], path.stem) for path in paths]
-        if level == deepest:  # left over are files that differ in their suffix only
-            longer = [path.parts[-2:] for path in paths]
-        both = zip(names, longer, strict=True)
-        names = ["-".join(parts) if counts[name] > 1 else name for name, parts in both]
-    return names
+    """Name files by their stem, or else by what of their path tells them apart."""
+    whole = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  (links stay)
+    folder = os.path.commonpath([path.parent for path in whole])
+    below = [path.relative_to(folder) for path in whole]
+    choices = (
+        [path.stem for path in below],
+        ["-".join((*path.parent.parts, path.stem)) for path in below],
+        ["-".join(path.parts) for path in below],
+    )
+    counts = [Counter(names) for names in choices]
+    each = zip(*choices, strict=True)
+    return [
+        next((name for name, of in zip(one, counts, strict=True) if of[name] == 1), one[-1])
+        for one in each
+    ]

@@ -134,7 +134,7 @@ class Recording:
         path
             A file; ``*``, ``?`` and ``**`` are wildcards.
         position, time, torque, units, side, **keys
-            As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``header``, ``decimal``,
+            As in :meth:`from_dataframe`, and ``format``, ``delimiter``, ``decimal``,
             ``skip_rows``, ``table`` and ``where``.
         """
         keys |= {"file": str(path), "position": position, "time": time, "torque": torque}

@@ -61,14 +61,13 @@ class Resolution:
     ``reason`` is what ends the band: the ``sampling`` rate, the ``position``'s noise, that the
     ``torque`` has no power beyond, the ``length`` of the recording, below which there were too
     few outputs, what a ``model`` of the joint says of its acceleration
-    (:mod:`bayesfric.estimates.attenuation`), or that it was ``asked`` for. The ratios are root mean
-    squares of the motion over those of the noise, in the band; infinite where no noise is seen.
+    (:mod:`bayesfric.estimates.attenuation`), or that it was ``asked`` for.
     """
 
     band: float  # Hz up to which measured and modelled torque can be compared
     reason: Reason
     noise: float  # sd of what a sample of position (or speed, where measured) does not resolve
-    speed_ratio: float
+    # rms of the acceleration over its noise's, in the band; infinite where no noise is seen
     acceleration_ratio: float
 
 
@@ -94,7 +93,7 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     reason: Reason = "sampling" if band is None else "asked"
     if seen is None:
         chosen = WIDEST * fs if band is None else band
-        return Resolution(chosen, reason, 0.0, math.inf, math.inf)
+        return Resolution(chosen, reason, 0.0, math.inf)
     # a position's noise is what it shows where no joint moves, or its rounding
     quiet = seen.frequency >= _QUIET * fs
     floor = float(np.median(seen.motion[quiet] / seen.noise[quiet])) if quiet.any() else 0.0
@@ -103,14 +102,10 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
         band, reason = _choose(recording, seen, variance)
     inside = seen.frequency <= band
     inside[0] = True
-    # in the position's band, not that of its derivatives
-    square = (2.0 * np.pi * np.maximum(seen.frequency, 0.5 * seen.frequency[1])) ** 2
-    ratios = []
-    for weight in (1.0 / square, np.ones_like(square)):
-        noise = float((weight * seen.noise * seen.width)[inside].sum()) * variance
-        motion = float((weight * seen.motion * seen.width)[inside].sum()) - noise
-        ratios.append(math.sqrt(max(motion, 0.0) / noise) if noise > 0.0 else math.inf)
-    return Resolution(float(band), reason, math.sqrt(variance), *ratios)
+    noise = float((seen.noise * seen.width)[inside].sum()) * variance
+    motion = float((seen.motion * seen.width)[inside].sum()) - noise
+    ratio = math.sqrt(max(motion, 0.0) / noise) if noise > 0.0 else math.inf
+    return Resolution(float(band), reason, math.sqrt(variance), ratio)
 
 
 def too_coarse(found: Resolution, recording: Measurement) -> Iterator[str]:

@@ -109,15 +109,6 @@ class Velocity(Lagged, Position):
     """The velocity channel, of the joint or of the motor."""
 
 
-class LoadTorque(Channel):
-    """A torque (or force) that acts on the load from outside, besides the motor's."""
-
-    side: Literal["motor", "joint"] = Field(
-        "joint",
-        description="Where it acts; that of the motor acts on the load times the gear ratio.",
-    )
-
-
 class Effort(Channel):
     """What drives the joint: motor torque, force, current or voltage."""
 
@@ -210,7 +201,7 @@ class Columns(Options):
         description="The position that the drive goes for and its controller's gains; in place of "
         "the torque where none was recorded. Beside it, a roll-out closes the loop.",
     )
-    load_torque: LoadTorque | None = Field(
+    load_torque: Channel | None = Field(
         None,
         description="Torque (or force) that acts on the load from outside, as a dynamometer "
         "measures it, positive where it pushes towards higher positions.",

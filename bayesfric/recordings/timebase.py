@@ -9,17 +9,17 @@ from itertools import pairwise
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array, Segments
-from bayesfric.recordings.processing import Processing
 
 _SLOWEST = 1.0
 _FASTEST = 1e-6
 # a period outside these is no sampling at all, and its square leaves floating point
 _POSSIBLE = (1e-12, 1e9)
-_MOST_SAMPLES = 10_000_000
-# Samples for each measured one that may be asked for.
-_FINEST = 10
+# A step longer than so many median ones separates segments, of which shorter ones are left out.
+_GAP = 5.0
+LEAST_SAMPLES = 50
+# Relative rms jitter of the steps above which a recording is resampled.
+_JITTER = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,115 +76,72 @@ def check_order(time: Array, where: str, row: Callable[[int], str]) -> None:
     raise BadInput(f"{where}, {row(index)}", what, "sort the rows by time, or split the file there")
 
 
-def make_grid(time: Array, chosen: tuple[int, int], processing: Processing, where: str) -> Grid:
+def make_grid(time: Array, chosen: tuple[int, int], where: str) -> Grid:
     """Find segments without gaps in increasing stamps (n,), and put a uniform grid over them.
 
-    Only the half-open range ``chosen`` is used; ``where`` is the file, for messages.
+    Only the half-open range ``chosen`` is used; ``where`` is the file, for messages. Steps that
+    jitter by more than 1 % rms are resampled to their median.
     """
     steps: list[str] = []
     warnings: list[str] = []
-    pieces, median = _pieces(time, chosen, processing, where, steps, warnings)
+    pieces, median = _pieces(time, chosen, where, steps, warnings)
     inside = np.concatenate([np.diff(time[a:b]) for a, b in pieces])
-    mean = float(np.mean(inside))
-    jitter = float(np.sqrt(np.mean((inside - mean) ** 2)) / mean)
-    period, resampled, how = _choose(jitter, mean, median, processing, warnings, where)
+    period = float(np.mean(inside))
+    jitter = float(np.sqrt(np.mean((inside - period) ** 2)) / period)
+    times, percent = [time[a:b] for a, b in pieces], f"jitter {100 * jitter:.2g} %"
+    resampled = jitter > _JITTER
+    if resampled:
+        period = median
+        times = [_evenly(part, period) for part in times]
+        how = f"irregular ({percent}), resampled to {1e3 * period:.3g} ms "
+        how += "by linear interpolation (PCHIP for position)"
+    else:
+        how = f"regular every {1e3 * period:.4g} ms ({percent})"
     steps.append(f"time: {chosen[1] - chosen[0]} samples, {how}")
     if not _POSSIBLE[0] <= period <= _POSSIBLE[1]:
         raise BadInput(where, f"the sampling period is {period:.3g} s", "check the unit of time")
     if not _FASTEST <= period <= _SLOWEST:
         warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
-    times = [time[a:b] for a, b in pieces]
-    if resampled:
-        times = _resampled(times, period, processing.min_samples, where)
     ends = np.cumsum([len(part) for part in times]).tolist()
     segments = tuple(pairwise([0, *ends]))
     told = (tuple(steps), tuple(warnings))
     return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told)
 
 
+def _evenly(stamps: Array, period: float) -> Array:
+    # the tolerance keeps a last stamp that lies on the grid but for rounding
+    n = int(np.floor((stamps[-1] - stamps[0]) / period + 1e-9)) + 1
+    return np.asarray(np.minimum(stamps[0] + period * np.arange(n), stamps[-1]))
+
+
 def _pieces(
-    time: Array,
-    chosen: tuple[int, int],
-    processing: Processing,
-    where: str,
-    steps: list[str],
-    warnings: list[str],
+    time: Array, chosen: tuple[int, int], where: str, steps: list[str], warnings: list[str]
 ) -> tuple[Segments, float]:
     """Divide the stamps at gaps, and give the median step."""
     first, last = chosen
-    count, least = last - first, processing.min_samples
-    if count < max(least, 2):
-        what = f"has {count} samples, fewer than min_samples = {least}"
+    count = last - first
+    if count < LEAST_SAMPLES:
+        what = f"has {count} samples, fewer than {LEAST_SAMPLES}"
         raise BadInput(where, what, "record longer, or check start and stop")
     intervals = np.diff(time[first:last])
     if intervals.min() < _POSSIBLE[0]:
         what = f"two time stamps are only {float(intervals.min()):.3g} s apart"
         raise BadInput(where, what, "check the unit of time, or cut repeated rows out")
     median = float(np.median(intervals))
-    borders = first + 1 + np.flatnonzero(intervals > processing.gap * median)
+    borders = first + 1 + np.flatnonzero(intervals > _GAP * median)
     found = list(pairwise([first, *borders.tolist(), last]))
-    pieces = tuple((a, b) for a, b in found if b - a >= least)
+    pieces = tuple((a, b) for a, b in found if b - a >= LEAST_SAMPLES)
     if not pieces:
         longest = max(b - a for a, b in found)
-        raise BadInput(
-            where,
-            f"time gaps leave no segment of min_samples = {least}"
-            f" (the longest of {len(found)} has {longest})",
-            "record without gaps, or raise gap",
-        )
+        what = f"time gaps leave no segment of {LEAST_SAMPLES} samples"
+        what += f" (the longest of {len(found)} has {longest})"
+        raise BadInput(where, what, "record without gaps")
     if len(found) > 1:
         steps.append(f"time: gaps split the recording into {len(found)} segments")
     if len(pieces) < len(found):
         lost = count - sum(b - a for a, b in pieces)
         warnings.append(
-            f"time: {len(found) - len(pieces)} segments of fewer than {least} "
+            f"time: {len(found) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
             f"samples left out ({lost} samples)"
         )
     return pieces, median
-
-
-def _resampled(stamps: list[Array], period: float, least: int, where: str) -> list[Array]:
-    times: list[Array] = []
-    for part in stamps:
-        # the tolerance keeps a last stamp that lies on the grid but for rounding
-        n = int(np.floor((part[-1] - part[0]) / period + 1e-9)) + 1
-        if n < least or sum(map(len, times)) + n > _MOST_SAMPLES:
-            raise BadInput(
-                where,
-                f"resampling to {period:.3g} s makes {n} samples of a segment, fewer than "
-                f"min_samples = {least} or more than {_MOST_SAMPLES} in all",
-                "choose another period in resample",
-            )
-        times.append(np.minimum(part[0] + period * np.arange(n), part[-1]))
-    return times
-
-
-def _choose(
-    jitter: float,
-    mean: float,
-    median: float,
-    processing: Processing,
-    warnings: list[str],
-    where: str,
-) -> tuple[float, bool, str]:
-    """Return the grid's period, whether to resample, and the choice in words."""
-    how = "by linear interpolation (PCHIP for position)"
-    percent = f"jitter {100 * jitter:.2g} %"
-    if processing.resample not in ("auto", "never"):
-        period = units.quantity(processing.resample, "time")
-        if 1.01 * period * _FINEST < median:  # stamps are rounded
-            what = f"asks for a period of {period:.3g} s, measured every {median:.3g} s"
-            mend = f"choose {median / _FINEST:.3g} s or more; samples in between are invented"
-            raise BadInput(f"{where}, resample", what, mend)
-        if not 0.5 <= period / median <= 1.5:
-            warnings.append(
-                f"time: resampled to {1e3 * period:.3g} ms, measured every {1e3 * median:.3g} ms: "
-                "samples in between are invented, and coarser ones are not filtered (use decimate)"
-            )
-        return period, True, f"{percent}, resampled as asked to {1e3 * period:.3g} ms {how}"
-    if jitter <= processing.jitter:
-        return mean, False, f"regular every {1e3 * mean:.4g} ms ({percent})"
-    if processing.resample == "never":
-        warnings.append(f"time: irregular ({percent}) but taken as regular (resample = 'never')")
-        return mean, False, f"irregular ({percent}), taken as regular every {1e3 * mean:.4g} ms"
-    return median, True, f"irregular ({percent}), resampled to {1e3 * median:.3g} ms {how}"

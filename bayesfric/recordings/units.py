@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
@@ -35,46 +36,30 @@ Kind = Literal[
 ]
 
 
-# Powers of base units, by their names in pint, in order.
-Powers = tuple[tuple[str, float], ...]
-
-
 class _Told(NamedTuple):
-    """The SI unit of a kind, how to tell a user about it, and what it is made of."""
+    """The SI unit of a kind, and how to tell a user about it."""
 
     unit: str
     example: str
-    powers: Powers
 
 
-_ENERGY: Powers = (("kilogram", 1), ("meter", 2), ("second", -2))
-_POWER: Powers = (("kilogram", 1), ("meter", 2), ("second", -3))
-_FORCE: Powers = (("kilogram", 1), ("meter", 1), ("second", -2))
 _KINDS: dict[Kind, _Told] = {
-    "time": _Told("s", "a time like 's' or '5 ms'", (("second", 1),)),
-    "angle": _Told("rad", "an angle like 'rad', 'deg' or 'turn/4096'", (("radian", 1),)),
-    "length": _Told("m", "a length like 'm' or '2.5 mm'", (("meter", 1),)),
-    "angular_speed": _Told(
-        "rad/s",
-        "an angular speed like 'rad/s', 'deg/s' or 'rpm'",
-        (("radian", 1), ("second", -1)),
-    ),
-    "speed": _Told("m/s", "a speed like 'm/s' or 'mm/s'", (("meter", 1), ("second", -1))),
-    "torque": _Told("N m", "a torque like 'N m' or '9.84e-5 N m'", _ENERGY),
-    "force": _Told("N", "a force like 'N'", _FORCE),
-    "current": _Told("A", "a current like 'A' or 'mA'", (("ampere", 1),)),
-    "voltage": _Told("V", "a voltage like 'V' or 'V/885'", (("ampere", -1), *_POWER)),
-    "resistance": _Told("ohm", "a resistance like '3.4 ohm'", (("ampere", -2), *_POWER)),
-    "frequency": _Told("Hz", "a frequency like '100 Hz'", (("second", -1),)),
-    "mass": _Told("kg", "a mass like '2 kg'", (("kilogram", 1),)),
-    "torque_constant": _Told(
-        "N m/A", "a torque constant like '0.32 N m/A'", (("ampere", -1), *_ENERGY)
-    ),
-    "force_constant": _Told("N/A", "a force constant like '35 N/A'", (("ampere", -1), *_FORCE)),
-    "share": _Told("", "a plain number like '1' or '0.9'", ()),
+    "time": _Told("s", "a time like 's' or '5 ms'"),
+    "angle": _Told("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
+    "length": _Told("m", "a length like 'm' or '2.5 mm'"),
+    "angular_speed": _Told("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
+    "speed": _Told("m/s", "a speed like 'm/s' or 'mm/s'"),
+    "torque": _Told("N m", "a torque like 'N m' or '9.84e-5 N m'"),
+    "force": _Told("N", "a force like 'N'"),
+    "current": _Told("A", "a current like 'A' or 'mA'"),
+    "voltage": _Told("V", "a voltage like 'V' or 'V/885'"),
+    "resistance": _Told("ohm", "a resistance like '3.4 ohm'"),
+    "frequency": _Told("Hz", "a frequency like '100 Hz'"),
+    "mass": _Told("kg", "a mass like '2 kg'"),
+    "torque_constant": _Told("N m/A", "a torque constant like '0.32 N m/A'"),
+    "force_constant": _Told("N/A", "a force constant like '35 N/A'"),
+    "share": _Told("", "a plain number like '1' or '0.9'"),
 }
-# Recordings are mostly in these, and then need no pint.
-_POWERS = {told.unit: told.powers for told in _KINDS.values()}
 
 # What a joint that slides has in place of what one that turns has.
 _SLIDING: dict[Kind, Kind] = {"angle": "length", "angular_speed": "speed", "torque": "force"}
@@ -105,10 +90,10 @@ def _registry() -> pint.UnitRegistry[Any]:
 
 
 @cache
-def _base(text: str) -> tuple[float, Powers]:
-    """Return the SI factor of a unit text and its base units' exponents."""
-    if text.strip() in _POWERS:
-        return 1.0, _POWERS[text.strip()]
+def _base(text: str) -> tuple[float, dict[str, float]]:
+    """Return the SI factor of a unit text and the powers of its base units."""
+    if not text.strip():
+        return 1.0, {}
     if len(text) > _LONGEST or not _ALLOWED.fullmatch(text) or _LARGE_POWER.search(text):
         raise ValueError(f"'{text[:_LONGEST]}' is not a unit")
     prepared = _WHOLE_NUMBER.sub(lambda m: m[0] + ".0" if m[0].isdigit() else m[0], text)
@@ -117,14 +102,12 @@ def _base(text: str) -> tuple[float, Powers]:
     try:
         value: Any = _registry().Quantity(prepared).to_base_units()
         factor = float(value.magnitude)
-        exponents = {
-            str(name): float(power) for name, power in dict(value.unit_items()).items() if power
-        }
+        powers = {str(name): float(power) for name, power in value.unit_items() if power}
     except Exception as error:  # pint and its tokenizer raise a dozen unrelated types
         raise ValueError(f"'{text}' is not a known unit") from error
     if not math.isfinite(factor):
         raise ValueError(f"'{text}' is not a finite quantity")
-    return factor, tuple(sorted(exponents.items()))
+    return factor, powers
 
 
 def known(text: str) -> str:
@@ -171,27 +154,33 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
 
 def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
     """Read a product of scalars with their units, of one of some kinds, in SI, or raise `Unfit`."""
+    # recordings are mostly in SI units, and then need no pint
+    if any(list(texts) == [_KINDS[kind].unit] for kind in kinds):
+        return 1.0
     expected = " or ".join(_KINDS[kind].example for kind in kinds)
     factor = 1.0
-    powers: dict[str, float] = {}
+    powers = Counter[str]()
     for text in texts:
         try:
-            part, exponents = _base(text)
+            part, found = _base(text)
         except ValueError as error:
             raise Unfit(expected, str(error)) from error
         factor *= part
-        for name, power in exponents:
-            powers[name] = powers.get(name, 0.0) + power
-    powers = {name: power for name, power in powers.items() if power != 0}
-    for kind in kinds:
-        # a torque constant is also quoted as its reciprocal speed constant, V s/rad
-        seen = {k: v for k, v in powers.items() if kind != "torque_constant" or k != "radian"}
-        if seen == dict(_KINDS[kind].powers):
-            return factor
+        powers.update(found)
+    if any(_of(powers, kind) for kind in kinds):
+        return factor
     got = f"got {_listed(texts)}"
-    if any(k in kinds and powers == dict(_KINDS[s].powers) for k, s in _SLIDING.items()):
+    if any(kind in kinds and _of(powers, other) for kind, other in _SLIDING.items()):
         got += '; of a joint that slides say motion = "linear" under [mechanism]'
     raise Unfit(expected, got)
+
+
+def _of(powers: Counter[str], kind: Kind) -> bool:
+    """Whether powers of base units are those of a kind."""
+    # a torque constant is also quoted as its reciprocal speed constant, V s/rad
+    beside = {"radian"} if kind == "torque_constant" else set[str]()
+    seen = {name: power for name, power in powers.items() if power and name not in beside}
+    return seen == _base(_KINDS[kind].unit)[1]
 
 
 def si(kind: Kind) -> str:

@@ -196,7 +196,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
     by_number = {"time": 1, "position": 2, "torque": 3}
     more: list[dict[str, object]] = [{}]
     if reader == "csv":
-        more += [{"header": True}, {"header": False}, {"delimiter": ";", "decimal": ","}]
+        more += [{"delimiter": ";", "decimal": ","}]
         more += [{"skip_rows": 2}, {"delimiter": "whitespace"}, {"delimiter": "tab"}]
     elif reader in ("json", "jsonl", "mat", "h5"):
         more += [{"table": "log"}, {"table": "a.b"}]
@@ -212,7 +212,7 @@ def _table_target(reader: str, folder: Path) -> Callable[[bytes], None]:
         for keys in more
         for columns in (by_name, by_number)
     ]
-    processing = Processing(min_samples=5, lowpass="off", dead_zone=0.0, trim=0.0)
+    processing = Processing(lowpass="off", dead_zone=0.0, trim=0.0)
 
     def target(data: bytes) -> None:
         path.write_bytes(data[1:])

@@ -24,9 +24,9 @@ def test_recording_too_short_for_its_processing(bench, n, parts):
 @pytest.mark.parametrize(
     ("file", "parts"),
     cases(
-        ("missing", '"ran.csv"', ["ran.csv", "does not exist", "check the file's name"]),
+        ("missing", '"ran.csv"', ["ran.csv", "does not exist", "give a file"]),
         ("pattern", '"runs/*.csv"', ["c.toml: recordings.1", "'runs/*.csv'", "no file"]),
-        ("folder", '"."', ["is a directory", "give a file"]),
+        ("folder", '"."', ["is a folder", "give a file"]),
         ("suffix", '"c.toml"', ["'.toml'", "set format to csv"]),
         ("none", "[]", ["c.toml: recordings.1.file", "names no file"]),
         ("number", "3", ["c.toml: recordings.1.file: got 3"]),
@@ -52,8 +52,6 @@ def test_file(bench, file, parts):
         ("force", '"N m"', '"N"', ["run.csv", "'tau'", "a torque like", "'N'"]),
         ("time", "[processing]", '[processing]\ntrim = "5 m"', [".trim: got '5 m'"]),
         ("lowpass", "[processing]", '[processing]\nlowpass = "20"', [".lowpass: got '20'"]),
-        ("no-period", "order = 4", 'resample = "0 s"', ["processing.resample", "got '0 s'"]),
-        ("resample", "order = 4", 'resample = "often"', [".resample: 'often' is not a known unit"]),
         ("speed", "order = 4", 'dead_zone = "5 m/s"', ["c.toml: processing, dead_zone", "'5 m/s'"]),
         # unknown keys
         ("recording", "[[recordings]]", "[[recording]]", ["recording: unknown", "'recordings'?"]),
@@ -78,7 +76,6 @@ def test_file(bench, file, parts):
         ("windows", "order = 4", "decimate = 900", ["c.toml: recording 'run', decimate", "400"]),
         ("nyquist", "order = 4", "lowpass = 500", ["c.toml: recording 'run', lowpass", "50 Hz"]),
         ("list", "order = 4", "dead_zone = [1]", [".dead_zone: got [1]"]),
-        ("percent", "order = 4", 'jitter = "1 %"', [".jitter: got '1 %'"]),
         ("seed", "seed = 1", "seed = -1", ["sampling.seed: got -1"]),
         ("walkers", "seed = 1", "walkers = 3", ["walkers: got 3"]),
         ("ensembles", "seed = 1", "ensembles = 1", ["ensembles: got 1"]),
@@ -96,7 +93,6 @@ def test_file(bench, file, parts):
         ("narrow", "order = 4", "band = 0", ["processing.band: got 0"]),
         ("order", "order = 4", "order = 0", ["processing.order: got 0"]),
         ("slow", "order = 4", "dead_zone = -1.0", ["processing.dead_zone"]),
-        ("gap", "order = 4", "gap = 1", ["processing.gap: got 1"]),
         ("unnamed", '"run.csv"', '""', ["recordings.1.file", "names no file"]),
         ("two-times", "time =", 'rate = "1 kHz"\ntime =', ["recordings.1", "one of 'time'"]),
         ("rate", 'time = { column = "t", unit = "s" }', 'rate = "5 ms"', ["1.rate", "'5 ms'"]),
@@ -179,7 +175,7 @@ def test_configuration_in_another_encoding(bench, encoding):
 @pytest.mark.parametrize(
     ("name", "parts"),
     cases(
-        ("missing", "d.toml", ["d.toml: there is no such file"]),
+        ("missing", "d.toml", ["d.toml: does not exist"]),
         ("folder", ".", ["is a folder; name the .toml file"]),
         ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml: cannot be read (Not a directory)"]),
         ("endless", "/dev/zero", ["is no ordinary file"]),

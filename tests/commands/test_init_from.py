@@ -85,7 +85,6 @@ def test_names(name, channel, joint, unit):
 def test_what_is_wanted_is_not_what_is_measured():
     one = found(time=T, target_position=Q, position=Q, velocity=V, torque=TAU)
     assert one["position"].column == "position"
-    assert one["position"].others == ("target_position",)
 
 
 def test_a_column_that_is_no_clock_is_not_the_time():
@@ -184,7 +183,7 @@ def test_columns_without_names_are_counted(bench):
 
 
 def test_what_could_be_meant_instead_is_told(bench):
-    """A preset was taken and a column chosen: what else there is stands beside."""
+    """A preset was taken: what else there is stands beside."""
     pd.DataFrame({"t": T, "q": Q, "q_target": Q + 0.01, "tau": TAU}).to_csv(
         bench.folder / "log.csv", index=False
     )
@@ -194,7 +193,6 @@ def test_what_could_be_meant_instead_is_told(bench):
     for name in others:
         has(out, f'preset = "{name}" is for {PRESETS[name].when}')
         assert f'"{name}"' in text
-    assert '# or column = "q_target"' in text
     (bench.folder / "made.toml").unlink()
     named, said = written(bench, bench.folder / "log.csv", "servo-pendulum")
     has(named, 'preset = "servo-pendulum"')

@@ -240,9 +240,7 @@ def test_check_lists_the_processing(bench):
     (recording,) = checked(bench)["recordings"]
     told = recording["settings"]
     assert set(Processing.model_fields) <= set(told)
-    # rules of reading may be left to the recording
-    rules = {"gap", "jitter", "min_samples"}
-    assert [key for key in Processing.model_fields if told[key] is None and key not in rules] == []
+    assert [key for key in Processing.model_fields if told[key] is None] == []
 
 
 def test_check_tells_numbers_that_were_given(bench):

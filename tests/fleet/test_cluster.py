@@ -44,7 +44,7 @@ def test_the_command_fits_all_and_goes_on_with_what_changed(tmp_path):
     assert found["left"] == {}
     table = pq.read_table(tmp_path / "out/results.parquet").to_pandas()
     failed = table[table.outcome == "failed"].set_index("unit")
-    assert "fewer than min_samples" in failed.error["broken"]
+    assert "fewer than 50" in failed.error["broken"]
     assert "does not exist" in failed.error["missing"]
     assert list(table.unit.unique()) == ["a0", "a1", "a2", "broken", "missing"]
     rows = table[table.unit == "a1"].set_index("quantity")

@@ -100,7 +100,7 @@ def test_the_template_is_filled(tmp_path):
         ('over = "km"', 'over = "kn"', ("units.over", "use one of")),
         ('table = "units.csv"', "", ("units", "got neither")),
         ('table = "units.csv"', 'tabel = "units.csv"', ("units.tabel", "unknown key")),
-        ('"unit.toml"', '"unix.toml"', ("unix.toml", "there is no such file")),
+        ('"unit.toml"', '"unix.toml"', ("unix.toml", "does not exist")),
     ],
 )
 def test_a_bad_plan_or_template_is_told_in_a_line(tmp_path, old, new, said):

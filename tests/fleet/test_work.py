@@ -89,7 +89,7 @@ def test_a_unit_that_fails_is_told_in_its_line_until_it_is_mended(tasks, tmp_pat
     (tmp_path / "none.csv").write_text((tmp_path / "broken.csv").read_text())
     second = work.do_unit(missing)
     assert not second["again"]
-    assert "fewer than min_samples" in second["record"]["error"]
+    assert "fewer than 50" in second["record"]["error"]
 
 
 def test_a_defect_is_its_units(tasks, monkeypatch):

@@ -40,7 +40,6 @@ load = { gravity_angle = false, gravity = 9.81 }
 file = ["run.csv"]
 format = "csv"
 delimiter = ","
-header = true
 decimal = "."
 skip_rows = 0
 time = { column = "t", unit = "s" }
@@ -61,10 +60,6 @@ decimate = 3
 band = 10.0
 dead_zone = "0.5 deg/s"
 trim = "50 ms"
-resample = "auto"
-gap = 5.0
-jitter = 0.01
-min_samples = 20
 
 [likelihood]
 method = "output-error"
@@ -163,9 +158,7 @@ def content(form, n=N, data=None):
 
 def config(file, extra=""):
     """The good configuration for a file, with more keys for its recording."""
-    text = CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}').replace(
-        "order = 4", "order = 4\nmin_samples = 20"
-    )
+    text = CONFIG.replace('file = "run.csv"', f'file = "{file}"{extra}')
     for name, other in NAMES.get(file.rpartition(".")[2], {}).items():
         text = text.replace(f'column = "{name}"', f'column = "{other}"')
     return text

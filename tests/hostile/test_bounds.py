@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from bayesfric.export.formats.mujoco import patched
-from bayesfric.recordings.tables.table import is_number
 from tests.commands.bench import PRIOR, SAMPLED, cases
 from tests.fleet.made import FLEET, TEMPLATE
 from tests.hostile import good
@@ -37,15 +36,6 @@ def rows(cell, every=False):
 # -- sizes
 
 
-@pytest.mark.parametrize("period", ["1 us", "100 us", "0.9 ms"])
-def test_resampling_makes_ten_samples_of_one_at_most(process, tmp_path, period):
-    (tmp_path / "run.csv").write_bytes(good.content("csv", 900))
-    text = good.config("run.csv").replace("order = 4", f'order = 4\nresample = "{period}"')
-    (tmp_path / "c.toml").write_text(text)
-    for command in ("check", "identify"):
-        process.refused(tmp_path, command, "c.toml", parts=["run.csv, resample", "0.001 s or more"])
-
-
 @pytest.mark.parametrize(
     "text",
     cases(
@@ -63,12 +53,6 @@ def test_cells_of_many_digits(process, tmp_path, text):
     outcome = process.run(tmp_path, "check", "c.toml")
     assert outcome.code in (0, 2)  # what stands above a table is skipped
     assert outcome.code == 0 or "run.csv" in outcome.err
-
-
-def test_a_number_is_known_in_linear_time():
-    with at_most(SECONDS):
-        assert not is_number("9" * 10**6 + "x")
-        assert is_number("9" * 10**6 + ".")
 
 
 def hdf5(path, shape, chunks, pieces=1):

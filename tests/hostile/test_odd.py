@@ -82,23 +82,22 @@ def damaged(data, rng):
     return bytes(data)
 
 
-FEW, MANY = range(4), pytest.param(range(4, 1150), marks=pytest.mark.slow)
+# studies/fuzzing goes on from here
+SEEDS = range(4)
 
 
-@pytest.mark.parametrize("seeds", [FEW, MANY], ids=["few", "many"])
 @pytest.mark.parametrize("form", good.FORMATS)
-def test_damaged_recordings(tmp_path, form, seeds):
+def test_damaged_recordings(tmp_path, form):
     whole = good.content(form)
-    for seed in seeds:
+    for seed in SEEDS:
         recording = damaged(whole, np.random.default_rng(seed))
         assert ends_well(tmp_path, form, recording) is None, seed
 
 
-@pytest.mark.parametrize("seeds", [FEW, MANY], ids=["few", "many"])
 @pytest.mark.parametrize("text", [good.config("run.csv"), good.LONG_CONFIG])
-def test_damaged_configurations(tmp_path, text, seeds):
+def test_damaged_configurations(tmp_path, text):
     (tmp_path / "run.csv").write_bytes(good.content("csv"))
-    for seed in seeds:
+    for seed in SEEDS:
         (tmp_path / "c.toml").write_bytes(damaged(text.encode(), np.random.default_rng(seed)))
         assert broken_rule(tmp_path / "c.toml") is None, seed
 
@@ -222,40 +221,7 @@ def test_values_and_names_of_a_configuration(tmp_path, text):
         assert broken_rule(tmp_path / "c.toml") is None, odd
 
 
-# -- any text as configuration, any text and number in one
-
-_WORDS = (
-    "mechanism recordings processing priors references estimation likelihood noise sampling "
-    "advice simulation preset file time position torque column unit order seed walkers"
-)
-_TOML_KEYS = st.sampled_from(_WORDS.split()) | st.text(st.characters(codec="utf-8"), max_size=8)
-_TOML_VALUES = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers()
-    | st.floats()
-    | st.sampled_from(["motor-axis", "run.csv", "rad", "N m", "s", "5 ms", "auto", "off"])
-    | st.text(st.characters(codec="utf-8"), max_size=12),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(_TOML_KEYS, inner, max_size=4),
-    max_leaves=12,
-)
-
-
-def _toml(value):
-    """Write a value as TOML; keys and text escaped as JSON does, which TOML shares."""
-    match value:
-        case bool():
-            return str(value).lower()
-        case int() | float():
-            return repr(value)
-        case str():
-            return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-        case list():
-            return f"[{', '.join(map(_toml, value))}]"
-        case dict():
-            pairs = (f"{_toml(str(key))} = {_toml(inner)}" for key, inner in value.items())
-            return f"{{ {', '.join(pairs)} }}"
-    return "0"
+# -- any text as configuration, any bytes as a recording
 
 
 def _checked(text):
@@ -269,12 +235,6 @@ def _checked(text):
         assert message.startswith("c.toml")
         assert "; " in message
         assert "Input should" not in message
-
-
-@settings(max_examples=60, derandomize=True, database=None)
-@given(st.dictionaries(_TOML_KEYS, _TOML_VALUES, max_size=6))
-def test_any_tables(tables):
-    _checked("\n".join(f"{_toml(key)} = {_toml(value)}" for key, value in tables.items()))
 
 
 @settings(max_examples=100, derandomize=True, database=None)

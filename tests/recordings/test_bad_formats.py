@@ -55,7 +55,7 @@ def with_row(change):
         ('{"log": {"rows": []}}', "log.entries", ["'entries'", "'rows'"]),
         ('{"log": {"rows": []}}', "log.rows", ["no rows"]),
         ('{"a": [{"t": 1}], "b": [{"t": 1}]}', None, ["'a'", "'b'", "table"]),
-        (with_row(lambda row: row.pop("q")), None, ["'q'", "row 17", "missing"]),
+        (with_row(lambda row: row.pop("q")), None, ["'q'", "row 17", "empty"]),
         *((with_row(lambda row, x=x: row.update(q=x)), None, ["'q'", "row 17"]) for x in (
             None, [1.0], {"x": 1}, "high")),
     ],

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.filters import (
     derivative,
-    exact_reach,
     lay_windows,
     lowpass,
     parallel_taps,
+    reach_of,
 )
 
 FS = 1000.0
@@ -19,23 +19,17 @@ FS = 1000.0
 
 @pytest.mark.parametrize("order", [2, 4, 6])
 @pytest.mark.parametrize("cutoff", [20.0, 100.0, 300.0])
-def test_butterworth_halves_a_sine_at_the_cutoff_without_shifting_it(order, cutoff):
-    t = np.arange(4000) / FS
-    passed = lowpass(np.sin(2 * np.pi * cutoff * t), [(0, 4000)], FS, cutoff, order)
+@pytest.mark.parametrize("times", [0.3, 1.0, 1.4])
+def test_a_sine_has_butterworths_gain_and_no_shift(order, cutoff, times):
+    """1/(1 + (w/wc)^(2n)) of two passes, w = tan(pi f/fs) by the bilinear transform."""
+    turn = 2 * np.pi * times * cutoff * np.arange(4000) / FS
+    passed = lowpass(np.sin(turn), [(0, 4000)], FS, cutoff, order)
     middle = slice(1000, 3000)
-    basis = np.array([np.sin(2 * np.pi * cutoff * t), np.cos(2 * np.pi * cutoff * t)])[:, middle]
+    basis = np.array([np.sin(turn), np.cos(turn)])[:, middle]
     in_phase, shifted = np.linalg.lstsq(basis.T, passed[middle], rcond=None)[0]
-    # -3 dB a pass, two passes
-    assert in_phase == pytest.approx(0.5, abs=1e-6)
+    ratio = np.tan(np.pi * times * cutoff / FS) / np.tan(np.pi * cutoff / FS)
+    assert in_phase == pytest.approx(1.0 / (1.0 + ratio ** (2 * order)), abs=1e-6)
     assert shifted == pytest.approx(0.0, abs=1e-6)
-
-
-def test_butterworth_passes_below_and_stops_above():
-    t = np.arange(4000) / FS
-    for frequency, gain in ((5.0, 1.0), (400.0, 0.0)):
-        wave = np.sin(2 * np.pi * frequency * t)
-        passed = lowpass(wave, [(0, 4000)], FS, 50.0, 4)
-        np.testing.assert_allclose(passed[1000:3000], gain * wave[1000:3000], atol=1e-3)
 
 
 def test_lowpass_off_and_constant():
@@ -76,7 +70,7 @@ def test_differentiation_has_the_right_gain_in_the_pass_band(share):
     """A sine's second derivative is -w^2 sin; central differences lack 12 % of it at fs/10."""
     cutoff = share * FS
     t = np.arange(3000) / FS
-    reach = exact_reach(cutoff, FS)
+    reach = reach_of("exact", cutoff, FS)
     for frequency in (0.1 * cutoff, 0.5 * cutoff, cutoff):
         w = 2 * np.pi * frequency
         wave = np.sin(w * t)
@@ -134,15 +128,6 @@ def test_parallel_filter(factor, band, edges, seed):
         both = used.apply(np.stack([x, y]).reshape(2, 1, 400))
         assert both.shape == (2, 1, used.n_outputs)
         np.testing.assert_allclose(both[1, 0], used.apply(y), atol=1e-12)
-
-
-def test_parallel_filter_halves_at_its_cutoff():
-    t = np.arange(5000) / FS
-    used = lay_windows(parallel_taps(10, 50.0, FS), [(0, 5000)], 10, np.ones(5000, dtype=bool))
-    centres = t[used.centres]
-    wave = np.sin(2 * np.pi * 50 * t + 0.4)
-    expected = 0.5 * np.sin(2 * np.pi * 50 * centres + 0.4)
-    np.testing.assert_allclose(used.apply(wave), expected, atol=0.01)
 
 
 @pytest.mark.parametrize("factor", [2, 3, 10, 43])

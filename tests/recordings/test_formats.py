@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Channel, Current, Position, Torque, tables, units
+from bayesfric.recordings import Position, tables, units
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import readers
 from tests.hostile import good
@@ -67,10 +67,9 @@ def test_decimal_comma(tmp_path, mark, delimiter):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".txt", ".dat", ".CSV"])
-@pytest.mark.parametrize("header", [None, False])
-def test_headerless(tmp_path, suffix, header):
+def test_headerless(tmp_path, suffix):
     write(tmp_path, "\n".join(lines(header=None)), "run" + suffix)
-    same(read(tmp_path, numbered("run" + suffix, header=header))[0])
+    same(read(tmp_path, numbered("run" + suffix))[0])
 
 
 def test_format_wins_over_suffix(tmp_path):
@@ -155,19 +154,10 @@ def test_patterns_and_names(tmp_path):
     found = read(tmp_path, source(["**/run.csv", "b/*.csv"]))
     assert [r.name for r in found] == ["a-run", "b-run", "other"]
     assert read(tmp_path, source("b/other.csv", name="mine"))[0].name == "mine"
-
-
-def test_files_that_differ_in_suffix_only(tmp_path):
-    for name in ("run.csv", "run.txt"):
+    for name in ("b/other.txt", "b/run[1].csv"):
         write(tmp_path, "\n".join(lines()), name)
-    names = [r.name for r in read(tmp_path, source("run.*"))]
-    assert len(set(names)) == 2
-    assert all("run." in name for name in names)
-
-
-def test_brackets_in_a_file_name_are_no_pattern(tmp_path):
-    write(tmp_path, "\n".join(lines()), "run[1].csv")
-    same(read(tmp_path, source("run[1].csv"))[0])
+    assert [r.name for r in read(tmp_path, source("b/other.*"))] == ["other.csv", "other.txt"]
+    same(read(tmp_path, source("b/run[1].csv"))[0])  # no pattern, as there is such a file
 
 
 # -- real files
@@ -187,48 +177,6 @@ def test_recorder_preamble_of_a_real_file(real_data):
     torque = table.column(3) * units.scale(["9.84e-5 N m"], "torque", "torque")
     assert torque[0] == pytest.approx(-0.106 * 9.84e-3)
     assert table.row(0) == "row 1 (line 15)"
-
-
-def test_robot_log_by_column_numbers(real_data):
-    raw = np.loadtxt(real_data / "ur10e-joint2" / "joint_2.csv", delimiter=",")
-    used = source(
-        "joint_2.csv",
-        time=Channel(column=1, unit="s"),
-        position=Position(column=3, unit="rad", side="joint"),
-        velocity={"column": 9, "unit": "rad/s", "side": "joint"},
-        torque=None,
-        current=Current(column=15, unit="A", torque_constant="10.6956 N m/A"),
-        start=8,
-        stop="60 s",
-    )
-    recording = read(real_data / "ur10e-joint2", used, ratio=101.0)[0]
-    stamps = raw[:, 0] - raw[0, 0]
-    assert 8 <= recording.time[0] < 8.05
-    assert 59.9 < recording.time[-1] <= 60
-    expected = 10.6956 * np.interp(recording.time, stamps, raw[:, 14])
-    np.testing.assert_allclose(recording.torque, expected, atol=1e-9)
-    expected = np.interp(recording.time, stamps, raw[:, 8])
-    assert recording.velocity is not None
-    np.testing.assert_allclose(recording.velocity, expected, atol=1e-9)
-
-
-def test_unused_torque_option_is_not_asked_for(tmp_path):
-    write(tmp_path, "\n".join(lines()))
-    channel = Torque(column="tau", unit="V", constant="1 N m/V")
-    same(read(tmp_path, source(torque=channel))[0])
-
-
-@pytest.mark.slow
-def test_a_million_rows_in_about_a_second(tmp_path):
-    import time
-
-    values = np.random.default_rng(0).random((1_000_000, 3))
-    pd.DataFrame(values, columns=["t", "q", "tau"]).to_csv(tmp_path / "run.csv", index=False)
-    begin = time.perf_counter()
-    table = read_table(tmp_path / "run.csv", source())
-    columns = [table.column(name) for name in ("t", "q", "tau")]
-    assert time.perf_counter() - begin < 5
-    np.testing.assert_allclose(np.transpose(columns), values, rtol=1e-14)
 
 
 def test_a_format_is_one_file(tmp_path, monkeypatch):

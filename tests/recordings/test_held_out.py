@@ -29,16 +29,6 @@ def touched(o):
     return o.time[0] - reach, o.time[-1] + reach
 
 
-def test_nothing_is_held_out_unless_asked():
-    (one,) = (recording(),)
-    divided = divide([one], PROCESSING, Validation())
-    assert divided.held_out == ()
-    assert divided.recordings == [one]
-    np.testing.assert_array_equal(
-        divided.observations[0].measured, observe(one, PROCESSING).measured
-    )
-
-
 def test_a_named_recording_is_prepared_as_usual_but_not_fitted():
     runs = [recording(name) for name in ("a", "b", "c")]
     divided = divide(runs, PROCESSING, Validation(recordings=("b",)))
@@ -93,24 +83,26 @@ def refused(runs, processing=PROCESSING, **options):
     return str(caught.value)
 
 
-def test_everything_held_out():
-    assert "every recording" in refused([recording("a")], recordings=("a",))
-    assert "leaves nothing of recording 'run'" in refused([recording()], hold_out=0.995)
-    assert "what is left of recording 'run'" in refused([recording()], hold_out=0.97)
+LAST = "validation.hold_out: the last {} % of recording 'run'"
 
 
-@pytest.mark.parametrize("share", [1e-9, 0.003, 0.02])
-def test_an_end_that_is_too_short(share):
-    message = refused([recording()], hold_out=share)
-    assert message.startswith(
-        f"validation.hold_out: the last {100 * share:.3g} % of recording 'run'"
-    )
-    assert "hold out" in message.rpartition(";")[2]
-
-
-def test_a_recording_that_is_too_short():
-    message = refused([recording("a"), recording("b", n=160)], recordings=("b",))
-    assert "recording 'b' is too short" in message
+@pytest.mark.parametrize(
+    ("runs", "options", "says"),
+    [
+        ([recording("a")], {"recordings": ("a",)}, "every recording"),
+        ([recording()], {"hold_out": 0.995}, "leaves nothing of recording 'run'"),
+        ([recording()], {"hold_out": 0.97}, "what is left of recording 'run'"),
+        ([recording()], {"hold_out": 1e-9}, LAST.format("1e-07")),
+        ([recording()], {"hold_out": 0.02}, LAST.format("2")),
+        (
+            [recording("a"), recording("b", n=160)],
+            {"recordings": ("b",)},
+            "recording 'b' is too short",
+        ),
+    ],
+)
+def test_too_much_or_too_little(runs, options, says):
+    assert says in refused(runs, **options)
 
 
 @pytest.mark.parametrize("dead_zone", [None, 0.0, "0.05 rad/s"])

@@ -31,7 +31,6 @@ def test_gains_make_the_torque():
     wanted = np.clip(8.0 * (target - q) - 0.5 * speed, -1.1, 1.1)
     assert np.abs(wanted).max() == 1.1
     assert found.torque == pytest.approx(wanted, abs=1e-12)
-    assert found.drive == "torque"
     assert any("at its limit in" in step for step in found.steps)
 
 
@@ -62,7 +61,6 @@ def test_a_voltage_from_targets_is_that_voltage(supply):
                                             target=aimed, **channels))  # fmt: skip
     assert by_target.torque == pytest.approx(by_voltage.torque, abs=1e-12)
     assert by_target.back_emf == pytest.approx(by_voltage.back_emf, abs=1e-12)
-    assert by_target.drive == by_voltage.drive == "voltage"
     # beside a measured voltage it closes the loop, and the torque is the measured one
     assert np.array_equal(both.torque, by_voltage.torque)
     assert both.law.closed
@@ -82,7 +80,6 @@ def test_current_and_its_constant():
     target, q = aims()
     found = measured(recording(target, kp="8 A/rad", torque_constant="0.3 N m/A"))
     assert found.torque == pytest.approx(0.3 * 8.0 * (target - q), abs=1e-12)
-    assert found.drive == "current"
 
 
 def test_samples_without_a_drive_are_known():
@@ -100,7 +97,10 @@ def test_samples_without_a_drive_are_known():
         ({"kp": "8 V/rad"}, "torque_constant: is not given"),
         ({"kp": "8 V/rad", "torque_constant": "0.3 N m/A"}, "resistance: is not given"),
         ({"kp": "8 1/rad", **MOTOR}, "times: is not given"),
-        ({"kp": "8 N m/rad", "kd": "2 V s/rad"}, "kd: makes a voltage, and kp a torque"),
+        (
+            {"kp": "8 N m/rad", "kd": "2 V s/rad"},
+            "kd: '2 V s/rad' is no gain; give it in one of 'N m/(rad/s)'",
+        ),
         ({"kp": "8 N m/rad", "limit": "2 V"}, "limit"),
     ],
 )

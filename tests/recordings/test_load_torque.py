@@ -45,48 +45,19 @@ def test_nothing_is_open_before_sampling():
     assert bf.Model(CHAIN, recorded()).identification().directions == ()
 
 
-def test_what_is_no_torque_is_refused():
-    with pytest.raises(BadInput, match="load_torque"):
-        bf.Model(CHAIN, recorded(units={"load_torque": "rad"}))
-
-
-# -- on the side of the motor
-
-
-def table_of(**columns):
+def test_it_has_a_unit_and_a_sign():
     time = np.arange(400) * 0.01
-    q = np.sin(2 * np.pi * 0.7 * time)
-    given = {"t": time, "q": q, "tau": 0.3 * np.cos(time), **columns}
-    return pd.DataFrame(given)
+    frame = pd.DataFrame({"t": time, "q": np.sin(4 * time), "tau": np.cos(time), "b": np.sin(time)})
 
+    def pushed(unit):
+        return measured(
+            bf.Recording.from_dataframe(
+                frame, time="t", position="q", torque="tau",
+                load_torque={"column": "b", "unit": unit, "sign": -1},
+            )
+        )  # fmt: skip
 
-def pushed(load_torque, ratio=50.0, **columns):
-    recording = bf.Recording.from_dataframe(
-        table_of(**columns), time="t", position="q", torque="tau", side="joint",
-        load_torque=load_torque,
-    )  # fmt: skip
-    return measured(recording, ratio=ratio)
-
-
-A, B = np.linspace(-1.0, 2.0, 400), np.sin(np.arange(400))
-
-
-def test_it_may_act_on_the_motor_with_a_sign():
-    given = {"column": "b", "unit": "mN m", "side": "motor", "sign": -1}
-    found = pushed(given, b=B)
-    np.testing.assert_allclose(found.inputs.load_torque.values, -50.0 * 1e-3 * B, rtol=1e-12)
-    plain = pushed("a", a=A)
-    np.testing.assert_array_equal(plain.inputs.load_torque.values, A)
-
-
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({"column": "a", "side": "gear"}, "side"),
-        ({"column": "a", "unit": "rad"}, "unit of load_torque"),
-        ({"column": "c"}, "does not exist"),
-    ],
-)
-def test_what_cannot_be_used_is_refused(given, says):
-    with pytest.raises(BadInput, match=says):
-        pushed(given, a=A)
+    found = pushed("mN m").inputs.load_torque.values
+    np.testing.assert_allclose(found, -1e-3 * np.sin(time), rtol=1e-12)
+    with pytest.raises(BadInput, match="unit of load_torque"):
+        pushed("rad")

@@ -41,14 +41,6 @@ def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, wrap, unit)
     has(" ".join(found.steps), "unwrapped")
 
 
-def test_a_motor_encoder_wraps_at_the_motor(tmp_path):
-    motor = 50.0 * 0.3 * np.sin(2 * np.pi * 0.2 * T)
-    table(tmp_path, {"t": T, "q": motor % (2 * np.pi), "tau": np.sin(T)})
-    used = source(position=Position(column="q", unit="rad", side="motor"))
-    (found,) = read(tmp_path, used, ratio=50.0)
-    np.testing.assert_allclose(np.ptp(found.position), 0.6, rtol=1e-4)
-
-
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.4))
 def test_unwrapping_undoes_what_wrapping_did(seed, largest):

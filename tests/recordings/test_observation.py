@@ -8,10 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import (
-    Processing,
-    observe,
-)
+from bayesfric.recordings import Processing, observe
 from tests.conftest import made_recording
 
 W = 2 * np.pi * 0.5
@@ -63,28 +60,25 @@ def test_the_filters_cut_off_is_where_it_passes_a_half(options):
     assert gain == pytest.approx(0.5, abs=0.01)
 
 
-def test_low_cutoff_lengthens_the_trim():
-    seen = observe(recording(), Processing(lowpass=5))
-    assert seen.settings["trim_samples"] == 100
-    assert seen.filter.starts[0] >= 100
-    assert seen.filter.starts[-1] + len(seen.filter.taps) <= 3900
-
-
 def test_everything_off_keeps_every_sample():
     seen = observe(recording(), Processing(lowpass="off", trim=0, dead_zone=0))
     np.testing.assert_array_equal(seen.measured, seen.torque)
     np.testing.assert_array_equal(seen.q, recording().position)
 
 
-def test_excluded_samples_are_touched_by_no_window():
-    excluded = np.zeros(4000, dtype=bool)
+def test_no_window_touches_an_excluded_sample_or_an_end_of_a_segment():
+    excluded, pieces = np.zeros(4000, dtype=bool), ((0, 1500), (1500, 4000))
     excluded[1000:1100] = True
     excluded[2000] = True
-    seen = observe(recording(excluded=excluded), Processing(dead_zone=0))
-    for start in seen.filter.starts:
-        assert not excluded[start : start + len(seen.filter.taps)].any()
+    seen = observe(recording(excluded=excluded, segments=pieces), Processing(dead_zone=0))
+    length = len(seen.filter.taps)
+    for start, segment in zip(seen.filter.starts, seen.segment_of, strict=True):
+        assert not excluded[start : start + length].any()
+        a, b = pieces[segment]
+        assert a + 10 <= start
+        assert start + length <= b - 10
     assert seen.settings["dropped_excluded"] > 0
-    assert set(seen.segment_of) == {0}
+    assert set(seen.segment_of) == {0, 1}
 
 
 def test_dead_zone_leaves_slow_windows_out():
@@ -121,17 +115,6 @@ def test_samples_beside_a_rest_are_not_used_those_beside_a_reversal_are():
     assert seen.filter.used[reversal - 15] == seen.filter.used[reversal + 15] == 1.0
     end = rests[rests > 2200][0]
     assert not seen.filter.used[end - 10 : end].any()
-
-
-def test_segments_are_told_apart():
-    pieces = ((0, 1500), (1500, 4000))
-    seen = observe(recording(segments=pieces), Processing(dead_zone=0))
-    length = len(seen.filter.taps)
-    for start, segment in zip(seen.filter.starts, seen.segment_of, strict=True):
-        a, b = pieces[segment]
-        assert a + 10 <= start
-        assert start + length <= b - 10
-    assert set(seen.segment_of) == {0, 1}
 
 
 def test_measured_velocity_is_used():

@@ -54,16 +54,14 @@ def test_a_position_without_steps_has_none_to_speak_of():
     assert finest_step(np.zeros(5)) == 0.0
 
 
-def test_ratios_are_those_of_motion_and_noise_in_the_band():
-    """White noise of sd s has a derivative of s^2 (2/fs) (2 pi)^2 B^3/3 in a band B."""
+def test_the_ratio_is_that_of_motion_and_noise_in_the_band():
+    """White noise of sd s has a second derivative of s^2 (2/fs) (2 pi)^4 B^5/5 in a band B."""
     noise, band, w = 1e-3, 10.0, 2 * np.pi * 0.8
     found = resolve(swing(noise=noise), band)
     density = noise**2 * 2 / FS
-    speed = np.sqrt(w**2 / 2 / (density * (2 * np.pi) ** 2 * band**3 / 3))
     acceleration = np.sqrt(w**4 / 2 / (density * (2 * np.pi) ** 4 * band**5 / 5))
     # the band ends between two averaged frequencies, 15 % apart, to the power 2.5; the noise
     # is known to a tenth
-    assert found.speed_ratio == pytest.approx(speed, rel=0.35)
     assert found.acceleration_ratio == pytest.approx(acceleration, rel=0.5)
 
 
@@ -85,14 +83,6 @@ def test_the_band_ends_where_the_torque_has_no_power():
     assert 2.0 <= found.band < 2.6
     # where the position is clean, what balances beyond tells something too
     assert resolve(swing(torque=torque)).reason == "sampling"
-
-
-def test_rates_of_50_and_500_hz_get_the_same_band_in_hz():
-    # the density of the noise is the same: ten times the rate, ten times the variance
-    slow = resolve(swing(fs=100.0, noise=2e-3, seconds=40.0))
-    fast = resolve(swing(fs=1000.0, noise=2e-3 * np.sqrt(10), seconds=40.0))
-    assert slow.reason == fast.reason == "position"
-    assert slow.band == pytest.approx(fast.band, rel=0.35)
 
 
 def test_a_short_recording_keeps_enough_outputs():

@@ -41,11 +41,6 @@ def test_a_resampled_position_keeps_its_rests():
     assert not flags[uneven < 1.95].any()
 
 
-def test_a_position_without_steps_tells_no_rest():
-    position = 1e-4 * np.random.default_rng(3).standard_normal(300)
-    assert not at_rest(position, ((0, 300),), 20).any()
-
-
 def test_rests_of_different_segments_do_not_meet():
     position = np.zeros(60)
     assert not at_rest(position, ((0, 15), (15, 30), (30, 60)), 20)[:30].any()
@@ -96,18 +91,6 @@ def test_rests_are_asked_for_and_leave_the_outputs_in_motion():
     # with no dead zone, too, rests are no motion
     none = observed(position, rest=True, dead_zone=0)
     assert (np.abs(none.speed) > 0.0).all()
-    told = f"remain; {with_rests.settings['rest_outputs']} at rest"
-    assert any(step.endswith(told) for step in with_rests.steps)
-
-
-def test_who_loses_most_outputs_to_the_dead_zone_hears_of_rests():
-    position = counts(stop_and_go()[1])
-    advice = "rest = true under [processing]"
-    for of, told in ((observed(position), True), (observed(position, rest=True), False)):
-        assert of.settings["dropped_dead_zone"] > of.settings["n_outputs"]
-        assert any(advice in step for step in of.steps) is told
-    moving = np.cumsum(2.0 + np.sin(2 * np.pi * stop_and_go()[0])) * 0.002
-    assert not any(advice in step for step in observed(counts(moving)).steps)
 
 
 def test_a_position_that_cannot_tell_rest_says_so():

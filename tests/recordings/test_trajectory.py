@@ -51,11 +51,6 @@ def test_stretches_are_divided_completely_and_where_the_joint_is_fast():
     assert np.array_equal(np.bincount(t.segment_of), np.diff(t.segments, axis=1)[:, 0])
 
 
-@pytest.mark.parametrize("length", [np.inf, 10.0, 1e5])
-def test_no_division_where_the_length_is_that_of_the_recording(length):
-    assert cut(made(), length).segments.tolist() == [[0, 1000]]
-
-
 def test_gaps_and_excluded_samples_are_never_simulated_over():
     t = cut(made(segments=((0, 400), (400, 1000)), excluded=((600, 650),)), np.inf)
     assert t.segments.tolist() == [[0, 400], [400, 600], [650, 1000]]

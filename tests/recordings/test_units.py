@@ -95,13 +95,5 @@ def test_any_text_is_read_or_refused(text, kind):
     assert value > 0
 
 
-# the first unit read pays for setting pint up
-@settings(deadline=None)
-@given(st.floats(1e-9, 1e9), st.sampled_from(["rad", "deg", "turn"]))
-def test_a_number_in_front_is_a_factor(number, unit):
-    one = units.scale([unit], "angle")
-    assert units.scale([f"{number!r} {unit}"], "angle") == pytest.approx(number * one, rel=1e-12)
-
-
 def test_heavy_libraries_are_loaded_only_when_needed():
     assert brought("bayesfric.recordings", "pint", "pandas", "pyarrow", "scipy.io") == "[]"

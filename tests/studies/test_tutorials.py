@@ -35,7 +35,7 @@ def first_joint(text):
         text.index(words)
         for words in (
             "is the unit of time right?",
-            "or the position in deg and taken for rad?",
+            "the factor between deg and rad",
             "N m rms left",  # the whole of what check prints
         )
     ]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.opened import LARGEST_NUMBER
 from bayesfric.mechanism.parameter import TURN, turned
 from bayesfric.recordings.arrays import Array
 
@@ -273,13 +274,10 @@ def _quick(told: str) -> bool:
 
 
 def _finite(value: Any) -> float | None:
-    """Take a finite number, and nothing else."""
+    """Take a finite number that can still be squared, and nothing else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    try:
-        return float(value) if math.isfinite(value) else None
-    except OverflowError:  # a whole number of more than 308 digits
-        return None
+    return float(value) if abs(value) <= LARGEST_NUMBER else None
 
 
 def _number(value: Any) -> str:

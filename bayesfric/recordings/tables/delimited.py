@@ -50,11 +50,8 @@ def read_delimited(path: Path, options: TableOptions) -> Table:
         _Row(n, cells, [is_number(cell, options.decimal) for cell in cells])
         for n, cells in ((n, _split(line, delimiter)) for n, line in head)
     ]
-    header, first = (0, 1) if options.header else (None, 0)
-    width = len(rows[0].cells)
-    if options.header is None:
-        width = _width([row.numbers for row in rows])
-        header, first = _find_header(path, rows, width)
+    width = _width([row.numbers for row in rows])
+    header, first = _find_header(path, rows, width)
     if first >= len(rows):
         what = "holds a header but no row of numbers"
         raise BadInput(str(path), what, "check the recorder's export")

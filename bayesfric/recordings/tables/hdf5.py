@@ -4,104 +4,75 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import array_of
+from bayesfric.recordings.tables.json_text import inside
 from bayesfric.recordings.tables.matlab_elements import check_elements
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
 # MATLAB's text and cells: numbers to HDF5, and no columns.
-_NO_NUMBERS = ("char", "cell", "function_handle")
-
-
-class _Column(NamedTuple):
-    """A dataset, or one field of the rows that it holds."""
-
-    path: str
-    field: str | None
+_NO_NUMBERS = (b"char", b"cell", b"function_handle")
 
 
 def read_hdf5(path: Path, options: TableOptions) -> Table:
     """Read a file, one column a dataset, named by its path below the group that is the table.
 
     ``options.table`` is the path of that group; if left out the only group that holds datasets,
-    else all of the file. A dataset of rows with named fields is a group of such columns.
-    No link is followed, to another file least of all.
+    else all of the file. No link is followed, to another file least of all.
     """
-    return _read(path, "" if options.table is None else options.table, matlab=False)
-
-
-def read_matlab_73(path: Path, options: TableOptions) -> Table:
-    """Read a MATLAB 7.3 file as those before; ``options.table`` is a dotted path of structs."""
-    table = "" if options.table is None else options.table.replace(".", "/")
-    return _read(path, table, matlab=True)
+    return _read(path, options.table or "", matlab=False)
 
 
 def _read(path: Path, table: str, matlab: bool) -> Table:
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
+    found: list[str] = []
+
+    def visit(name: str, item: Any) -> None:
+        # what begins with # MATLAB keeps for itself
+        if isinstance(item, h5py.Dataset) and not name.startswith("#"):
+            found.append(name)
+
     with h5py.File(path, "r") as file:
-        found = _columns(file)
+        file.visititems(visit)
     if not found:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
-    columns, names = _inside(path, found, table.strip("/"))
-
-    def load(index: int) -> NDArray[Any]:
-        with h5py.File(path, "r") as file:
-            return _values(file, columns[index], f"{path}, column '{names[index]}'", matlab)
-
-    return Table(str(path), names, load, names_at="datasets")
-
-
-def _columns(file: Any) -> list[_Column]:
-    """List datasets and their fields, without those that MATLAB keeps for itself."""
-    import h5py
-
-    found: list[_Column] = []
-
-    def visit(path: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset) and not path.startswith("#"):
-            found.extend(_Column(path, field) for field in item.dtype.names or (None,))
-
-    file.visititems(visit)
-    return found
-
-
-def _inside(path: Path, found: list[_Column], table: str) -> tuple[list[_Column], list[str]]:
-    """Choose the columns of a group, and name them by their paths below it."""
-    paths = [one.path if one.field is None else f"{one.path}/{one.field}" for one in found]
-    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in paths))
-    if not table and len(groups) == 1:
-        table = groups[0]
+    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in found))
+    table = table.strip("/") or (groups[0] if len(groups) == 1 else "")
     prefix = f"{table}/" if table else ""
-    chosen = [k for k, name in enumerate(paths) if name.startswith(prefix)]
-    if not chosen:
+    columns = [name for name in found if name.startswith(prefix)]
+    if not columns:
         known = ", ".join(f"'{name}'" for name in groups[:20] if name)
         raise BadInput(
             f"{path}, table '{table}'",
             "there is no such group with datasets",
             f"it has {known}" if known else "leave table out",
         )
-    return [found[k] for k in chosen], [paths[k].removeprefix(prefix) for k in chosen]
+    names = [name.removeprefix(prefix) for name in columns]
+
+    def load(index: int) -> NDArray[Any]:
+        with h5py.File(path, "r") as file:
+            return _values(file[columns[index]], f"{path}, column '{names[index]}'", matlab)
+
+    return Table(str(path), names, load, names_at="datasets")
 
 
-def _values(file: Any, column: _Column, where: str, matlab: bool) -> NDArray[Any]:
-    dataset = file[column.path]
-    kind = dataset.dtype if column.field is None else dataset.dtype[column.field]
+def _values(dataset: Any, where: str, matlab: bool) -> NDArray[Any]:
     words = dataset.attrs.get("MATLAB_class", b"")
-    if words in [word.encode() for word in _NO_NUMBERS] or kind.base.kind not in "biuf":
-        name = words.decode() if isinstance(words, bytes) and words else kind.base.name
+    if words in _NO_NUMBERS or dataset.dtype.kind not in "biuf":
+        name = words.decode() if isinstance(words, bytes) and words else dataset.dtype.name
         raise BadInput(where, f"holds {name[:60]}, not numbers", "export it as numbers")
     if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
     try:
-        values = array_of(dataset, column.field)
+        values = array_of(dataset)
     except ValueError as error:
         mend = "save the recording's values alone, one row a sample, in one file"
         raise BadInput(where, f"holds {error}", mend) from None
@@ -113,27 +84,29 @@ _HDF5_AT = 512
 
 
 def read_matlab(path: Path, options: TableOptions) -> Table:
-    """Read a file of version 5 to 7, one column a vector of any orientation; 7.3 is HDF5.
+    """Read a file, one column a vector of any orientation; of version 7.3 it is HDF5.
 
+    ``options.table`` is a dotted path of structs.
     Objects and functions beside the columns, which only MATLAB can read, are left out and told.
     """
     with path.open("rb") as file:
         start = file.read(_HDF5_AT + 4)
     if start.startswith(b"MATLAB 7.3") or b"\x89HDF" in (start[:4], start[_HDF5_AT:]):
-        return read_matlab_73(path, options)
+        return _read(path, (options.table or "").replace(".", "/"), matlab=True)
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
     check_elements(path.read_bytes())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
-        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+        content = loadmat(path, simplify_cells=True)
     given = {key: value for key, value in content.items() if not key.startswith("__")}
     kinds = (MatlabFunction, MatlabOpaque)
     variables = {key: value for key, value in given.items() if not isinstance(value, kinds)}
     objects = ", ".join(key for key in given if key not in variables)
-    if options.table is not None:
-        variables = _struct(path, variables, options.table)
+    variables = inside(str(path), variables, options.table)
+    if not isinstance(variables, dict):
+        raise BadInput(f"{path}, table '{options.table}'", "is no struct", "name a struct")
     if not variables:
         what = "holds only objects and functions" if given else "holds no variables"
         raise BadInput(str(path), what, "save the columns as plain arrays")
@@ -145,18 +118,6 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
         names_at="variables",
         notes=(f"objects left out, which only MATLAB reads: {objects}",) if objects else (),
     )
-
-
-def _struct(path: Path, variables: dict[str, Any], table: str) -> dict[str, Any]:
-    for key in table.split("."):
-        found = variables.get(key)
-        fields = getattr(found, "_fieldnames", None)
-        if fields is None:
-            kind = "does not exist" if found is None else "is no struct"
-            known = ", ".join(f"'{name}'" for name in list(variables)[:20])
-            raise BadInput(f"{path}, table '{table}'", f"'{key}' {kind}", f"it has {known}")
-        variables = {name: getattr(found, name) for name in fields}
-    return variables
 
 
 READERS = (Reader("hdf5", (".h5", ".hdf5"), read_hdf5), Reader("mat", (".mat",), read_matlab))

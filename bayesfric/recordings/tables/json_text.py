@@ -85,15 +85,7 @@ def from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -
     names = list(found)
 
     def load(index: int) -> NDArray[Any]:
-        name = names[index]
-        for k, row in enumerate(rows):
-            if name not in row:
-                raise BadInput(
-                    f"{path}, column '{name}', {row_name(k, lines)}",
-                    "is missing",
-                    "correct the row, or cut it out of the file",
-                )
-        return np.array([row[name] for row in rows], dtype=object)
+        return np.array([row.get(names[index]) for row in rows], dtype=object)
 
     return Table(str(path), names, load, lines=lines, by_rows=True)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import pkgutil
-import stat
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from bayesfric.base.errors import BadInput, Unfit
-from bayesfric.base.opened import refuse_special, unreadable
+from bayesfric.base.opened import check_ordinary, unreadable
 from bayesfric.base.options import Options
 from bayesfric.recordings.tables.table import Table
 from bayesfric.recordings.units import in_unit
@@ -40,10 +39,6 @@ class TableOptions(Options):
         None,
         description="Text: the character between columns, or 'tab' or 'whitespace'; found by "
         "itself if left out.",
-    )
-    header: bool | None = Field(
-        None,
-        description="Text: whether the first line names the columns; found by itself if left out.",
     )
     decimal: Literal[".", ","] = Field(".", description="Text: decimal mark.")
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
@@ -103,25 +98,24 @@ def read_table(path: Path, options: TableOptions) -> Table:
     """
     known = readers()
     by_suffix = {suffix: one for one in known.values() for suffix in one.suffixes}
-    try:
-        by_folder = next((one for one in known.values() if _is_folder_of(one, path)), None)
-        given = known[options.format] if options.format else None
-        reader = given or by_folder or by_suffix.get(path.suffix.lower())
-        if reader is None or not _is_folder_of(reader, path):
-            _check_file(path)
-        if reader is None:
-            what = f"the suffix '{path.suffix}' says nothing about its format"
-            raise BadInput(str(path), what, f"set format to {', '.join(known)}")
-        with _damage_named(path, reader.name):
-            table = reader.read(path, options)
+    by_folder = next((one for one in known.values() if _is_folder_of(one, path)), None)
+    reader = known[options.format] if options.format else by_folder
+    reader = reader or by_suffix.get(path.suffix.lower())
+    if reader is None or not _is_folder_of(reader, path):
+        mend = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag"
+        if check_ordinary(path, mend) == 0:
+            raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
+    if reader is None:
+        what = f"the suffix '{path.suffix}' says nothing about its format"
+        raise BadInput(str(path), what, f"set format to {', '.join(known)}")
+    with _damage_named(path, reader.name):
+        table = reader.read(path, options)
 
-        def load(index: int) -> NDArray[Any]:
-            with _damage_named(path, reader.name, table.label(table.names[index] or index + 1)):
-                return table.load(index)
+    def load(index: int) -> NDArray[Any]:
+        with _damage_named(path, reader.name, table.label(table.names[index] or index + 1)):
+            return table.load(index)
 
-        return replace(table, load=load).only(options.where)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    return replace(table, load=load).only(options.where)
 
 
 def read_text(path: Path) -> str:
@@ -140,8 +134,10 @@ def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
     """Name the file whatever a library raises: of damaged files they raise dozens of types."""
     try:
         yield
-    except (BadInput, FileNotFoundError, PermissionError):
+    except BadInput:
         raise
+    except PermissionError as error:
+        raise unreadable(path, error) from error
     except Exception as error:
         text = str(error).replace(f"{path}/", "")
         text = text if " object at 0x" not in text else "damaged header"
@@ -169,30 +165,8 @@ def sha256(path: Path) -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
 def _is_folder_of(reader: Reader, path: Path) -> bool:
     return reader.mark is not None and path.is_dir() and (path / reader.mark).is_file()
-
-
-def _check_file(path: Path) -> None:
-    """Refuse what is no file, or an empty one."""
-    mode = path.stat().st_mode
-    if stat.S_ISDIR(mode):
-        marks = ", ".join(one.mark for one in readers().values() if one.mark)
-        raise BadInput(
-            str(path),
-            f"is a directory without {marks}",
-            "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag",
-        )
-    refuse_special(path, mode)
-    with path.open("rb") as file:
-        if not file.read(1):
-            raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
-
-
-def _unreadable(path: Path, error: OSError) -> BadInput:
-    if isinstance(error, FileNotFoundError):
-        return BadInput(str(path), "does not exist", "check the file's name and folder")
-    return unreadable(path, error)

@@ -101,18 +101,16 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
             "there is no message on this topic" if wanted else "holds no one topic with numbers",
             f"name one of {known} with table" if known else "check what was recorded",
         )
-    found, where = topics[wanted], f"{path}, table '{wanted}'"
-    kinds = sorted({connection.msgtype for connection in found.connections})
-    if len(kinds) > 1:
-        several = f"holds messages of several types ({', '.join(kinds)})"
-        raise BadInput(where, several, "choose a topic of one type")
-    if kinds[0] not in reader.typestore.fielddefs:
+    found = topics[wanted]
+    kind = found.msgtype or "several types"
+    if kind not in reader.typestore.fielddefs:
         raise BadInput(
-            where,
-            f"its type {kinds[0]} is unknown, and the bag holds no definition of it",
-            "record as MCAP, which holds them, or convert it with 'ros2 bag convert'",
+            f"{path}, table '{wanted}'",
+            f"holds messages of {kind}, of which there is no one definition",
+            "record one type a topic, as MCAP, which holds definitions, or convert the bag with "
+            "'ros2 bag convert'",
         )
-    return wanted, kinds[0], found.connections
+    return wanted, kind, found.connections
 
 
 def _columns(message: Any) -> Iterator[_Column]:

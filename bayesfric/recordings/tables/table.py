@@ -6,7 +6,6 @@ and line, whatever pandas, NumPy or Python would make of it.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.base.errors import BadInput
+from bayesfric.base.errors import BadInput, nearest
 
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
-_MOST_NAMES = 20
+# Values that are told of a column without the one that was asked for.
+_MOST = 20
 _MOST_COLUMNS = 10_000
-_LONGEST_NAME = 60
 _PLAIN = (bool, int, float, np.integer, np.floating, np.bool_)
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
 _LISTS = (list, tuple, np.ndarray)
@@ -96,10 +95,11 @@ class Table:
             found = np.flatnonzero(cells == value)
             if not found.size:
                 there = list(dict.fromkeys(cells.tolist()))
-                shown = [repr(v) if isinstance(v, str) else f"{v:.10g}" for v in there]
-                raise BadInput(
-                    f"{table.label(key)}, where", f"is {_shown(value)} in no row", _listed(shown)
-                )
+                shown = [_shown(v) if isinstance(v, str) else f"{v:.10g}" for v in there[:_MOST]]
+                more = f" and {len(there) - _MOST} more" if len(there) > _MOST else ""
+                what = f"is {_shown(value)} in no row"
+                mend = f"it has {', '.join(shown)}{more}"
+                raise BadInput(f"{table.label(key)}, where", what, mend)
             if table.kept is None:
                 table = replace(table, kept=found, rows=len(cells))
             else:
@@ -193,11 +193,7 @@ class Table:
             what = "does not exist, the columns have no names"
         else:
             line = f" (header in line {self.header_line})" if self.header_line is not None else ""
-            raise BadInput(
-                self.label(key),
-                f"does not exist{line}",
-                _nearest(key, named) + _listed([repr(name) for name in named]),
-            )
+            raise BadInput(self.label(key), f"does not exist{line}", nearest(key, named))
         raise BadInput(self.label(key), what, f"give a number from 1 to {count}")
 
 
@@ -229,23 +225,10 @@ def check_names(where: str, names: Sequence[str], names_at: str) -> None:
         seen[name] = number
 
 
-def _nearest(key: str, names: Sequence[str]) -> str:
-    folded = {name.casefold(): name for name in names}
-    short = key.casefold()[:_LONGEST_NAME]
-    close = difflib.get_close_matches(short, list(folded), n=1, cutoff=0.5)
-    return f"did you mean '{folded[close[0]]}'? " if close else ""
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(name[:_LONGEST_NAME] for name in names[:_MOST_NAMES])
-    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-    return f"it has {shown}{more}"
-
-
 def _shown(cell: object) -> str:
     if isinstance(cell, _LISTS):
         return f"a list of {len(cell)}"
-    if isinstance(cell, dict) or hasattr(cell, "_fieldnames"):
+    if isinstance(cell, dict):
         return "a table"
     text = repr(cell.item() if isinstance(cell, np.generic) else cell)
     return text if len(text) <= 60 else text[:57] + "..."

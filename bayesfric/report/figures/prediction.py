@@ -110,8 +110,8 @@ def prediction_figure(fit: Fit) -> Figure:
 
 
 def _left_out(ax: Axes, o: Observation) -> None:
-    """Hatch the spans that the user left out."""
-    spans = [(one.start, one.length) for one in o.left_out if one.by != "cut"]
+    """Hatch the spans that the user excluded."""
+    spans = [(start, stop - start) for start, stop in o.left_out]
     if spans:
         look: Look = {"facecolor": "none", "edgecolor": _GREY, "hatch": style.OPEN_HATCH}
         named: Look = {"label": "left out by the user", "gid": "left-out", "linewidth": 0.0}
