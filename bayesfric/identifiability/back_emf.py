@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import scaled_jacobian, torque_noise
 from bayesfric.inference.local_units import units_of
 from bayesfric.inference.target import Target
@@ -29,9 +28,23 @@ class SpeedTerm:
     same_as_back_emf: tuple[str, ...]
     explained: float  # share of the term's square that some change of parameters makes up for
 
-    def meaning(self, among: int) -> Statement:
-        """Say what is confounded; ``among`` recordings in all."""
-        return stated("voltage", "back_emf", among=among, **vars(self))
+    @property
+    def meaning(self) -> str:
+        """Say what is confounded."""
+        names = " and ".join(self.same_as_back_emf)
+        told = (
+            f"torque comes from a voltage ({', '.join(self.recordings)}), less the nominal "
+            f"back-EMF kt²/R ({self.nominal:.3g} {self.unit}, at the motor) times speed"
+        )
+        if not names:
+            return (
+                f"{told}; parameters make up for {100.0 * self.explained:.0f} % of an error in it"
+            )
+        return (
+            f"{told}; viscous loss and back-EMF cannot be told apart, as that has exactly the shape"
+            f" of {names}: viscous loss plus the error of the nominal kt²/R. A measured current, or"
+            " kt and R measured at a standstill, would tell them apart"
+        )
 
 
 def speed_term(

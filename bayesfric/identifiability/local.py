@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +11,10 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.torque import torque_jacobian
-from bayesfric.identifiability.sentences import Statement, stated
+from bayesfric.estimates.torque import torque_jacobian, typical_load
 from bayesfric.inference.local_units import LocalUnits, units_of
 from bayesfric.inference.target import Target
+from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
@@ -33,6 +33,10 @@ WEAK = 0.5
 WIDE = 0.5
 # Share of the measured torque that counts as one for values the data cannot tell from zero.
 _FELT = 0.1
+# Step of the derivatives of what is derived, in the local units.
+_BESIDE = 1e-5
+# Singular values below this share of the largest are rounding once null directions are out.
+_JOINED = 1e-13
 # Entries of a null direction smaller than this do not belong to it.
 _ROUNDING = 1e-5
 
@@ -46,11 +50,23 @@ class NullDirection:
     exponents: dict[str, float]
 
     @property
-    def meaning(self) -> Statement:
-        """The same as powers of one factor."""
-        same = all(abs(x - 1.0) < _ROUNDING for x in self.exponents.values())
-        kind = "unseen" if len(self.exponents) == 1 else "factor" if same else "powers"
-        return stated("meaning", kind, exponents=self.exponents)
+    def meaning(self) -> str:
+        """The same in words."""
+        return meaning_of(self.exponents)
+
+
+def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
+    """Say what no torque tells: powers of one factor, or changes of what is ``in_units``."""
+    names, in_units = ", ".join(exponents), in_units or {}
+    if len(exponents) == 1:
+        return f"{names} does not show in the torque at all"
+    if not in_units and all(abs(x - 1.0) < _ROUNDING for x in exponents.values()):
+        return f"{names} can all be multiplied by one factor: no torque changes"
+    changes = (
+        f"{name} by {x:+.2g} {in_units[name]}" if name in in_units else f"{name} by k^{x:.3g}"
+        for name, x in exponents.items()
+    )
+    return f"changing {', '.join(map(str.strip, changes))} together changes no torque, for k near 1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +90,9 @@ class LocalInformation(LocalUnits):
         )
 
     @property
-    def told(self) -> Array:
-        """Jacobian ``(rank, d)`` with the same information in units, null directions left out."""
-        found, kept = self.directions, ~self.directions.null
-        return np.asarray(found.rows[kept] * found.singular_values[kept, None])
-
-    @property
     def information(self) -> Array:
         """Fisher information ``(d, d)`` in those units; exactly nothing along null directions."""
-        told = self.told
+        told = self.directions.told
         return np.asarray(told.T @ told)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
@@ -93,8 +103,7 @@ class LocalInformation(LocalUnits):
         """
         if gauge_free:
             gradient = self.directions.off_known(gradient)
-        weight = self.directions.solve(gradient)
-        return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
+        return self.directions.sd(gradient)
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
@@ -159,7 +168,7 @@ def in_natural_units(
     small &= local.ways == 0
     units = np.where(small, floor, local.units)
     d = local.directions
-    found = directions(local.told * (units / local.units), np.ones(k), d.tolerance)
+    found = directions(d.told * (units / local.units), np.ones(k), d.tolerance)
     return replace(
         local, units=units, shifted=local.shifted | small, directions=replace(found, units=units)
     )
@@ -176,6 +185,38 @@ def torque_changes(
     steps = np.zeros(values.size)
     steps[columns] = _STEP * np.abs(at.units)
     return torque_jacobian(chain, observations, values, steps)[:, columns]
+
+
+def joined(*rows: Array) -> Directions:
+    """Take what several Jacobians ``(n, d)`` in one set of units, over their noise, tell together.
+
+    Null directions are out of them, so only rounding is left out.
+    """
+    return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), _JOINED)
+
+
+def prior_rows(target: Target, local: LocalInformation) -> Array:
+    """Jacobian ``(d, d)`` with the information of the priors, in the local units."""
+    sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
+    ratio = np.abs(local.units) / sds
+    return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
+
+
+def derived_beside(
+    target: Target, parameters: Array, local: LocalInformation
+) -> Iterator[tuple[Derived, float, Array]]:
+    """Give each derived quantity at sampled parameters, its value there, and its gradient ``(d,)``.
+
+    The gradient is by changes of one in the local units, from central differences, which are exact
+    up to rounding for what is next to linear. It is not finite where the quantity is undefined.
+    """
+    chain, observations = target.likelihood.chain, target.likelihood.observations
+    steps = _BESIDE * np.abs(local.units)
+    beside = np.eye(steps.size, parameters.size) * steps[:, None]
+    vectors = target.chain_values(parameters + np.concatenate([beside, -beside, 0.0 * beside[:1]]))
+    for q in derive(chain, vectors, typical_load(chain, observations, vectors[-1])):
+        up, down = q.values[:-1].reshape(2, -1)
+        yield q, float(q.values[-1]), (up - down) / (2.0 * steps) * local.units
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:

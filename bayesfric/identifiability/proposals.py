@@ -10,7 +10,6 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
     HEAVIEST,
     LINES,
@@ -32,7 +31,6 @@ from bayesfric.recordings.inputs import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
 CandidateKind = Literal["excitation", "known mass", "longer"]
-Limit = Literal["torque", "speed", "angles", "positions", "runs_away"]
 
 # Speed limit over the fastest that was measured, if none is given.
 _FASTER = 1.2
@@ -81,9 +79,9 @@ class Candidate:
     qd0: float
     made: Observation | None = None  # for "longer": what there is, one more of which would be made
     lowered: float = 1.0  # factor on the torque that it took to keep the limits
-    because_of: Limit | None = None  # which limit that was
+    because_of: str | None = None  # which limit that was
 
-    def smaller(self, factor: float, limit: Limit | None) -> Candidate:
+    def smaller(self, factor: float, limit: str | None) -> Candidate:
         """Make the same with a smaller torque, for the sake of a limit."""
         return replace(
             self,
@@ -92,17 +90,6 @@ class Candidate:
             lowered=factor,
             because_of=limit,
         )
-
-    @property
-    def limit(self) -> Statement | None:
-        """Limit that it took less torque to keep."""
-        return stated("limit", self.because_of) if self.because_of else None
-
-    @property
-    def described(self) -> str:
-        """Its form; of a recorded motion, which asks another torque then, what is bolted on."""
-        mass = self.inputs.added_mass if self.made is not None else 0.0
-        return f"{self.form} with {mass:g} kg" if mass else self.form
 
     @property
     def duration(self) -> float:
@@ -301,45 +288,40 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
 
 def try_out(
     chain: Joint, values: Array, base: Observation, candidate: Candidate, limits: Limits
-) -> tuple[Candidate, Observation] | Statement:
+) -> tuple[Candidate, Observation] | str:
     """Play a candidate, lowering its torque until it keeps the limits.
 
     ``values`` ``(n_parameters,)`` are the chain's; ``base`` is the recording whose filter and dead
     zone are used. Gives the candidate with its torque as it was in the end and what would be
     recorded, or says why it is no use.
     """
-    broken: Limit | None
     if candidate.made is not None:  # as it was made it would be made again, or not at all
-        broken = _broken(candidate.made, fastest(candidate.made), limits, chain)
-        broken = "torque" if candidate.amplitude > limits.torque else broken
-        return stated("limit", broken) if broken else (candidate, candidate.made)
-    limit: Limit | None = None
-    factor = 1.0
-    for _ in range(_TRIES):
-        trial = candidate.smaller(factor, limit)
+        if candidate.amplitude > limits.torque:
+            return "the torque limit"
+        broken = _broken(candidate.made, fastest(candidate.made), limits)
+        return broken or (candidate, candidate.made)
+    limit = None
+    for factor in _SMALLER ** np.arange(_TRIES):
+        trial = candidate.smaller(float(factor), limit)
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
         try:
             found = played(chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0))
-            broken = _broken(found, float(np.abs(found.qd).max()), limits, chain)
+            limit = _broken(found, float(np.abs(found.qd).max()), limits)
         except RunsAway:
-            broken = "runs_away"
+            limit = "the joint runs away"
         except ValueError as error:
-            name = stated("limit", limit) if limit else None
-            return stated("limit", "stopped", error=str(error), limit=name, share=factor)
-        if not broken:
+            return str(error)
+        if not limit:
             return trial, found
-        limit, factor = broken, factor * _SMALLER
-    name = stated("limit", str(limit))
-    return stated("limit", "always", limit=name, share=factor / _SMALLER)
+    return f"{limit}, even with {100.0 * factor:.0f} % of the torque"
 
 
-def _broken(recording: Observation, speed: float, limits: Limits, chain: Joint) -> Limit | None:
+def _broken(recording: Observation, speed: float, limits: Limits) -> str | None:
     if speed > limits.speed:
-        return "speed"
+        return "the speed limit"
     low, high = limits.angles or (-np.inf, np.inf)
-    if low <= float(recording.q.min()) and float(recording.q.max()) <= high:
-        return None
-    return "angles" if chain.load.motion == "rotary" else "positions"
+    inside = low <= float(recording.q.min()) and float(recording.q.max()) <= high
+    return None if inside else "the limits of position"
 
 
 def _hanging(chain: Joint, values: Array, near: float) -> float:

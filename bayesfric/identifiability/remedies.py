@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from bayesfric.identifiability.local import WEAK, LocalInformation
-from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
     LAG,
     LINES,
@@ -41,7 +40,7 @@ class Remedy:
     """Something to do about an open direction, and what it was found to do."""
 
     kind: RemedyKind
-    text: Statement  # what to do
+    text: str  # what to do
     parameters: tuple[str, ...]  # for a known value: any one of these
     # sd of the logarithm along the direction once it is done; None for a known value
     log_sd_after: float | None
@@ -54,7 +53,7 @@ class Trial:
     """One more recording, simulated at the estimate with the recordings' noise."""
 
     kind: RemedyKind
-    text: Statement
+    text: str
     information: Array  # (d, d) that its torque would add, in the local units
 
 
@@ -89,22 +88,25 @@ def trials(
     measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
     time = period * np.arange(measured.size, dtype=np.float64)
     peak = float(np.quantile(np.abs(measured), 0.99))
-    told = {"peak": peak, "pace": hertz, "unit": "N m" if chain.motor_motion == "rotary" else "N"}
+    unit = "N m" if chain.motor_motion == "rotary" else "N"
 
-    wanted: list[tuple[RemedyKind, Statement, Array, Inputs]] = []
+    wanted: list[tuple[RemedyKind, str, Array, Inputs]] = []
 
-    def excite(form: str, torque: Array) -> None:
-        wanted.append(("excitation", stated("remedy", form, **told), torque, base.inputs))
+    def excite(form: str, shape: Array) -> None:
+        torque = excitation.current_loop(peak * shape, period, LAG)
+        text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
+        wanted.append(("excitation", text, torque, base.inputs))
 
     if len({replace(o.inputs, recording="") for o in observations}) == 1:
-        mass, again = known_mass(chain, values), bool(base.inputs.added_mass)
-        text = stated("remedy", "known_mass", again=again, rotary=rotary, **vars(mass))
+        mass, another = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
+        text = f"another recording with {another} known added mass (added_mass, radius), such as "
+        text += f"{mass.added_mass:g} kg" + (f" at {mass.radius:g} m" if rotary else "")
         wanted.append(("known mass", text, measured, mass))
     if rare:
-        shape = excitation.square(time, peak, hertz)
-        excite("square", excitation.current_loop(shape, period, LAG))
-    shape = peak * square_with_sines(time, hertz, hertz * LINES)
-    excite("square_multisine", excitation.current_loop(shape, period, LAG))
+        wave = excitation.square(time, 1.0, hertz)
+        excite("in which the load drives the motor, such as a square wave", wave)
+    shape = square_with_sines(time, hertz, hertz * LINES)
+    excite("of many frequencies, such as a square wave plus a multisine", shape)
     found = []
     for kind, text, torque, bolted in wanted:
         try:
@@ -141,7 +143,10 @@ def remedies(
             helping[int(j)] = left[1]
     if helping:
         names = tuple(local.names[j] for j in helping)
-        text = stated("remedy", "known_value", names=names)
+        ways = "fix {}, or give it a prior from a data sheet or CAD"
+        if len(names) > 1:
+            ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
+        text = ways.format(", ".join(names))
         found.append(Remedy("known value", text, names, None, min(helping.values())))
     for trial in tried:
         along = left_along(information + trial.information, row)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from bayesfric.identifiability.local import LocalInformation
+from bayesfric.identifiability.local import LocalInformation, joined
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.recordings.arrays import Array
 
@@ -19,8 +19,6 @@ from bayesfric.recordings.arrays import Array
 _LEFT, _WIDER = 0.5, 1.5
 # Without the priors that settle it, a number is at least so many times as wide.
 _BETTER = 2.0
-# An eigenvalue below this share of the largest is rounding.
-_ROUNDING = 1e-13
 
 
 def given_by(
@@ -50,7 +48,7 @@ def given_by(
         return []
     few = priors[: len(local.names)]
     with np.errstate(divide="ignore"):
-        weights = (local.units / np.array([prior.sd() for prior in few])) ** 2
+        weights = np.abs(local.units) / np.array([prior.sd() for prior in few])
     weights = np.nan_to_num(weights, nan=0.0, posinf=0.0)
     if own is not None:
         weights[own] = 0.0
@@ -59,8 +57,8 @@ def given_by(
 
     def left(some: Collection[int]) -> float:
         kept = default | np.isin(np.arange(weights.size), list(some))
-        information = local.information + np.diag(np.where(kept, weights, 0.0))
-        return _sd(information, gradient * local.units)
+        rows = np.diag(np.where(kept, weights, 0.0))
+        return joined(local.directions.told, rows).sd(gradient * local.units)
 
     every = left(told)
     # bounds, or a prior of its own, make what comes out narrower still
@@ -71,13 +69,3 @@ def given_by(
         return [local.names[best]]
     needed = [i for i in told if left([j for j in told if j != i]) > _WIDER * every]
     return [local.names[i] for i in needed or told]
-
-
-def _sd(information: Array, gradient: Array) -> float:
-    """Sd of a function with this gradient; endless where nothing tells of a part of it."""
-    found, ways = np.linalg.eigh(information)
-    parts = ways.T @ gradient
-    open_ = found <= _ROUNDING * max(float(found[-1]), np.finfo(np.float64).tiny)
-    if np.abs(parts[open_]).max(initial=0.0) > 1e-6 * np.linalg.norm(gradient):
-        return float("inf")
-    return float(np.sqrt(np.sum(parts[~open_] ** 2 / found[~open_])))

@@ -23,7 +23,7 @@ def test_a_parameter_that_never_shows_is_named(make_observation):
     o = make_observation(chain, KNEE.values, amplitude=2.0)
     level = type(o)(**{**vars(o), "q": np.zeros_like(o.q)})
     found = information(chain, KNEE.values, [level])
-    texts = [str(n.meaning) for n in found.null_directions]
+    texts = [n.meaning for n in found.null_directions]
     assert any("load.first_moment does not show" in text for text in texts)
 
 

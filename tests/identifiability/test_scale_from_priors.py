@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bayesfric.estimates.information import directions
 from bayesfric.identifiability.scale_from_priors import given_by
 from bayesfric.inference.prior.priors import Prior
 
@@ -23,7 +24,7 @@ def told(relative, default=False, value=1.0):
 def named(j, priors, sd, prior_sd, own=True):
     """Of a number whose data say all but a factor common to three."""
     ratios = np.array([[1.0, -1.0, 0.0], [0.0, 1.0, -1.0], [1.0, 0.0, -1.0]]) / RATIO
-    local = SimpleNamespace(names=NAMES, units=VALUES, information=ratios.T @ ratios)
+    local = SimpleNamespace(names=NAMES, units=VALUES, directions=directions(ratios, np.ones(3)))
     relative = dict(zip(NAMES, priors, strict=True))
     given = [told(relative[n][0], relative[n][1], v) for n, v in zip(NAMES, VALUES, strict=True)]
     gradient = np.eye(3)[j]
@@ -71,7 +72,7 @@ def test_two_factors_take_two_priors():
     """The sum of a number of each pair is known only where both pairs' factors are."""
     rows = np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]]) / RATIO
     names = ("a", "b", "c", "d")
-    local = SimpleNamespace(names=names, units=np.ones(4), information=rows.T @ rows)
+    local = SimpleNamespace(names=names, units=np.ones(4), directions=directions(rows, np.ones(4)))
     given = [told(5.0, True), told(0.05), told(5.0, True), told(0.05)]
     both = given_by(local, given, np.array([1.0, 0.0, 1.0, 0.0]), 0.0721, 5.0)
     assert both == ["b", "d"]

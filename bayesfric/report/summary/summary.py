@@ -78,8 +78,7 @@ def summarise(
         },
         "identifiability": {
             "null_directions": [
-                {"parameters": n.exponents, "meaning": str(n.meaning)}
-                for n in local.null_directions
+                {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
             ],
             "singular_values": [float(x) for x in local.directions.singular_values],
         },
