@@ -14,18 +14,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.timing import FAR_DELAYS
 
-Array = NDArray[np.float64]
 Sets = Mapping[str, Sequence[Array]]
 
 # What a transmission carries: what the load itself takes, and no friction.

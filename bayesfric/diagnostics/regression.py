@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, late, scales_of
@@ -53,11 +52,10 @@ from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical
 from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
-
-Array = NDArray[np.float64]
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6

@@ -19,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.fine_motion import fine_motion
@@ -286,9 +285,7 @@ def _observed(
     return found if looked else fine_motion(chain, values, seen, found)
 
 
-def _sensed(
-    recorded: Array, true: Array, noise: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _sensed(recorded: Array, true: Array, noise: float, rng: np.random.Generator) -> Array:
     """Read a signal as the recorded one was: in its steps, with what noise it has besides.
 
     The steps lie anywhere.

@@ -30,8 +30,13 @@ from bayesfric.identifiability.local import (
     prior_rows,
     verdict,
 )
-from bayesfric.identifiability.open_directions import OpenDirection, open_directions, open_rows
-from bayesfric.identifiability.remedies import HARDLY, trials
+from bayesfric.identifiability.open_directions import (
+    HARDLY,
+    OpenDirection,
+    open_directions,
+    open_rows,
+    trials,
+)
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array

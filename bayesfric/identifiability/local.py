@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian, typical_load
 from bayesfric.inference.local_units import LocalUnits, units_of
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint
@@ -31,6 +32,9 @@ _NULL_SIMULATED = 1e-6
 WEAK = 0.5
 # Share of the prior's sd from which on data do not determine a number.
 WIDE = 0.5
+# What told priors settle is, without its own, not much wider than it came out, and at least so many
+# times as wide without those.
+_WIDER, _BETTER = 1.5, 2.0
 # Share of the measured torque that counts as one for values the data cannot tell from zero.
 _FELT = 0.1
 # Step of the derivatives of what is derived, in the local units.
@@ -237,6 +241,60 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
     if left > 0.9 or share < (0.5 if data_sd > WIDE * width else 0.2):
         return "prior"
     return "data" if 0.85 < share < 1.5 and left < WIDE else "weak"
+
+
+def given_by(
+    local: LocalInformation,
+    priors: Sequence[Prior],
+    gradient: Array,
+    sd: float,
+    prior_sd: float,
+    own: int | None = None,
+) -> list[str]:
+    """Name the told priors that settle a number which the data alone leave open, if some do.
+
+    Where a factor common to several numbers changes no torque, the data leave each of them open. A
+    prior on one, such as a weight that was put on scales, settles the factor, and with it all
+    others.
+
+    Parameters
+    ----------
+    local
+        What the data tell near the posterior's median.
+    priors
+        Those of the free parameters first, in the order of ``local.names``.
+    gradient
+        ``(d,)`` of the number, by the parameters.
+    sd, prior_sd
+        What came out for it, and what its prior, or that of what it is made of, says.
+    own
+        Its place where it is a parameter: its own prior is not what gives it.
+    """
+    if (np.isfinite(prior_sd) and sd >= WIDE * prior_sd) or not np.isfinite(gradient).all():
+        return []
+    few = priors[: len(local.names)]
+    with np.errstate(divide="ignore"):
+        weights = np.abs(local.units) / np.array([prior.sd() for prior in few])
+    weights = np.nan_to_num(weights, nan=0.0, posinf=0.0)
+    if own is not None:
+        weights[own] = 0.0
+    default = np.array([prior.default for prior in few])
+    told = [int(i) for i in np.flatnonzero(~default & (weights > 0.0))]
+
+    def left(some: Collection[int]) -> float:
+        kept = default | np.isin(np.arange(weights.size), list(some))
+        rows = np.diag(np.where(kept, weights, 0.0))
+        return joined(local.directions.told, rows).sd(gradient * local.units)
+
+    every = left(told)
+    # bounds, or a prior of its own, make what comes out narrower still
+    if not every < _WIDER * sd or left(()) < _BETTER * every:
+        return []
+    best = min(told, key=lambda i: left((i,)))
+    if left((best,)) < _WIDER * every:
+        return [local.names[best]]
+    needed = [i for i in told if left([j for j in told if j != i]) > _WIDER * every]
+    return [local.names[i] for i in needed or told]
 
 
 def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:

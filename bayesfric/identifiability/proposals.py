@@ -81,16 +81,6 @@ class Candidate:
     lowered: float = 1.0  # factor on the torque that it took to keep the limits
     because_of: str | None = None  # which limit that was
 
-    def smaller(self, factor: float, limit: str | None) -> Candidate:
-        """Make the same with a smaller torque, for the sake of a limit."""
-        return replace(
-            self,
-            amplitude=self.amplitude * factor,
-            command=self.command * factor,
-            lowered=factor,
-            because_of=limit,
-        )
-
     @property
     def duration(self) -> float:
         """How long it takes, s."""
@@ -121,18 +111,16 @@ def limits_of(
         max(float(o.q.max()) for o in observations),
     )
     carried = [replace(o.inputs, recording="") for o in observations if o.inputs.added_mass]
-    if options.masses is None:
+    on_hand = [Inputs(m.mass, m.radius) for m in options.masses or ()]
+    for number, one in enumerate(on_hand, start=1):
+        if rotary and not one.radius:
+            where = f"advice.masses.{number}.radius"
+            raise BadInput(where, "is missing", 'add radius, such as "0.35 m"')
+    if options.masses is None and not carried:
         # what was bolted on once is on hand; a guess is for those who never did, and where it would
         # be too light to tell beside the load, or too heavy to bolt on, there is none
         guess = known_mass(chain, values)
-        on_hand = [] if carried or guess.added_mass >= HEAVIEST else [guess]
-    else:
-        on_hand = [Inputs(m.mass, m.radius) for m in options.masses]
-        for number, one in enumerate(on_hand, start=1):
-            if rotary and not one.radius:
-                raise BadInput(
-                    f"advice.masses.{number}.radius", "is missing", 'add radius, such as "0.35 m"'
-                )
+        on_hand = [guess] if guess.added_mass < HEAVIEST else []
     base = longest(observations)
     # as warm as when it was recorded
     warmth = base.inputs.temperature
@@ -203,35 +191,28 @@ def candidates(
     see :func:`try_out`.
     """
     base = longest(observations)
-    period, hertz = sample_period(base), base.pace
-    stretch = longest_stretch(base, None)
+    period, hertz, stretch = sample_period(base), base.pace, longest_stretch(base, None)
     peak = float(np.abs(base.measured).max())
     # noise of the measurement is no part of the torque there was
     again = np.clip(base.torque[stretch], -peak, peak)
     again[-1] = 0.0
-    start, first = stretch.start, float(base.q[stretch.start])
-    yield Candidate(
-        "longer",
-        f"another recording just like {base.name!r}",
-        peak,
-        again,
-        period,
-        0.0,  # measured torque is behind the current loop already
-        replace(base.inputs, recording=""),
-        first,
-        float(base.qd[start]),
-        base,
-    )
-    had = base.inputs.added_mass, base.inputs.radius
+    state = float(base.q[stretch.start]), float(base.qd[stretch.start])
+    had = replace(base.inputs, recording="")
+    # measured torque is behind the current loop already
+    signal = peak, again, period, 0.0
+    form = f"another recording just like {base.name!r}"
+    yield Candidate("longer", form, *signal, had, *state, base)
     for bolted in limits.masses:
-        if (bolted.added_mass, bolted.radius) == had:
+        if (bolted.added_mass, bolted.radius) == (had.added_mass, had.radius):
             continue
         # what costs least: the same program once more, with something bolted on or taken off
-        yield _carrying(chain, values, base, bolted, stretch)
+        made = _carrying(chain, values, base, bolted)
+        asked = float(np.abs(made.measured).max()), made.torque[stretch], period, 0.0
+        form = f"the motion of {base.name!r} again"
+        yield Candidate("known mass", form, *asked, bolted, *state, made)
         if not limits.held and peak <= limits.torque:
             form = f"the torque of {base.name!r} again"
-            signal = peak, again, period, 0.0
-            yield Candidate("known mass", form, *signal, bolted, first, float(base.qd[start]))
+            yield Candidate("known mass", form, *signal, bolted, *state)
     if limits.held:
         return
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
@@ -245,25 +226,11 @@ def candidates(
             yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
 
 
-def _carrying(
-    chain: Joint, values: Array, base: Observation, bolted: Inputs, stretch: slice
-) -> Candidate:
+def _carrying(chain: Joint, values: Array, base: Observation, bolted: Inputs) -> Observation:
     """Repeat the motion of a recording, as its controller can, with a known mass bolted on."""
     warm = replace(bolted, temperature=base.inputs.temperature)
     torque = inverse_torque(chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps)
-    made = replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
-    return Candidate(
-        "known mass",
-        f"the motion of {base.name!r} again",
-        float(np.abs(made.measured).max()),
-        torque[stretch],
-        sample_period(base),
-        0.0,
-        bolted,
-        float(base.q[stretch.start]),
-        float(base.qd[stretch.start]),
-        made,
-    )
+    return replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
 
 
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
@@ -301,8 +268,14 @@ def try_out(
         broken = _broken(candidate.made, fastest(candidate.made), limits)
         return broken or (candidate, candidate.made)
     limit = None
-    for factor in _SMALLER ** np.arange(_TRIES):
-        trial = candidate.smaller(float(factor), limit)
+    for factor in (_SMALLER ** np.arange(_TRIES)).tolist():
+        trial = replace(
+            candidate,
+            amplitude=candidate.amplitude * factor,
+            command=candidate.command * factor,
+            lowered=factor,
+            because_of=limit,
+        )
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
         try:
             found = played(chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0))

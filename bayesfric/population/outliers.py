@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.population.population import Interval, Likelihood, interval
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Widths of the outliers' distribution.
 _WIDER = np.array([3.0, 10.0, 30.0])

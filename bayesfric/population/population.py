@@ -23,10 +23,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Normals that a run's likelihood is made of, and the width of each in the run's sd.
 _NORMALS, _WIDTH = 32, 0.35

@@ -21,6 +21,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Measurement
@@ -29,7 +30,6 @@ from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
-Array = NDArray[np.float64]
 # Fitted recordings that say how much of the unexplained torque moves the joint, at most.
 _CALIBRATED = 12
 # Draws that are enough for that.
@@ -211,7 +211,7 @@ def moving_share(position: Array, alone: Array, moved: Array, rounding: float) -
     return float(min(np.sqrt(np.quantile(asked, LEVEL, method="inverted_cdf")), _MOST))
 
 
-def _over(joint: Joint, position: Array, *played: Array) -> NDArray[np.bool_]:
+def _over(joint: Joint, position: Array, *played: Array) -> Flags:
     """Tell which plays ``(n, N)`` went another way than the joint over the top, ``(n,)``.
 
     They came half a turn away from its position, where gravity acts: from there on each turn is
@@ -283,7 +283,7 @@ _Band = tuple[Array, Array]
 
 
 def _compared(
-    measured: Array, moved: Array, alone: Array, used: NDArray[np.bool_], step: float
+    measured: Array, moved: Array, alone: Array, used: Flags, step: float
 ) -> tuple[_Band, _Band, Array, Error]:
     """Bands with unexplained torque and of the parameters alone, their middle, and its error."""
 

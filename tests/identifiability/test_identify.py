@@ -13,7 +13,7 @@ from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
 from bayesfric.identifiability.identification import identify
 from bayesfric.identifiability.local import WEAK, joined, local_information, prior_rows
-from bayesfric.identifiability.remedies import left_along, open_counts
+from bayesfric.identifiability.open_directions import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation

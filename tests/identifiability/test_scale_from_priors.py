@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from bayesfric.estimates.information import directions
-from bayesfric.identifiability.scale_from_priors import given_by
+from bayesfric.identifiability.local import given_by
 from bayesfric.inference.prior.priors import Prior
 
 NAMES = ("motor.inertia", "load.first_moment", "drive.gain")
