@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -113,9 +113,8 @@ def _rms(x: Array) -> float:
 def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
     """Motor torque ``(N,)`` of inertia, weight and springs alone; at rest without inertia."""
     kept = [name.rpartition(".")[2] in _CARRIED for name in chain.names]
-    qdd = np.zeros_like(o.q) if still else o.qdd
-    own = np.where(kept, values, 0.0)
-    return inverse_torque(chain, own, o.q, o.qd, qdd, inputs=o.inputs, time=o.stamps)
+    at_rest = replace(o, qdd=np.zeros_like(o.q)) if still else o
+    return _torque(chain, np.where(kept, values, 0.0), at_rest)
 
 
 def _torque(chain: Joint, values: Array, o: Observation) -> Array:
