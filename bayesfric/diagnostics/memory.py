@@ -143,9 +143,20 @@ WHITE = Memory(np.zeros(0))
 
 
 def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
-    """Choose the memory of what is left ``(n,)`` by the Bayesian information criterion, given too.
+    """Choose the memory of a residual: order and wander together.
 
-    Order and wander are chosen together.
+    Parameters
+    ----------
+    left
+        ``(n,)`` what is left of the torque, N m or N.
+    layout
+        Where its outputs lie in time.
+
+    Returns
+    -------
+    tuple
+        The memory, partial autocorrelations by Burg's method, and its Bayesian information
+        criterion, the least of those that were tried.
     """
     n, found, least = left.size, WHITE, math.inf
     for size in _SIZES if n > 2 * _OUTPUTS else _SIZES[:1]:

@@ -53,8 +53,21 @@ def speed_term(
     """Compare a torque proportional to speed with what the parameters can do.
 
     The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of ``kt²/R``
-    adds a term proportional to speed. At the estimate ``(d,)``, noise scales last; ``None`` where
-    no recording's torque comes from a voltage.
+    adds a term proportional to speed.
+
+    Parameters
+    ----------
+    target
+        Posterior of the recordings together.
+    parameters
+        ``(d,)`` sampled ones at the estimate, noise scales last.
+    recordings
+        As read, which tell where a torque comes from.
+
+    Returns
+    -------
+    SpeedTerm or None
+        ``None`` where no recording's torque comes from a voltage.
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}

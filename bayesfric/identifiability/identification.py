@@ -150,9 +150,23 @@ def _without(record: Any, *names: str) -> dict[str, Any]:
 
 
 def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
-    """Find out what the recordings can tell, at an estimate ``(d,)``, noise scales last.
+    """Find out what the recordings can tell, before anything is sampled.
 
-    ``speed`` is what a back-EMF is confounded with, where the torque comes from a voltage.
+    Parameters
+    ----------
+    target
+        Posterior of the recordings together.
+    estimate
+        ``(d,)`` sampled parameters at which to look, noise scales last.
+    speed
+        What a back-EMF is confounded with, where the torque comes from a voltage.
+
+    Returns
+    -------
+    Identification
+        Standard deviations are of a normal posterior at the estimate; directions that no torque
+        tells are the scalings of section 4.2 of the paper, and what this motion leaves open
+        besides.
 
     Raises
     ------

@@ -111,7 +111,21 @@ class LocalInformation(LocalUnits):
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
-    """Look at the likelihood near one vector ``(d,)`` of sampled parameters, noise scales last.
+    """Look at the likelihood near one vector of sampled parameters.
+
+    Parameters
+    ----------
+    target
+        Its likelihood and the noise are looked at, its priors only for the unit of what is next to
+        zero.
+    parameters
+        ``(d,)``, noise scales last, which are taken as known.
+
+    Returns
+    -------
+    LocalInformation
+        Fisher information and null directions, in logarithms of the parameters. The scalings of
+        section 4.2 of the paper are null exactly, others where the singular value is rounding.
 
     Raises
     ------

@@ -179,8 +179,28 @@ def ranking(
     """Rank candidates for the next recording by what they would leave of one quantity.
 
     With the output error, a candidate still adds the information of its torque, at the noise of a
-    torque sample. ``point`` ``(d,)`` is the estimate, whose picture is ``local``; ``name`` is a
-    free parameter or a derived quantity. ``progress`` is called with each stage before it begins.
+    torque sample.
+
+    Parameters
+    ----------
+    target
+        Posterior of the recordings that there are.
+    point
+        ``(d,)`` sampled parameters at the estimate, noise scales last.
+    local
+        What the recordings tell there, from
+        :func:`bayesfric.identifiability.local.local_information`.
+    options
+        What may be proposed.
+    name
+        A free parameter or a derived quantity.
+    progress
+        Called with each stage before it begins.
+
+    Returns
+    -------
+    Ranking
+        Candidates by the sd that they would leave of ``name``, the best first, in its own unit.
 
     Raises
     ------
