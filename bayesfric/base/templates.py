@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
@@ -14,7 +16,7 @@ def environment(package: str, folder: str = "templates", *, escaped: bool = Fals
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters |= {"placed": placed, "percent": percent, "two": two}
+    made.filters |= {one.__name__: one for one in (capital, factor, percent, placed, two)}
     return made
 
 
@@ -26,6 +28,20 @@ def percent(share: float) -> str:
 def two(x: float) -> str:
     """Write two digits, more of what is a hundred or larger: never ``1e+02``."""
     return f"{x:.2g}" if abs(x) < 99.5 else f"{x:.0f}"
+
+
+def capital(said: object) -> str:
+    """Begin a sentence; names of parameters stay as they are written."""
+    text = str(said)
+    first = text.split(" ", 1)[0].rstrip(",")
+    return text if "." in first or "_" in first else text[:1].upper() + text[1:]
+
+
+def factor(log_sd: float) -> str:
+    """Word a change of a logarithm as a factor."""
+    if log_sd > math.log(1000.0):
+        return "more than 1000"
+    return f"{math.exp(log_sd):.2g}" if log_sd > -math.log(1000.0) else "less than 0.001"
 
 
 def placed(setting: str) -> tuple[str, str]:

@@ -11,8 +11,16 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+from pydantic_core import to_jsonable_python
 
 from bayesfric.base.errors import BadInput
+
+
+def plain(found: Any) -> Any:
+    """Turn data classes and arrays into what JSON can hold; what is infinite is ``None``."""
+    return to_jsonable_python(found, inf_nan_mode="null", fallback=lambda x: x.tolist())
 
 
 @contextmanager

@@ -16,9 +16,8 @@ from bayesfric.base.written import write_beside
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.fit.model import Model
 from bayesfric.identifiability.identification import Identification
-from bayesfric.identifiability.next_recording import Ranking
-from bayesfric.identifiability.sentences import page
-from bayesfric.report.words import doubt_text
+from bayesfric.identifiability.next_recording import ASSUMPTION, Ranking
+from bayesfric.report.words import doubt_text, filled
 
 
 def identify_record(found: Identification, model: Model) -> dict[str, Any]:
@@ -30,7 +29,8 @@ def identify_text(found: Identification, model: Model) -> list[str]:
     """Word an identification for a person: first what cannot be told, then the tables."""
     unit = "rad" if model.chain.load.motion == "rotary" else "m"
     doubted = _warnings(model)
-    return [*doubted, *page("identify.txt", found=found, unit=unit, doubted=bool(doubted))]
+    told = filled("identify.txt.j2", found=found, unit=unit, doubted=bool(doubted), inf=np.inf)
+    return [*doubted, *told.splitlines()]
 
 
 def _doubts(model: Model) -> list[dict[str, Any]]:
@@ -91,15 +91,17 @@ def advice_record(found: Ranking, model: Model, written: Path | None) -> dict[st
 
 def advice_text(found: Ranking, model: Model, path: Path, *, written: bool) -> list[str]:
     """Word a ranking for a person: what to do first, then the table."""
-    told = page(
-        "advise.txt",
+    told = filled(
+        "advise.txt.j2",
         found=found,
+        assumption=ASSUMPTION,
+        inf=np.inf,
         path=path,
         written=written,
         torque_unit=_torque_unit(model),
         position_unit="rad" if model.chain.load.motion == "rotary" else "m",
     )
-    return [*_warnings(model), *told]
+    return [*_warnings(model), *told.splitlines()]
 
 
 def _torque_unit(model: Model) -> str:

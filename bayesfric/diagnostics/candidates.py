@@ -10,22 +10,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.timing import FAR_DELAYS
 
-Array = NDArray[np.float64]
 Sets = Mapping[str, Sequence[Array]]
 
 # What a transmission carries: what the load itself takes, and no friction.
@@ -114,9 +113,8 @@ def _rms(x: Array) -> float:
 def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
     """Motor torque ``(N,)`` of inertia, weight and springs alone; at rest without inertia."""
     kept = [name.rpartition(".")[2] in _CARRIED for name in chain.names]
-    qdd = np.zeros_like(o.q) if still else o.qdd
-    own = np.where(kept, values, 0.0)
-    return inverse_torque(chain, own, o.q, o.qd, qdd, inputs=o.inputs, time=o.stamps)
+    at_rest = replace(o, qdd=np.zeros_like(o.q)) if still else o
+    return _torque(chain, np.where(kept, values, 0.0), at_rest)
 
 
 def _torque(chain: Joint, values: Array, o: Observation) -> Array:

@@ -101,9 +101,24 @@ def explain(
     known: Sequence[str],
     seed: int,
 ) -> Explanation:
-    """Ask recordings what else explains their torque, at an input-error estimate ``point``.
+    """Ask recordings what else explains their torque.
 
-    ``known`` are names of parameters that are fixed.
+    Parameters
+    ----------
+    chain, recordings, observations, processing
+        The joint, and what was measured of it, as read and as prepared by which filters.
+    point
+        Parameters by name, an estimate by the input error.
+    known
+        Names of parameters that are fixed.
+    seed
+        Of the twins.
+
+    Returns
+    -------
+    Explanation
+        What no chance is, in the order in which it explains; see
+        :mod:`bayesfric.diagnostics.regression` for the method and its sources.
     """
     begun = time.process_time()
     try:

@@ -20,9 +20,9 @@ from scipy.linalg import toeplitz
 
 from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 # Most predecessors, and at least so many outputs for each.
@@ -41,7 +41,7 @@ _ROUNDING, _NOTHING = 1e-9, 1e-6
 class Layout:
     """Where outputs lie in time, recording by recording."""
 
-    runs: tuple[NDArray[np.bool_], ...]  # (M - 1,) of each: which are followed by the next
+    runs: tuple[Flags, ...]  # (M - 1,) of each: which are followed by the next
     at: tuple[Index, ...]  # (M,) of each: steps since its first output
     stamps: tuple[Array, ...]  # (M,) of each, s
 
@@ -143,9 +143,20 @@ WHITE = Memory(np.zeros(0))
 
 
 def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
-    """Choose the memory of what is left ``(n,)`` by the Bayesian information criterion, given too.
+    """Choose the memory of a residual: order and wander together.
 
-    Order and wander are chosen together.
+    Parameters
+    ----------
+    left
+        ``(n,)`` what is left of the torque, N m or N.
+    layout
+        Where its outputs lie in time.
+
+    Returns
+    -------
+    tuple
+        The memory, partial autocorrelations by Burg's method, and its Bayesian information
+        criterion, the least of those that were tried.
     """
     n, found, least = left.size, WHITE, math.inf
     for size in _SIZES if n > 2 * _OUTPUTS else _SIZES[:1]:

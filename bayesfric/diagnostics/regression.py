@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, late, scales_of
@@ -53,11 +52,10 @@ from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical
 from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.processing import Processing
-
-Array = NDArray[np.float64]
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
@@ -484,17 +482,15 @@ class Regression:
         if scan.kind == DELAY:  # which have them already
             return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
-        self.data = self._widened(self.data, scan)
-        self.twins = [self._widened(twin, scan) for twin in self.twins]
-        return list(range(first, self.data.others.shape[1]))
 
-    def _widened(self, d: Columns, scan: Scan) -> Columns:
-        place = scan.place
-        more = (
-            waves(d.layout, place) if scan.kind == TONE else bump(d.layout, scan, self.scales.push)
-        )
-        keys = tuple(Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
-        return replace(d, others=np.column_stack([d.others, more]), keys=(*d.keys, *keys))
+        def widened(d: Columns) -> Columns:
+            tone, width = scan.kind == TONE, self.scales.push
+            more = waves(d.layout, scan.place) if tone else bump(d.layout, scan, width)
+            keys = (Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
+            return replace(d, others=np.column_stack([d.others, more]), keys=(*d.keys, *keys))
+
+        self.data, self.twins = widened(self.data), [widened(twin) for twin in self.twins]
+        return list(range(first, self.data.others.shape[1]))
 
 
 def _memory(d: Columns, extra: Sequence[int]) -> tuple[Memory, float]:

@@ -10,11 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.diagnostics.memory import Layout
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 TONE, PUSH, DELAY = "tone", "push", "delay"
 # Lower and upper end of the frequencies, in periods of the recording and of the sampling.

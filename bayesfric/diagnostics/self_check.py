@@ -80,7 +80,24 @@ def self_check(
     explained: Explanation,
     period: float,
 ) -> Checked:
-    """Fit the twins of recordings, one sample every ``period`` s, from where their truth is."""
+    """Fit the twins of recordings from where their truth is: a parametric bootstrap of the bias.
+
+    Parameters
+    ----------
+    target, posterior
+        What was sampled; the median is where a simulation is tried if there are no twins.
+    observations
+        Of the fitted recordings.
+    explained
+        Holds the twins, or says why there are none.
+    period
+        From one raw sample to the next, s.
+
+    Returns
+    -------
+    Checked
+        Truths and fits of all twins, or the reason why there are none.
+    """
     begun, worked = time.perf_counter(), time.process_time()
     reason: Reason | None = explained.reason
     said = ""

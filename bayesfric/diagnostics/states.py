@@ -7,12 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import fft
 
-from bayesfric.recordings.arrays import Segments
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array, Segments
 
 # Share of critical damping of an elastic transmission, and samples below which it has no spectrum.
 _DAMPING, _FEW = 0.05, 20

@@ -8,14 +8,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc, ndtri_exp
 
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory
 from bayesfric.diagnostics.policy import TESTABLE
 from bayesfric.diagnostics.scans import DELAY, Scan, push, tone
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Singular values below these shares of the largest are rounding, or an open direction.
 _ROUNDING, _OPEN = 1e-9, 1e-7

@@ -19,7 +19,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.fine_motion import fine_motion
@@ -98,10 +97,23 @@ def twins(
 ) -> Iterator[Observation | None]:
     """Simulate a recording at parameter vectors ``(n, n_parameters)``, and look at each alike.
 
-    Gives what was made of it, with the torque free of noise, or ``None`` where the joint cannot
-    be simulated with these parameters or the filters leave nothing. ``seeds`` are of each
-    vector's sample phase, encoder grid and noise in the position; ``driver`` ``(N,)`` is the
-    torque that acts, the recorded one if left out, see :func:`modelled_driver`.
+    Parameters
+    ----------
+    chain, values
+        The joint, and the vectors.
+    recording, observation, processing
+        What is repeated, as read and as prepared by which filters.
+    seeds
+        Of each vector's sample phase, encoder grid and noise in the position.
+    driver
+        ``(N,)`` the torque that acts, N m or N; the recorded one if left out, see
+        :func:`modelled_driver`.
+
+    Yields
+    ------
+    Observation or None
+        What was made of it, with the torque free of noise; ``None`` where the joint cannot be
+        simulated with these parameters or the filters leave nothing.
 
     Raises
     ------
@@ -284,9 +296,7 @@ def _observed(
     return found if looked else fine_motion(chain, values, seen, found)
 
 
-def _sensed(
-    recorded: Array, true: Array, noise: float, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def _sensed(recorded: Array, true: Array, noise: float, rng: np.random.Generator) -> Array:
     """Read a signal as the recorded one was: in its steps, with what noise it has besides.
 
     The steps lie anywhere.

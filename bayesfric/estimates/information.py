@@ -48,6 +48,19 @@ class Directions:
         largest = self.singular_values[0] if self.singular_values.size else 0.0
         return self.singular_values <= self.tolerance * largest
 
+    @property
+    def told(self) -> Array:
+        """Jacobian ``(rank, d)`` in those units that tells the same, null directions left out."""
+        return np.asarray(self.rows[~self.null] * self.singular_values[~self.null, None])
+
+    def sd(self, gradient: Array) -> float:
+        """Give the sd that is left of a function with a gradient ``(d,)``.
+
+        For rows of unit noise; infinite where the function changes along a null direction.
+        """
+        weight = self.solve(gradient)
+        return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
+
     def solve(self, gradient: Array) -> Array | None:
         """Multiply the inverse of ``J'J`` by the gradient ``(d,)`` of a function of the parameters.
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from bayesfric.base.written import plain
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked
 from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.identification import Identification
-from bayesfric.identifiability.sentences import plain
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond
 from bayesfric.problem.problem import Problem, StartingPoint

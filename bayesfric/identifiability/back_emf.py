@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import scaled_jacobian, torque_noise
 from bayesfric.inference.local_units import units_of
 from bayesfric.inference.target import Target
@@ -29,9 +28,23 @@ class SpeedTerm:
     same_as_back_emf: tuple[str, ...]
     explained: float  # share of the term's square that some change of parameters makes up for
 
-    def meaning(self, among: int) -> Statement:
-        """Say what is confounded; ``among`` recordings in all."""
-        return stated("voltage", "back_emf", among=among, **vars(self))
+    @property
+    def meaning(self) -> str:
+        """Say what is confounded."""
+        names = " and ".join(self.same_as_back_emf)
+        told = (
+            f"torque comes from a voltage ({', '.join(self.recordings)}), less the nominal "
+            f"back-EMF kt²/R ({self.nominal:.3g} {self.unit}, at the motor) times speed"
+        )
+        if not names:
+            return (
+                f"{told}; parameters make up for {100.0 * self.explained:.0f} % of an error in it"
+            )
+        return (
+            f"{told}; viscous loss and back-EMF cannot be told apart, as that has exactly the shape"
+            f" of {names}: viscous loss plus the error of the nominal kt²/R. A measured current, or"
+            " kt and R measured at a standstill, would tell them apart"
+        )
 
 
 def speed_term(
@@ -40,8 +53,21 @@ def speed_term(
     """Compare a torque proportional to speed with what the parameters can do.
 
     The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of ``kt²/R``
-    adds a term proportional to speed. At the estimate ``(d,)``, noise scales last; ``None`` where
-    no recording's torque comes from a voltage.
+    adds a term proportional to speed.
+
+    Parameters
+    ----------
+    target
+        Posterior of the recordings together.
+    parameters
+        ``(d,)`` sampled ones at the estimate, noise scales last.
+    recordings
+        As read, which tell where a torque comes from.
+
+    Returns
+    -------
+    SpeedTerm or None
+        ``None`` where no recording's torque comes from a voltage.
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}

@@ -54,10 +54,20 @@ def coverage_of(
 def back_driven(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
-    """How often the load drives each element that has a load loss, ``(n,)`` for as many vectors.
+    """Give how often the load drives each element that has a load loss.
 
-    The share of all moving outputs in which the torque behind it times the speed is negative,
-    eq. (6). ``values`` ``(n, n_parameters)`` are the chain's.
+    Parameters
+    ----------
+    chain, observations
+        The joint, and what was measured of it.
+    values
+        Vectors ``(n, n_parameters)`` of the chain's parameters.
+
+    Returns
+    -------
+    dict
+        By element, for each vector the share ``(n,)`` of all moving outputs in which the torque
+        behind it times the speed is negative, eq. (6) of the paper.
     """
     found = {}
     for i, element in enumerate(chain.elements):

@@ -9,28 +9,36 @@ where the data leave the logarithm of a parameter more than 0.5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesfric.base.templates import percent
+from bayesfric.base.written import plain
 from bayesfric.estimates.assemble import bounds_met
-from bayesfric.estimates.torque import typical_load
+from bayesfric.estimates.information import Directions
 from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
+    derived_beside,
     in_natural_units,
+    joined,
     local_information,
+    prior_rows,
     verdict,
 )
-from bayesfric.identifiability.open_directions import OpenDirection, open_directions, open_rows
-from bayesfric.identifiability.remedies import HARDLY, trials
-from bayesfric.identifiability.sentences import Statement, plain, stated
+from bayesfric.identifiability.open_directions import (
+    HARDLY,
+    OpenDirection,
+    open_directions,
+    open_rows,
+    trials,
+)
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.arrays import Array
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
 
@@ -105,21 +113,18 @@ class Identification:
         ]
 
     @property
-    def remarks(self) -> list[Statement]:
+    def remarks(self) -> list[str]:
         """What is to be said of back-driving and of a voltage."""
-        found = [*map(self._seen, self.back_driving), self._voltage_meaning]
-        return [one for one in found if one]
+        found = map(self._seen, self.back_driving)
+        return [*found, self.voltage.meaning] if self.voltage else [*found]
 
-    def _seen(self, element: str) -> Statement:
+    def _seen(self, element: str) -> str:
         """Say how often the load drives an element."""
-        loss, share = f"{element}.load_back", self.back_driving[element]
-        prior = any(row.name == loss and row.status == "unidentified" for row in self.parameters)
-        kind = "never" if share == 0.0 else "hardly" if share < HARDLY else "seen"
-        return stated("back_driving", kind, prior=prior, element=element, share=share)
-
-    @property
-    def _voltage_meaning(self) -> Statement | None:
-        return self.voltage.meaning(len(self.recordings)) if self.voltage else None
+        share, loss = self.back_driving[element], f"{element}.load_back"
+        said = f"the load drives {element} in {percent(share)} % of the moving outputs"
+        row = next((one for one in self.parameters if one.name == loss), None)
+        open_ = share < HARDLY and row is not None and row.status == "unidentified"
+        return f"{said}: {loss} rests on its prior" if open_ else said
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
@@ -135,9 +140,9 @@ class Identification:
                 for name, share in self.back_driving.items()
             },
             "recordings": self.recordings,
-            "voltage": voltage and {**vars(voltage), "meaning": self._voltage_meaning},
+            "voltage": voltage and {**vars(voltage), "meaning": voltage.meaning},
         }
-        return {name: plain(value) for name, value in found.items()}
+        return dict(plain(found))
 
 
 def _without(record: Any, *names: str) -> dict[str, Any]:
@@ -145,9 +150,23 @@ def _without(record: Any, *names: str) -> dict[str, Any]:
 
 
 def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
-    """Find out what the recordings can tell, at an estimate ``(d,)``, noise scales last.
+    """Find out what the recordings can tell, before anything is sampled.
 
-    ``speed`` is what a back-EMF is confounded with, where the torque comes from a voltage.
+    Parameters
+    ----------
+    target
+        Posterior of the recordings together.
+    estimate
+        ``(d,)`` sampled parameters at which to look, noise scales last.
+    speed
+        What a back-EMF is confounded with, where the torque comes from a voltage.
+
+    Returns
+    -------
+    Identification
+        Standard deviations are of a normal posterior at the estimate; directions that no torque
+        tells are the scalings of section 4.2 of the paper, and what this motion leaves open
+        besides.
 
     Raises
     ------
@@ -165,9 +184,8 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     tried = trials(target, estimate, local, rare=rare) if open_ else []
     free = [p for p in chain.parameters if p.name in target.free]
     bounds = _bounds_met(target, estimate)
-    covariance = expected_covariance(target, local)
-    parameters = _parameters(target, estimate, local, bounds, covariance)
-    load = typical_load(chain, observations, values[0])
+    both = joined(local.directions.told, prior_rows(target, local))
+    parameters = _parameters(target, estimate, local, bounds, both)
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
@@ -175,34 +193,11 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
         local,
         tuple(open_directions(local, free, coverage, back, tried, _told(target, estimate))),
         parameters,
-        _combinations(target, estimate, local, load, parameters, covariance),
+        _combinations(target, estimate, local, parameters, both),
         coverage,
         back,
         speed,
     )
-
-
-def prior_rows(target: Target, local: LocalInformation) -> Array:
-    """Jacobian ``(k, k)`` with the information of the priors, in the local units."""
-    sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
-    ratio = np.abs(local.units) / sds
-    return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
-
-
-def expected_covariance(target: Target, local: LocalInformation) -> Array:
-    """Covariance of the free parameters that data and priors would leave, ``(k, k)``.
-
-    The inverse of the Fisher information plus the priors' ``1/sd²``, in the local units.
-    A parameter that neither confines makes all of it infinite along its direction.
-    """
-    values, vectors = np.linalg.eigh(local.information + prior_rows(target, local) ** 2)
-    open_ = values <= 1e-15 * values[-1]
-    inverse = np.where(open_, 0.0, 1.0 / np.where(open_, 1.0, values))
-    covariance = (vectors * inverse) @ vectors.T
-    for row in vectors.T[open_]:
-        touched = np.abs(row) > 1e-6
-        covariance[np.ix_(touched, touched)] = np.inf
-    return np.asarray(covariance)
 
 
 def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
@@ -214,27 +209,20 @@ def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
     return [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
 
 
-def moved_beside(local: LocalInformation, parameters: Array) -> tuple[Array, Array]:
-    """Move each free parameter of ``(d,)`` up, then down: ``(2 k, d)``, and the widths ``(k,)``."""
-    steps = 1e-5 * np.abs(local.units)
-    beside = np.eye(steps.size, parameters.size) * steps[:, None]
-    return parameters + np.concatenate([beside, -beside]), 2.0 * steps
-
-
 def _parameters(
     target: Target,
     estimate: Array,
     local: LocalInformation,
     bounds: Sequence[str | None],
-    covariance: Array,
+    both: Directions,
 ) -> tuple[Prospect, ...]:
     described = {p.name: p for p in target.likelihood.chain.parameters}
-    expected = np.sqrt(np.diag(covariance)) * np.abs(local.units)
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
-        prior_sd, data_sd = float(prior.sd()), float(local.data_sd[j])
-        p, sds = described[name], (data_sd, float(expected[j]), prior_sd)
-        status = _status(verdict(float(expected[j]), prior_sd, data_sd), bound)
+        p, gradient = described[name], np.eye(len(target.free))[j] * local.units
+        data_sd, expected, prior_sd = float(local.data_sd[j]), both.sd(gradient), float(prior.sd())
+        sds = data_sd, expected, prior_sd
+        status = _status(verdict(expected, prior_sd, data_sd), bound)
         rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, status, bound))
     return tuple(rows)
 
@@ -256,38 +244,19 @@ def _combinations(
     target: Target,
     estimate: Array,
     local: LocalInformation,
-    load: float,
     parameters: Sequence[Prospect],
-    covariance: Array,
+    both: Directions,
 ) -> tuple[Prospect, ...]:
     """Derive what the parameters amount to, best known first; on a bound where all of them are."""
-    bounds = np.array([p.on_bound is not None for p in parameters])
-    moved, widths = moved_beside(local, estimate)
     found = []
-    vectors = target.chain_values(np.concatenate([moved, estimate[None]]))
-    for q in derive(target.likelihood.chain, vectors, load):
-        up, down = q.values[:-1].reshape(2, -1)
-        value, gradient = float(q.values[-1]), (up - down) / widths
-        if not np.isfinite(value) or not np.isfinite(gradient).all() or not gradient.any():
+    for q, value, gradient in derived_beside(target, estimate, local):
+        if not np.isfinite([value, *gradient]).all() or not gradient.any():
             continue
-        scaled = gradient * local.units
-        used = scaled != 0.0
-        expected = float(scaled[used] @ covariance[np.ix_(used, used)] @ scaled[used])
-        expected_sd = float(np.sqrt(expected)) if expected >= 0.0 else float("inf")
-        data_sd = local.data_sd_of(gradient)
-        ends = [p.on_bound for p, some in zip(parameters, used, strict=True) if some]
-        on_bound = ends[0] if bounds[used].all() else None
-        found.append(
-            Prospect(
-                q.name,
-                q.unit,
-                q.meaning,
-                value,
-                data_sd,
-                expected_sd,
-                # its prior is not looked at here
-                status=_status(verdict(expected_sd, float("inf"), data_sd), on_bound),
-                on_bound=on_bound,
-            )
-        )
+        data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)
+        ends = [p.on_bound for p, x in zip(parameters, gradient, strict=True) if x]
+        on_bound = ends[0] if all(ends) else None
+        # its prior is not looked at here
+        status = _status(verdict(expected, float("inf"), data_sd), on_bound)
+        one = Prospect(q.name, q.unit, q.meaning, value, data_sd, expected)
+        found.append(replace(one, status=status, on_bound=on_bound))
     return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))

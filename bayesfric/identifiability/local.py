@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +11,11 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.torque import torque_jacobian
-from bayesfric.identifiability.sentences import Statement, stated
+from bayesfric.estimates.torque import torque_jacobian, typical_load
 from bayesfric.inference.local_units import LocalUnits, units_of
+from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
+from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
@@ -31,8 +32,15 @@ _NULL_SIMULATED = 1e-6
 WEAK = 0.5
 # Share of the prior's sd from which on data do not determine a number.
 WIDE = 0.5
+# What told priors settle is, without its own, not much wider than it came out, and at least so many
+# times as wide without those.
+_WIDER, _BETTER = 1.5, 2.0
 # Share of the measured torque that counts as one for values the data cannot tell from zero.
 _FELT = 0.1
+# Step of the derivatives of what is derived, in the local units.
+_BESIDE = 1e-5
+# Singular values below this share of the largest are rounding once null directions are out.
+_JOINED = 1e-13
 # Entries of a null direction smaller than this do not belong to it.
 _ROUNDING = 1e-5
 
@@ -46,11 +54,23 @@ class NullDirection:
     exponents: dict[str, float]
 
     @property
-    def meaning(self) -> Statement:
-        """The same as powers of one factor."""
-        same = all(abs(x - 1.0) < _ROUNDING for x in self.exponents.values())
-        kind = "unseen" if len(self.exponents) == 1 else "factor" if same else "powers"
-        return stated("meaning", kind, exponents=self.exponents)
+    def meaning(self) -> str:
+        """The same in words."""
+        return meaning_of(self.exponents)
+
+
+def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
+    """Say what no torque tells: powers of one factor, or changes of what is ``in_units``."""
+    names, in_units = ", ".join(exponents), in_units or {}
+    if len(exponents) == 1:
+        return f"{names} does not show in the torque at all"
+    if not in_units and all(abs(x - 1.0) < _ROUNDING for x in exponents.values()):
+        return f"{names} can all be multiplied by one factor: no torque changes"
+    changes = (
+        f"{name} by {x:+.2g} {in_units[name]}" if name in in_units else f"{name} by k^{x:.3g}"
+        for name, x in exponents.items()
+    )
+    return f"changing {', '.join(map(str.strip, changes))} together changes no torque, for k near 1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +94,9 @@ class LocalInformation(LocalUnits):
         )
 
     @property
-    def told(self) -> Array:
-        """Jacobian ``(rank, d)`` with the same information in units, null directions left out."""
-        found, kept = self.directions, ~self.directions.null
-        return np.asarray(found.rows[kept] * found.singular_values[kept, None])
-
-    @property
     def information(self) -> Array:
         """Fisher information ``(d, d)`` in those units; exactly nothing along null directions."""
-        told = self.told
+        told = self.directions.told
         return np.asarray(told.T @ told)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
@@ -93,12 +107,25 @@ class LocalInformation(LocalUnits):
         """
         if gauge_free:
             gradient = self.directions.off_known(gradient)
-        weight = self.directions.solve(gradient)
-        return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
+        return self.directions.sd(gradient)
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
-    """Look at the likelihood near one vector ``(d,)`` of sampled parameters, noise scales last.
+    """Look at the likelihood near one vector of sampled parameters.
+
+    Parameters
+    ----------
+    target
+        Its likelihood and the noise are looked at, its priors only for the unit of what is next to
+        zero.
+    parameters
+        ``(d,)``, noise scales last, which are taken as known.
+
+    Returns
+    -------
+    LocalInformation
+        Fisher information and null directions, in logarithms of the parameters. The scalings of
+        section 4.2 of the paper are null exactly, others where the singular value is rounding.
 
     Raises
     ------
@@ -159,7 +186,7 @@ def in_natural_units(
     small &= local.ways == 0
     units = np.where(small, floor, local.units)
     d = local.directions
-    found = directions(local.told * (units / local.units), np.ones(k), d.tolerance)
+    found = directions(d.told * (units / local.units), np.ones(k), d.tolerance)
     return replace(
         local, units=units, shifted=local.shifted | small, directions=replace(found, units=units)
     )
@@ -176,6 +203,38 @@ def torque_changes(
     steps = np.zeros(values.size)
     steps[columns] = _STEP * np.abs(at.units)
     return torque_jacobian(chain, observations, values, steps)[:, columns]
+
+
+def joined(*rows: Array) -> Directions:
+    """Take what several Jacobians ``(n, d)`` in one set of units, over their noise, tell together.
+
+    Null directions are out of them, so only rounding is left out.
+    """
+    return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), _JOINED)
+
+
+def prior_rows(target: Target, local: LocalInformation) -> Array:
+    """Jacobian ``(d, d)`` with the information of the priors, in the local units."""
+    sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
+    ratio = np.abs(local.units) / sds
+    return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
+
+
+def derived_beside(
+    target: Target, parameters: Array, local: LocalInformation
+) -> Iterator[tuple[Derived, float, Array]]:
+    """Give each derived quantity at sampled parameters, its value there, and its gradient ``(d,)``.
+
+    The gradient is by changes of one in the local units, from central differences, which are exact
+    up to rounding for what is next to linear. It is not finite where the quantity is undefined.
+    """
+    chain, observations = target.likelihood.chain, target.likelihood.observations
+    steps = _BESIDE * np.abs(local.units)
+    beside = np.eye(steps.size, parameters.size) * steps[:, None]
+    vectors = target.chain_values(parameters + np.concatenate([beside, -beside, 0.0 * beside[:1]]))
+    for q in derive(chain, vectors, typical_load(chain, observations, vectors[-1])):
+        up, down = q.values[:-1].reshape(2, -1)
+        yield q, float(q.values[-1]), (up - down) / (2.0 * steps) * local.units
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
@@ -196,6 +255,60 @@ def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
     if left > 0.9 or share < (0.5 if data_sd > WIDE * width else 0.2):
         return "prior"
     return "data" if 0.85 < share < 1.5 and left < WIDE else "weak"
+
+
+def given_by(
+    local: LocalInformation,
+    priors: Sequence[Prior],
+    gradient: Array,
+    sd: float,
+    prior_sd: float,
+    own: int | None = None,
+) -> list[str]:
+    """Name the told priors that settle a number which the data alone leave open, if some do.
+
+    Where a factor common to several numbers changes no torque, the data leave each of them open. A
+    prior on one, such as a weight that was put on scales, settles the factor, and with it all
+    others.
+
+    Parameters
+    ----------
+    local
+        What the data tell near the posterior's median.
+    priors
+        Those of the free parameters first, in the order of ``local.names``.
+    gradient
+        ``(d,)`` of the number, by the parameters.
+    sd, prior_sd
+        What came out for it, and what its prior, or that of what it is made of, says.
+    own
+        Its place where it is a parameter: its own prior is not what gives it.
+    """
+    if (np.isfinite(prior_sd) and sd >= WIDE * prior_sd) or not np.isfinite(gradient).all():
+        return []
+    few = priors[: len(local.names)]
+    with np.errstate(divide="ignore"):
+        weights = np.abs(local.units) / np.array([prior.sd() for prior in few])
+    weights = np.nan_to_num(weights, nan=0.0, posinf=0.0)
+    if own is not None:
+        weights[own] = 0.0
+    default = np.array([prior.default for prior in few])
+    told = [int(i) for i in np.flatnonzero(~default & (weights > 0.0))]
+
+    def left(some: Collection[int]) -> float:
+        kept = default | np.isin(np.arange(weights.size), list(some))
+        rows = np.diag(np.where(kept, weights, 0.0))
+        return joined(local.directions.told, rows).sd(gradient * local.units)
+
+    every = left(told)
+    # bounds, or a prior of its own, make what comes out narrower still
+    if not every < _WIDER * sd or left(()) < _BETTER * every:
+        return []
+    best = min(told, key=lambda i: left((i,)))
+    if left((best,)) < _WIDER * every:
+        return [local.names[best]]
+    needed = [i for i in told if left([j for j in told if j != i]) > _WIDER * every]
+    return [local.names[i] for i in needed or told]
 
 
 def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:

@@ -7,20 +7,27 @@ design (Chaloner and Verdinelli, Statistical Science 10, 1995), at the estimate.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.templates import percent
+from bayesfric.base.written import plain
 from bayesfric.estimates.assemble import open_directions
-from bayesfric.estimates.information import directions
-from bayesfric.estimates.torque import typical_load
+from bayesfric.estimates.information import Directions, directions
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.coverage import back_driven
-from bayesfric.identifiability.identification import moved_beside, prior_rows
-from bayesfric.identifiability.local import LocalInformation, fixed_in
+from bayesfric.identifiability.local import (
+    LocalInformation,
+    derived_beside,
+    fixed_in,
+    joined,
+    prior_rows,
+)
 from bayesfric.identifiability.proposals import (
     Candidate,
     Limits,
@@ -30,20 +37,21 @@ from bayesfric.identifiability.proposals import (
     longest,
     try_out,
 )
-from bayesfric.identifiability.sentences import Statement, plain, stated
 from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Singular values below this share of the largest are rounding once null directions are out.
-_ROUNDING = 1e-13
 # Anything that a candidate leaves of the sd above this share is not worth the effort.
 WORTH = 0.95
+# What all standard deviations here take for granted.
+ASSUMPTION = (
+    "All sds here hold only if the model is right. Where it misses something, the ± of "
+    "'bayesfric fit' is larger: see first what 'bayesfric explain' would add."
+)
 # Share of what counts as a change of one that is next to zero, but is not.
 _OFF_ZERO = 1e-3
 
@@ -78,7 +86,7 @@ class Ranking:
     value: float  # at the estimate; it means nothing where now.data_sd is infinite
     now: Uncertainty  # how well it is known at present
     advices: tuple[Advice, ...]  # the best first
-    dropped: tuple[tuple[Candidate, Statement], ...]  # candidates that are no use, and why
+    dropped: tuple[tuple[Candidate, str], ...]  # candidates that are no use, and why
     limits: Limits  # what they had to keep
 
     @property
@@ -95,59 +103,51 @@ class Ranking:
         return best.sd < WORTH * self.now.sd or not np.isfinite(self.now.sd)
 
     @property
-    def assumption(self) -> Statement:
-        """What all standard deviations here take for granted."""
-        return stated("advice", "assumed")
-
-    @property
-    def verdict(self) -> Statement:
+    def verdict(self) -> str:
         """Whether any candidate is worth making."""
-        best = self.advices[0].after if self.advices else None
-        if best is None:
-            kind = "not_playable"
-        elif not np.isfinite(best.sd):
-            kind = "no_sd"
-        elif not self.determined:
-            kind = "undetermined"
-        elif not self.worth:
-            kind = "not_worth"
-        elif not np.isfinite(best.data_sd):
-            kind = "left_to_priors"
-        elif not np.isfinite(self.now.data_sd):
-            kind = "would_determine"
-        else:
-            kind = "would_leave"
-        share = best.sd / self.now.sd if best else float("nan")
-        with_masses = any(one.added_mass for one in self.limits.masses)
-        return stated("advice", kind, name=self.quantity, share=share, with_masses=with_masses)
+        if not self.advices:
+            return "Nothing that was tried can be played within the limits."
+        if not self.determined:
+            mass = "; a known mass (masses in [advice]) may"
+            return (
+                f"No recording that was tried determines {self.quantity}: whatever is recorded, it "
+                f"rests on the priors{mass * (len(self.limits.masses) < 2)}."
+            )
+        share = self.advices[0].after.sd / self.now.sd
+        if not self.worth:
+            return (
+                "Nothing that was tried is worth the effort: the best leaves "
+                f"{100.0 * share:.0f} % of the sd there is."
+            )
+        if not np.isfinite(self.advices[0].after.data_sd):
+            return "The best leaves it to the priors where they are narrower than the data are."
+        if not np.isfinite(self.now.data_sd):
+            return (
+                "The recordings there are leave it open; the best of the next would determine it."
+            )
+        return f"The best of the next would leave {percent(share)} % of that sd."
 
     @property
-    def left_out(self) -> Iterator[tuple[str, int, list[str]]]:
-        """Reasons why candidates are no use, with how many there are of each, and what they are."""
-        reasons: dict[str, list[str]] = {}
-        for one, why in self.dropped:
-            reasons.setdefault(str(why), []).append(one.described)
-        for reason, forms in reasons.items():
-            yield reason, len(forms), list(dict.fromkeys(forms))
-
-    def _described(self, one: Candidate) -> dict[str, Any]:
-        found = {"kind": one.kind, "form": one.form, "peak_torque": one.amplitude}
-        return found | {"duration": one.duration, **_bolted(one), "start": one.q0}
+    def left_out(self) -> Counter[str]:
+        """Reasons why candidates are no use, with how many there are of each."""
+        return Counter(why for _, why in self.dropped)
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
-        rows = []
-        for rank, one in enumerate(self.advices, start=1):
-            row = self._described(one.candidate) | {"rank": rank} | vars(one)
-            row |= {"torque_lowered_to": one.candidate.lowered, "because_of": one.candidate.limit}
-            rows.append({name: value for name, value in row.items() if name != "candidate"})
+        rows = [
+            _described(one.candidate)
+            | {"rank": rank, "after": one.after, "load_drives": one.load_drives}
+            | {"peak_speed": one.peak_speed, "angles": one.angles}
+            | {"torque_lowered_to": one.candidate.lowered, "because_of": one.candidate.because_of}
+            for rank, one in enumerate(self.advices, start=1)
+        ]
         masses = [(m.added_mass, m.radius) for m in self.limits.masses if m.added_mass]
         found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
         found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
         found |= {"limits": {**vars(self.limits), "masses": masses}}
-        found |= {"assumption": self.assumption, "verdict": self.verdict, "candidates": rows}
-        found["dropped"] = [{**self._described(one), "reason": why} for one, why in self.dropped]
-        return {name: plain(value) for name, value in found.items()}
+        found |= {"assumption": ASSUMPTION, "verdict": self.verdict, "candidates": rows}
+        found["dropped"] = [_described(one) | {"reason": why} for one, why in self.dropped]
+        return dict(plain(found))
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -161,18 +161,10 @@ class Ranking:
         return str(self.frame.to_html(float_format="{:.4g}".format))
 
 
-def _bolted(one: Candidate) -> dict[str, float]:
-    return {"added_mass": one.inputs.added_mass, "radius": one.inputs.radius}
-
-
-@dataclass(frozen=True, eq=False)
-class _At:
-    """What is known at the estimate, in logarithms of the parameters."""
-
-    values: Array  # (n_parameters,)
-    local: LocalInformation
-    prior: Array  # (d, d) rows with the information of the priors
-    gradient: Array  # (d,) of the quantity, by changes of one in the local units
+def _described(one: Candidate) -> dict[str, Any]:
+    found = {"kind": one.kind, "form": one.form, "peak_torque": one.amplitude}
+    found |= {"duration": one.duration, "added_mass": one.inputs.added_mass}
+    return found | {"radius": one.inputs.radius, "start": one.q0}
 
 
 def ranking(
@@ -187,8 +179,28 @@ def ranking(
     """Rank candidates for the next recording by what they would leave of one quantity.
 
     With the output error, a candidate still adds the information of its torque, at the noise of a
-    torque sample. ``point`` ``(d,)`` is the estimate, whose picture is ``local``; ``name`` is a
-    free parameter or a derived quantity. ``progress`` is called with each stage before it begins.
+    torque sample.
+
+    Parameters
+    ----------
+    target
+        Posterior of the recordings that there are.
+    point
+        ``(d,)`` sampled parameters at the estimate, noise scales last.
+    local
+        What the recordings tell there, from
+        :func:`bayesfric.identifiability.local.local_information`.
+    options
+        What may be proposed.
+    name
+        A free parameter or a derived quantity.
+    progress
+        Called with each stage before it begins.
+
+    Returns
+    -------
+    Ranking
+        Candidates by the sd that they would leave of ``name``, the best first, in its own unit.
 
     Raises
     ------
@@ -196,71 +208,62 @@ def ranking(
         If there is no such quantity, if it is fixed, or if a limit cannot be.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    at_estimate = target.chain_values(point[None])[0]
-    load = typical_load(chain, observations, at_estimate)
-    unit, meaning = _described(target, name, point, load)
-    value = float(_values(target, name, point[None], load)[0])
-    at = _at(target, point, local, name, load)
-    limits = limits_of(options, chain, observations, at_estimate)
-    base = longest(observations)
-    number = next(i for i, o in enumerate(observations) if o is base)
-    noise = torque_noise(target, point, number)
+    unit, meaning, value, gradient = _asked(target, point, local, name)
+    limits = limits_of(options, chain, observations, target.chain_values(point[None])[0])
+    values = _movable(target, point, local)
+    base, priors = longest(observations), prior_rows(target, local)
+    noise = torque_noise(target, point, next(i for i, o in enumerate(observations) if o is base))
+
+    def known(*added: Observation) -> Uncertainty:
+        told = _told(target, values, local, noise, added)
+        if told is None:
+            return Uncertainty(float("inf"), None, float("inf"))
+        sd = joined(told.told, priors).sd(gradient)
+        data_sd = told.sd(gradient)
+        # a share of a value that is not determined would mean nothing
+        share = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
+        return Uncertainty(sd, share, data_sd)
+
     advices, dropped = [], []
+    at_estimate = target.chain_values(point[None])[0]
     for candidate in candidates(chain, at_estimate, observations, limits):
         progress(f"simulating {candidate.form}")
-        tried = try_out(chain, at.values, base, candidate, limits)
-        if isinstance(tried, Statement):
+        tried = try_out(chain, values, base, candidate, limits)
+        if isinstance(tried, str):
             dropped.append((candidate, tried))
             continue
-        tried_one, o = tried
-        shares = back_driven(chain, [o], at.values[None])
+        made, o = tried
+        shares = back_driven(chain, [o], values[None])
         drives = {element: float(share[0]) for element, share in shares.items()}
-        peak = fastest(o) if tried_one.made is not None else float(np.abs(o.qd).max())
-        after = _uncertainty(_sds(target, at, o, noise), value)
+        peak = fastest(o) if made.made is not None else float(np.abs(o.qd).max())
         ends = float(o.q.min()), float(o.q.max())
-        advices.append(Advice(tried_one, after, drives, peak, ends))
+        advices.append(Advice(made, known(o), drives, peak, ends))
     advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
-    now = _uncertainty(_sds(target, at), value)
-    return Ranking(name, unit, meaning, value, now, tuple(advices), tuple(dropped), limits)
+    return Ranking(name, unit, meaning, value, known(), tuple(advices), tuple(dropped), limits)
 
 
-def _described(target: Target, name: str, parameters: Array, load: float) -> tuple[str, str]:
-    """Give unit and meaning of what can be advised on, at possible parameters ``(d,)``."""
-    chain = target.likelihood.chain
-    where = f"--advise {name}"
-    described = {p.name: (p.unit, p.meaning) for p in chain.parameters}
-    values = target.chain_values(parameters[None])
-    described |= {q.name: (q.unit, q.meaning) for q in derive(chain, values, load)}
-    if name not in described:
-        raise BadInput(
-            where, "no parameter or derived quantity has that name", nearest(name, described)
-        )
-    if name in chain.names and name not in target.free:
-        what = f"is fixed at {values[0, chain.names.index(name)]:.6g} by its prior"
-        raise BadInput(where, what, f"give priors.{name} a width, or ask for another quantity")
-    return described[name]
-
-
-def _values(target: Target, name: str, parameters: Array, load: float) -> Array:
-    """Values of the quantity at sampled parameters ``(n, d)``, ``(n,)``."""
+def _asked(
+    target: Target, point: Array, local: LocalInformation, name: str
+) -> tuple[str, str, float, Array]:
+    """Give unit, meaning, value and gradient ``(d,)``, in the local units, of what is asked."""
+    chain, where = target.likelihood.chain, f"--advise {name}"
+    parameters = {p.name: p for p in chain.parameters}
     if name in target.free:
-        return np.asarray(parameters[:, target.free.index(name)])
-    made = derive(target.likelihood.chain, target.chain_values(parameters), load)
-    return next(q.values for q in made if q.name == name)
-
-
-def _at(target: Target, point: Array, local: LocalInformation, name: str, load: float) -> _At:
-    # central differences, exact up to rounding for what is next to linear
-    moved, widths = moved_beside(local, point)
-    up, down = _values(target, name, moved, load).reshape(2, -1)
-    gradient = (up - down) / widths * local.units
+        j, p = target.free.index(name), parameters[name]
+        return p.unit, p.meaning, float(point[j]), np.eye(local.units.size)[j] * local.units
+    if name in parameters:
+        fixed = target.chain_values(point[None])[0, chain.names.index(name)]
+        what = f"is fixed at {fixed:.6g} by its prior"
+        raise BadInput(where, what, f"give priors.{name} a width, or ask for another quantity")
+    derived = {q.name: (q, value, x) for q, value, x in derived_beside(target, point, local)}
+    if name not in derived:
+        known = nearest(name, [*parameters, *derived])
+        raise BadInput(where, "no parameter or derived quantity has that name", known)
+    q, value, gradient = derived[name]
     if not np.isfinite(gradient).all() or not gradient.any():
         what = "is not defined at the estimate, or made of fixed values only"
-        raise BadInput(
-            f"--advise {name}", what, "give these priors with a width, or ask for another quantity"
-        )
-    values = _movable(target, point, local)
-    return _At(values, local, prior_rows(target, local), gradient)
+        raise BadInput(where, what, "give these priors with a width, or ask for another quantity")
+    return q.unit, q.meaning, value, gradient
 
 
 def _movable(target: Target, parameters: Array, local: LocalInformation) -> Array:
@@ -277,39 +280,25 @@ def _movable(target: Target, parameters: Array, local: LocalInformation) -> Arra
     return np.asarray(target.chain_values(moved[None])[0])
 
 
-def _sds(
-    target: Target, at: _At, added: Observation | None = None, noise: TorqueNoise | None = None
-) -> tuple[float, float]:
-    """Posterior sd and the sd that recordings alone leave, with one more recording or none.
+def _told(
+    target: Target,
+    values: Array,
+    local: LocalInformation,
+    noise: TorqueNoise,
+    added: Sequence[Observation],
+) -> Directions | None:
+    """Take what recordings tell, in the local units, with more of them; ``None`` if one cannot be.
 
-    Both come from singular values, not from squares of them, and what theory says that no
-    torque tells is taken out first: rounding never makes a finite sd.
+    What theory says that no torque tells is taken out first: rounding never makes a finite sd.
     """
-    chain, observations = target.likelihood.chain, list(target.likelihood.observations)
-    k = len(target.free)
-    rows, known = at.local.told, None
-    if added is not None and noise is not None:
-        more = scaled_jacobian(target, added, at.values, at.local, noise)
-        rows = np.concatenate([rows, more])
+    rows, known = local.directions.told, None
+    if added:
+        more = [scaled_jacobian(target, o, values, local, noise) for o in added]
+        rows = np.concatenate([rows, *more])
         # which scalings are open depends on the masses in all recordings together
-        fixed = fixed_in(target, at.values)
-        open_ = open_directions(chain, fixed, [*observations, added], at.values)
-        known = open_ / at.local.units
-        if not np.isfinite(rows).all():
-            return float("inf"), float("inf")
-    tolerance = at.local.directions.tolerance
-    told = directions(rows, np.ones(k), tolerance, known_null=known)
-    kept = told.rows[~told.null] * told.singular_values[~told.null, None]
-    both = directions(np.concatenate([kept, at.prior]), np.ones(k), _ROUNDING)
-
-    def left(weight: Array | None) -> float:
-        return float("inf") if weight is None else float(np.sqrt(at.gradient @ weight))
-
-    return left(both.solve(at.gradient)), left(told.solve(at.gradient))
-
-
-def _uncertainty(sds: tuple[float, float], value: float) -> Uncertainty:
-    sd, data_sd = sds
-    # a share of a value that is not determined would mean nothing
-    relative = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
-    return Uncertainty(sd, relative, data_sd)
+        together = [*target.likelihood.observations, *added]
+        open_ = open_directions(target.likelihood.chain, fixed_in(target, values), together, values)
+        known = open_ / local.units
+    if not np.isfinite(rows).all():
+        return None
+    return directions(rows, np.ones(rows.shape[1]), local.directions.tolerance, known_null=known)

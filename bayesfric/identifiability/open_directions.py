@@ -3,22 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from bayesfric.base.templates import factor, percent
 from bayesfric.identifiability.coverage import Coverage
-from bayesfric.identifiability.local import WEAK, LocalInformation, NullDirection
-from bayesfric.identifiability.remedies import HARDLY, Remedy, Trial, left_along, remedies
-from bayesfric.identifiability.sentences import Statement, stated
+from bayesfric.identifiability.local import WEAK, LocalInformation, meaning_of
+from bayesfric.identifiability.virtual_recording import (
+    LAG,
+    LINES,
+    known_mass,
+    longest_stretch,
+    played,
+    sample_period,
+    scaled_jacobian,
+    square_with_sines,
+    torque_noise,
+)
+from bayesfric.inference.target import Target
+from bayesfric.mechanism import excitation
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.inputs import Inputs
 
+RemedyKind = Literal["known value", "known mass", "excitation"]
+
+# The load drives an element in fewer of the moving samples than this: hardly ever.
+HARDLY = 0.01
+# A remedy has to do more than one more recording of the same kind, which gives 0.71.
+_WORTH = 0.5
+# Of the parameters in a direction, those that change at least this share of the most changed.
+_MEMBER = 0.3
 # Entries of a null direction smaller than this are rounding.
 _ROUNDING = 1e-5
 # Entries of a weak direction smaller than this share of the largest are not named.
 _NAMED = 0.2
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Something to do about an open direction, and what it was found to do."""
+
+    kind: RemedyKind
+    text: str  # what to do
+    parameters: tuple[str, ...]  # for a known value: any one of these
+    # sd of the logarithm along the direction once it is done; None for a known value
+    log_sd_after: float | None
+    # directions, null or weak, that are then still open; of known values the one that leaves fewest
+    open_after: int
 
 
 @dataclass(frozen=True)
@@ -31,8 +65,8 @@ class OpenDirection:
     exponents: dict[str, float]
     in_units: dict[str, str]  # parameters next to zero, of which no logarithm is taken, and unit
     log_sd: float  # that the data leave of the factor's logarithm; infinite for a null direction
-    meaning: Statement  # what can change
-    reasons: tuple[Statement, ...]  # why it does not show
+    meaning: str  # what can change
+    reasons: tuple[str, ...]  # why it does not show
     remedies: tuple[Remedy, ...]  # what lifts it
 
     @property
@@ -51,13 +85,21 @@ def open_directions(
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first.
 
-    ``local`` is the picture by ``free`` parameters; ``told`` names those whose prior tells them
-    already.
+    Parameters
+    ----------
+    local
+        The picture by ``free`` parameters.
+    free
+        Those, in the order of ``local.names``.
+    coverage, back
+        What the recordings went through, and how often the load drives an element.
+    tried
+        Recordings that could help.
+    told
+        Names of parameters whose prior tells them already.
     """
     for number, (row, null) in enumerate(open_rows(local)):
-        theory = number < local.from_theory
-        least = _ROUNDING if null else _NAMED
-        named = [j for j, x in enumerate(row) if abs(x) > least]
+        named = np.flatnonzero(np.abs(row) > (_ROUNDING if null else _NAMED)).tolist()
         in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
         exponents = {
             local.labels[j]: float(row[j] * local.units[j])
@@ -66,23 +108,32 @@ def open_directions(
             for j in named
         }
         log_sd = np.inf if null else left_along(local.information, row)
-        if not null:
-            more = bool(np.any(np.abs(row[row != 0.0]) <= least))
-            told = {"exponents": exponents, "in_units": in_units, "log_sd": log_sd, "more": more}
-            meaning = stated("meaning", "weak", **told)
-        elif in_units and len(exponents) > 1:
-            meaning = stated("meaning", "shifts", exponents=exponents, in_units=in_units)
-        else:
-            meaning = NullDirection(exponents).meaning
+        more = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
+        theory = number < local.from_theory
         yield OpenDirection(
             "null" if null else "weak",
             exponents,
             in_units,
             log_sd,
-            meaning,
-            tuple(_reasons(free, row, null, theory, coverage, back)),
+            meaning_of(exponents, in_units) if null else _weak(exponents, in_units, log_sd, more),
+            tuple(_scaling(coverage) if theory else _reasons(free, row, null, coverage, back)),
             remedies(local, row, tried, told),
         )
+
+
+def _weak(
+    exponents: Mapping[str, float], in_units: Mapping[str, str], log_sd: float, more: bool
+) -> str:
+    """Say what one sd along a weak direction is; ``more`` than what is named changes a little."""
+    changes = ", ".join(
+        f"{name} {x * log_sd:+.2g} {in_units[name]}".strip()
+        if name in in_units
+        else f"{name} times {factor(x * log_sd)}"
+        for name, x in exponents.items()
+    )
+    beside = ", with smaller changes of others" if more else ""
+    both = "all " if len(exponents) > 1 else ""
+    return f"{changes}{beside}, or the other way round: {both}within one sd of the data"
 
 
 def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
@@ -90,10 +141,8 @@ def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
     for row in local.null_rows:
         yield row, True
     d = local.directions
-    told = [
-        (s, row) for s, row, null in zip(d.singular_values, d.rows, d.null, strict=True) if not null
-    ]
-    for value, row in reversed(told):
+    told = zip(d.singular_values[~d.null], d.rows[~d.null], strict=True)
+    for value, row in reversed(list(told)):
         if np.abs(row).max() > WEAK * value:
             sparse = _without(row, local.null_rows)
             yield sparse / sparse[int(np.argmax(np.abs(sparse)))], False
@@ -111,34 +160,168 @@ def _without(row: Array, null: Array) -> Array:
     return row
 
 
+def _scaling(coverage: Sequence[Coverage]) -> Iterator[str]:
+    """Say why leg and gearbox scale together (section 4.2 of the paper)."""
+    mass = ", and every recording carries the same known mass, which counts as load"
+    yield (
+        "the torque at the motor holds only products of these (section 4.2 of the paper): a load "
+        "twice as heavy behind a gearbox that passes on twice as much feels the same"
+        + mass
+        * all(one.added_mass for one in coverage)
+    )
+
+
 def _reasons(
     free: Sequence[Parameter],
     row: Array,
     null: bool,
-    theory: bool,
     coverage: Sequence[Coverage],
     back: Mapping[str, float],
-) -> list[Statement]:
-    """Say why a direction is open; ``theory`` where it is the scaling of section 4.2."""
+) -> Iterator[str]:
+    """Say why a direction is open where theory does not."""
     members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
     # what they shape: the terms that they fill, or turn
     shaped = {kind for p in members for kind, _ in p.row.fills}
-    if theory:
-        return [stated("reason", "scaling", with_mass=all(one.added_mass for one in coverage))]
+    rare = [element for element, share in back.items() if share < HARDLY]
+    for element in rare:
+        yield (
+            f"the load {'hardly ever' if back[element] else 'never'} drives {element}: in "
+            f"{percent(back[element])} % of the moving outputs at the estimate"
+        )
+    if rare and len(members) > 1:
+        yield f"while the motor always drives, what lies on either side of {rare[0]} acts alike"
+    turn, steady = max(one.turn for one in coverage), min(one.steady for one in coverage)
+    small = ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0
+    slow = "inertia" in shaped and steady > 0.8
+    if small:
+        yield f"the load turns through {turn:.2g} rad only"
+    if slow:
+        yield (
+            f"the joint hardly accelerates: in {100.0 * steady:.0f} % of the outputs inertia takes "
+            "less than a twentieth of the torque"
+        )
+    if rare or small or slow:
+        return
+    if len(members) > 1:
+        yield "their effects on the output have nearly the same shape in these recordings"
+    elif null:
+        yield f"no output changes with {members[0].name} in these recordings"
+    else:
+        yield "its effect on the output is small beside the noise"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One more recording, simulated at the estimate with the recordings' noise."""
+
+    kind: RemedyKind
+    text: str
+    information: Array  # (d, d) that its torque would add, in the local units
+
+
+def open_counts(information: Array) -> tuple[int, int]:
+    """Count the null directions of a Fisher information ``(d, d)``, and null or weak ones."""
+    if not information.size:
+        return 0, 0
+    values, vectors = np.linalg.eigh(information)
+    null = values <= 1e-14 * values[-1]
+    weak = np.abs(vectors).max(axis=0) > WEAK * np.sqrt(np.where(null, 0.0, values))
+    return int(null.sum()), int((null | weak).sum())
+
+
+def trials(
+    target: Target,
+    parameters: Array,
+    local: LocalInformation,
+    *,
+    rare: bool,
+) -> list[Trial]:
+    """Simulate the recordings that could help here.
+
+    At the estimate ``(d,)``, noise scales last; ``rare`` is whether the load hardly drove the
+    motor.
+    """
+    chain, observations = target.likelihood.chain, target.likelihood.observations
+    values = target.chain_values(parameters[None])[0]
+    longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
+    base = observations[longest]
+    noise = torque_noise(target, parameters, longest)
+    rotary = chain.load.motion == "rotary"
+    measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
+    time = period * np.arange(measured.size, dtype=np.float64)
+    peak = float(np.quantile(np.abs(measured), 0.99))
+    unit = "N m" if chain.motor_motion == "rotary" else "N"
+
+    wanted: list[tuple[RemedyKind, str, Array, Inputs]] = []
+
+    def excite(form: str, shape: Array) -> None:
+        torque = excitation.current_loop(peak * shape, period, LAG)
+        text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
+        wanted.append(("excitation", text, torque, base.inputs))
+
+    if len({replace(o.inputs, recording="") for o in observations}) == 1:
+        mass, another = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
+        text = f"another recording with {another} known added mass (added_mass, radius), such as "
+        text += f"{mass.added_mass:g} kg" + (f" at {mass.radius:g} m" if rotary else "")
+        wanted.append(("known mass", text, measured, mass))
+    if rare:
+        wave = excitation.square(time, 1.0, hertz)
+        excite("in which the load drives the motor, such as a square wave", wave)
+    shape = square_with_sines(time, hertz, hertz * LINES)
+    excite("of many frequencies, such as a square wave plus a multisine", shape)
     found = []
-    for element, share in back.items():
-        if share < HARDLY:
-            found.append(stated("reason", "hardly_driven", element=element, share=share))
-            if len(members) > 1:
-                found.append(stated("reason", "alike", element=element))
-    turn = max(one.turn for one in coverage)
-    if ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0:
-        found.append(stated("reason", "small_turn", turn=turn))
-    steady = min(one.steady for one in coverage)
-    if "inertia" in shaped and steady > 0.8:
-        found.append(stated("reason", "steady", steady=steady))
-    if not found and null and len(members) == 1:
-        found.append(stated("reason", "unseen", name=members[0].name))
-    elif not found:
-        found.append(stated("reason", "same_shape" if len(members) > 1 else "small"))
+    for kind, text, torque, bolted in wanted:
+        try:
+            recording = played(chain, values, base, torque, bolted)
+        except ValueError:
+            continue  # the joint cannot be simulated, or would stand still: nothing to propose
+        rows = scaled_jacobian(target, recording, values, local, noise)
+        gained = rows.T @ rows
+        if np.isfinite(gained).all():
+            found.append(Trial(kind, text, gained))
     return found
+
+
+def remedies(
+    local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str]
+) -> tuple[Remedy, ...]:
+    """Find what lifts one direction ``(d,)`` in the local units, known values first.
+
+    Those ``told`` have a narrow prior already, and it is no step to give them one. A recording is
+    only named if it leaves less than :data:`WEAK` along the direction and half of what was left
+    before.
+    """
+    information = local.information
+    before = left_along(information, row)
+    nulls, opens = open_counts(information)
+    null = not np.isfinite(before)
+    found = []
+    members = np.flatnonzero(np.abs(row) >= _MEMBER * np.abs(row).max())
+    helping = {}
+    for j in members:
+        rest = np.delete(np.delete(information, j, axis=0), j, axis=1)
+        left = open_counts(rest)
+        if local.names[j] not in told and (left[1] < opens or (null and left[0] < nulls)):
+            helping[int(j)] = left[1]
+    if helping:
+        names = tuple(local.names[j] for j in helping)
+        ways = "fix {}, or give it a prior from a data sheet or CAD"
+        if len(names) > 1:
+            ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
+        text = ways.format(", ".join(names))
+        found.append(Remedy("known value", text, names, None, min(helping.values())))
+    for trial in tried:
+        along = left_along(information + trial.information, row)
+        if along < WEAK and along < _WORTH * before:
+            count = open_counts(information + trial.information)[1]
+            found.append(Remedy(trial.kind, trial.text, (), along, count))
+    return tuple(found)
+
+
+def left_along(information: Array, row: Array) -> float:
+    """Sd of the logarithm of the most changed parameter, moving along one direction alone."""
+    size = float(np.abs(row).max())
+    told = float(row @ information @ row)
+    # what squaring leaves of a null direction is rounding
+    rounding = 1e-14 * float(np.trace(information)) * float(row @ row)
+    return size / float(np.sqrt(told)) if told > rounding else float("inf")

@@ -10,7 +10,6 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.sentences import Statement, stated
 from bayesfric.identifiability.virtual_recording import (
     HEAVIEST,
     LINES,
@@ -32,7 +31,6 @@ from bayesfric.recordings.inputs import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
 CandidateKind = Literal["excitation", "known mass", "longer"]
-Limit = Literal["torque", "speed", "angles", "positions", "runs_away"]
 
 # Speed limit over the fastest that was measured, if none is given.
 _FASTER = 1.2
@@ -81,28 +79,7 @@ class Candidate:
     qd0: float
     made: Observation | None = None  # for "longer": what there is, one more of which would be made
     lowered: float = 1.0  # factor on the torque that it took to keep the limits
-    because_of: Limit | None = None  # which limit that was
-
-    def smaller(self, factor: float, limit: Limit | None) -> Candidate:
-        """Make the same with a smaller torque, for the sake of a limit."""
-        return replace(
-            self,
-            amplitude=self.amplitude * factor,
-            command=self.command * factor,
-            lowered=factor,
-            because_of=limit,
-        )
-
-    @property
-    def limit(self) -> Statement | None:
-        """Limit that it took less torque to keep."""
-        return stated("limit", self.because_of) if self.because_of else None
-
-    @property
-    def described(self) -> str:
-        """Its form; of a recorded motion, which asks another torque then, what is bolted on."""
-        mass = self.inputs.added_mass if self.made is not None else 0.0
-        return f"{self.form} with {mass:g} kg" if mass else self.form
+    because_of: str | None = None  # which limit that was
 
     @property
     def duration(self) -> float:
@@ -134,18 +111,16 @@ def limits_of(
         max(float(o.q.max()) for o in observations),
     )
     carried = [replace(o.inputs, recording="") for o in observations if o.inputs.added_mass]
-    if options.masses is None:
+    on_hand = [Inputs(m.mass, m.radius) for m in options.masses or ()]
+    for number, one in enumerate(on_hand, start=1):
+        if rotary and not one.radius:
+            where = f"advice.masses.{number}.radius"
+            raise BadInput(where, "is missing", 'add radius, such as "0.35 m"')
+    if options.masses is None and not carried:
         # what was bolted on once is on hand; a guess is for those who never did, and where it would
         # be too light to tell beside the load, or too heavy to bolt on, there is none
         guess = known_mass(chain, values)
-        on_hand = [] if carried or guess.added_mass >= HEAVIEST else [guess]
-    else:
-        on_hand = [Inputs(m.mass, m.radius) for m in options.masses]
-        for number, one in enumerate(on_hand, start=1):
-            if rotary and not one.radius:
-                raise BadInput(
-                    f"advice.masses.{number}.radius", "is missing", 'add radius, such as "0.35 m"'
-                )
+        on_hand = [guess] if guess.added_mass < HEAVIEST else []
     base = longest(observations)
     # as warm as when it was recorded
     warmth = base.inputs.temperature
@@ -216,35 +191,28 @@ def candidates(
     see :func:`try_out`.
     """
     base = longest(observations)
-    period, hertz = sample_period(base), base.pace
-    stretch = longest_stretch(base, None)
+    period, hertz, stretch = sample_period(base), base.pace, longest_stretch(base, None)
     peak = float(np.abs(base.measured).max())
     # noise of the measurement is no part of the torque there was
     again = np.clip(base.torque[stretch], -peak, peak)
     again[-1] = 0.0
-    start, first = stretch.start, float(base.q[stretch.start])
-    yield Candidate(
-        "longer",
-        f"another recording just like {base.name!r}",
-        peak,
-        again,
-        period,
-        0.0,  # measured torque is behind the current loop already
-        replace(base.inputs, recording=""),
-        first,
-        float(base.qd[start]),
-        base,
-    )
-    had = base.inputs.added_mass, base.inputs.radius
+    state = float(base.q[stretch.start]), float(base.qd[stretch.start])
+    had = replace(base.inputs, recording="")
+    # measured torque is behind the current loop already
+    signal = peak, again, period, 0.0
+    form = f"another recording just like {base.name!r}"
+    yield Candidate("longer", form, *signal, had, *state, base)
     for bolted in limits.masses:
-        if (bolted.added_mass, bolted.radius) == had:
+        if (bolted.added_mass, bolted.radius) == (had.added_mass, had.radius):
             continue
         # what costs least: the same program once more, with something bolted on or taken off
-        yield _carrying(chain, values, base, bolted, stretch)
+        made = _carrying(chain, values, base, bolted)
+        asked = float(np.abs(made.measured).max()), made.torque[stretch], period, 0.0
+        form = f"the motion of {base.name!r} again"
+        yield Candidate("known mass", form, *asked, bolted, *state, made)
         if not limits.held and peak <= limits.torque:
             form = f"the torque of {base.name!r} again"
-            signal = peak, again, period, 0.0
-            yield Candidate("known mass", form, *signal, bolted, first, float(base.qd[start]))
+            yield Candidate("known mass", form, *signal, bolted, *state)
     if limits.held:
         return
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
@@ -258,25 +226,11 @@ def candidates(
             yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
 
 
-def _carrying(
-    chain: Joint, values: Array, base: Observation, bolted: Inputs, stretch: slice
-) -> Candidate:
+def _carrying(chain: Joint, values: Array, base: Observation, bolted: Inputs) -> Observation:
     """Repeat the motion of a recording, as its controller can, with a known mass bolted on."""
     warm = replace(bolted, temperature=base.inputs.temperature)
     torque = inverse_torque(chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps)
-    made = replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
-    return Candidate(
-        "known mass",
-        f"the motion of {base.name!r} again",
-        float(np.abs(made.measured).max()),
-        torque[stretch],
-        sample_period(base),
-        0.0,
-        bolted,
-        float(base.q[stretch.start]),
-        float(base.qd[stretch.start]),
-        made,
-    )
+    return replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
 
 
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
@@ -301,45 +255,46 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
 
 def try_out(
     chain: Joint, values: Array, base: Observation, candidate: Candidate, limits: Limits
-) -> tuple[Candidate, Observation] | Statement:
+) -> tuple[Candidate, Observation] | str:
     """Play a candidate, lowering its torque until it keeps the limits.
 
     ``values`` ``(n_parameters,)`` are the chain's; ``base`` is the recording whose filter and dead
     zone are used. Gives the candidate with its torque as it was in the end and what would be
     recorded, or says why it is no use.
     """
-    broken: Limit | None
     if candidate.made is not None:  # as it was made it would be made again, or not at all
-        broken = _broken(candidate.made, fastest(candidate.made), limits, chain)
-        broken = "torque" if candidate.amplitude > limits.torque else broken
-        return stated("limit", broken) if broken else (candidate, candidate.made)
-    limit: Limit | None = None
-    factor = 1.0
-    for _ in range(_TRIES):
-        trial = candidate.smaller(factor, limit)
+        if candidate.amplitude > limits.torque:
+            return "the torque limit"
+        broken = _broken(candidate.made, fastest(candidate.made), limits)
+        return broken or (candidate, candidate.made)
+    limit = None
+    for factor in (_SMALLER ** np.arange(_TRIES)).tolist():
+        trial = replace(
+            candidate,
+            amplitude=candidate.amplitude * factor,
+            command=candidate.command * factor,
+            lowered=factor,
+            because_of=limit,
+        )
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
         try:
             found = played(chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0))
-            broken = _broken(found, float(np.abs(found.qd).max()), limits, chain)
+            limit = _broken(found, float(np.abs(found.qd).max()), limits)
         except RunsAway:
-            broken = "runs_away"
+            limit = "the joint runs away"
         except ValueError as error:
-            name = stated("limit", limit) if limit else None
-            return stated("limit", "stopped", error=str(error), limit=name, share=factor)
-        if not broken:
+            return str(error)
+        if not limit:
             return trial, found
-        limit, factor = broken, factor * _SMALLER
-    name = stated("limit", str(limit))
-    return stated("limit", "always", limit=name, share=factor / _SMALLER)
+    return f"{limit}, even with {100.0 * factor:.0f} % of the torque"
 
 
-def _broken(recording: Observation, speed: float, limits: Limits, chain: Joint) -> Limit | None:
+def _broken(recording: Observation, speed: float, limits: Limits) -> str | None:
     if speed > limits.speed:
-        return "speed"
+        return "the speed limit"
     low, high = limits.angles or (-np.inf, np.inf)
-    if low <= float(recording.q.min()) and float(recording.q.max()) <= high:
-        return None
-    return "angles" if chain.load.motion == "rotary" else "positions"
+    inside = low <= float(recording.q.min()) and float(recording.q.max()) <= high
+    return None if inside else "the limits of position"
 
 
 def _hanging(chain: Joint, values: Array, near: float) -> float:

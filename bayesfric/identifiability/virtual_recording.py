@@ -149,9 +149,24 @@ def played(
 ) -> Observation:
     """Play a torque to the joint, and look at it as one looks at a recording.
 
-    ``torque`` ``(N,)`` is the motor's at every sample, N m or N. Sample rate, filter and dead zone
-    are those of the ``observation``, and so are position and speed to begin with if no ``state``
-    is given.
+    Parameters
+    ----------
+    chain, values
+        The joint and its parameters ``(n_parameters,)``.
+    observation
+        Whose sample rate, filter and dead zone are taken.
+    torque
+        ``(N,)`` the motor's at every sample, N m or N, behind the current loop.
+    inputs
+        What is bolted on, and how warm it is.
+    state
+        Position and speed to begin with, rad or m and s; those of the ``observation`` if left out.
+
+    Returns
+    -------
+    Observation
+        Without noise; its torque is filtered as that of the ``observation``, and so is its motion
+        unless that was refined.
 
     Raises
     ------

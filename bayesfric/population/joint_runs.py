@@ -15,7 +15,6 @@ from copy import copy
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.discrepancy import Pull
@@ -24,8 +23,7 @@ from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
 from bayesfric.population.population import Varying, interval
-
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Draws of runs that starts are made from; and share of the overall scatter that a spread is near
 # at least.
@@ -90,6 +88,7 @@ class JointTarget(LogPosterior):
             [p.upper if p.upper < _WIDEST else np.inf for p in self.priors],
             draws.std(axis=0),
         )
+        self.straighten, self.bend = self.coordinates.straighten, self.coordinates.bend
         self.likelihood = SimpleNamespace(
             cheap=all(t.likelihood.cheap for t in targets), method="input-error"
         )
@@ -117,14 +116,6 @@ class JointTarget(LogPosterior):
             count = len(places) - 1
             out[:, k] = np.hypot(apart, least) * np.sqrt(count / rng.chisquare(count, _DRAWS))
         return out
-
-    def straighten(self, u: Array) -> tuple[Array, Array]:
-        """See :meth:`bayesfric.inference.target.Target.straighten`."""
-        return self.coordinates.straighten(u)
-
-    def bend(self, v: Array) -> Array:
-        """See :meth:`bayesfric.inference.target.Target.bend`."""
-        return self.coordinates.bend(v)
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""

@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesfric.population.population import Interval, Likelihood, interval
-
-Array = NDArray[np.float64]
+from bayesfric.population.population import Interval, Likelihood, interval, log_prior
+from bayesfric.recordings.arrays import Array
 
 # Widths of the outliers' distribution.
 _WIDER = np.array([3.0, 10.0, 30.0])
@@ -98,7 +96,7 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
             for j, share in enumerate(_SHARES):
                 both = (1.0 - share) * inside + share * outside
                 log[i, :, j] += np.log(np.maximum(both, 1e-300)).sum(axis=1)
-    log += (_log_prior(sds, steps) + np.log(error))[:, None, None]
+    log += (log_prior(sds, steps) + np.log(error))[:, None, None]
     # of the share: steps are even in its logarithm
     log += (_BETA - 1.0) * np.log1p(-_SHARES) + np.log(_SHARES)
     chance = np.exp(log - log.max()).ravel()
@@ -127,12 +125,6 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
         interval(e, level),
         tuple(chances),
     )
-
-
-def _log_prior(sds: Array, steps: Array) -> Array:
-    """Give the reference prior of the spread, on steps even in its logarithm."""
-    variance = sds**2 + np.exp(2.0 * steps)[:, None]
-    return np.asarray(0.5 * np.log((1.0 / variance**2).sum(axis=1)) + 2.0 * steps)
 
 
 def _mean(means: Array, sds: Array, tau: float) -> tuple[float, float]:
@@ -168,6 +160,6 @@ def _range(means: Array, sds: Array) -> tuple[float, float]:
         inside, outside = _normals(means, sds**2 + tau**2, mean, tau)
         each = np.log(np.maximum(0.98 * inside + 0.02 * outside, 1e-300))
         log[k] = each.sum() + np.log(error)
-    log += _log_prior(sds, steps)
+    log += log_prior(sds, steps)
     near = np.flatnonzero(log > log.max() - _FAR)
     return steps[max(near[0] - 2, 0)], steps[min(near[-1] + 2, _COARSE - 1)]

@@ -23,10 +23,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
+from bayesfric.recordings.arrays import Array
 
 # Normals that a run's likelihood is made of, and the width of each in the run's sd.
 _NORMALS, _WIDTH = 32, 0.35
@@ -172,7 +171,7 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
     parts = [((r.centres - middle) / scale, r.weights, r.width / scale) for r in runs]
     log = sum(_log_likelihood(part, mean, spread[:, None]) for part in parts)
     # the prior, steps even in log tau, and those of the mean as wide as it
-    log = log + (0.5 * np.log((1.0 / variance**2).sum(axis=1)) + 2.0 * steps)[:, None]
+    log = log + log_prior(sds, steps)[:, None]
     log = log - 0.5 * np.log(total)[:, None]
     chance = np.exp(log - log.max()).ravel()
     rng = np.random.default_rng(seed)
@@ -193,6 +192,15 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
         q=q,
         p_value=float(stats.chi2.sf(q, len(runs) - 1)),
     )
+
+
+def log_prior(sds: Array, steps: Array) -> Array:
+    """Give the log of the spread's reference prior on steps ``(n,)`` even in its logarithm.
+
+    Up to a constant, for runs of sds ``(R,)``; see the module.
+    """
+    variance = sds**2 + np.exp(2.0 * steps)[:, None]
+    return np.asarray(0.5 * np.log((1.0 / variance**2).sum(axis=1)) + 2.0 * steps)
 
 
 def interval(draws: Array, level: float, shift: float = 0.0, unit: float = 1.0) -> Interval:

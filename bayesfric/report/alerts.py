@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bayesfric.identifiability.sentences import stated
+from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.doubts import references_off
@@ -61,8 +61,8 @@ def alerts_of(read: Readable, contested: Sequence[str] | None = None) -> tuple[A
         found += (_alert(*one) for one in _of_model(summary, contested))
     found += (Alert("warning", text, line=text.split(";")[0]) for text in _gathered(summary))
     if (emf := summary.fit.back_emf) is not None:
-        text = str(stated("voltage", "back_emf", **emf.model_dump()))
-        found.append(Alert("back-EMF", text, "parameters"))
+        told = emf.model_dump(exclude={"among"})
+        found.append(Alert("back-EMF", SpeedTerm(**told).meaning, "parameters"))
     if summary.may_be_simulated:
         found.append(Alert("simulated", line_of("simulated")))
     return tuple(found)

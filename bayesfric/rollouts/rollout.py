@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Measurement
@@ -29,7 +31,6 @@ from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
-Array = NDArray[np.float64]
 # Fitted recordings that say how much of the unexplained torque moves the joint, at most.
 _CALIBRATED = 12
 # Draws that are enough for that.
@@ -42,6 +43,52 @@ _WIDE = 1.6448536269514722**2
 _LEAST_SAMPLES = 20
 # Standard deviation of a step of the encoder, in steps.
 _ROUNDED = 12.0**-0.5
+# Draws that the residuals are those of the mean of.
+_DRAWS = 100
+# Mean length of a piece in times over which residuals remember, and outputs at least.
+_MEMORIES, _LEAST = 10.0, 10
+# Of the outputs, the longest memory that is looked for.
+_LONGEST = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recording to be played, as read and as prepared."""
+
+    measurement: Measurement
+    observation: Observation
+    part: Part
+
+    @cached_property
+    def segments(self) -> NDArray[np.int64]:
+        """Stretches that are played, ``(K, 2)``: where the drive is off, the joint goes on.
+
+        Raises
+        ------
+        BadInput
+            If there is none.
+        """
+        m = self.measurement
+        off = False if m.law is None or m.law.off is None else m.law.off
+        parts = without_excluded(m.segments, m.excluded & np.logical_not(off))
+        kept = [(a, b) for a, b in parts if b - a >= _LEAST_SAMPLES]
+        if not kept:
+            what = f"has no stretch of {_LEAST_SAMPLES} samples to play"
+            raise BadInput(f"recording '{m.name}'", what, "exclude less, or record longer")
+        return np.array(kept, dtype=np.int64)
+
+    @cached_property
+    def used(self) -> Flags:
+        """Samples that are played, ``(N,)``."""
+        used = np.zeros(self.measurement.time.size, dtype=np.bool_)
+        for a, b in self.segments:
+            used[a:b] = True
+        return used
+
+
+_Band = tuple[Array, Array]
+# Positions and speeds ``(n, N)`` of draws.
+_Plays = tuple[Array, Array]
 
 
 def rollout(
@@ -92,55 +139,39 @@ def rollout(
         given = [recordings] if isinstance(recordings, Recording) else recordings
         recorded = of_recordings(run, given)
     for one in recorded:
-        _segments(one)  # what cannot be played is refused before anything is simulated
+        _ = one.segments  # what cannot be played is refused before anything is simulated
     seed = run.model.config.tables.sampling.seed if seed is None else seed
     series = unexplained(run)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(13,)))
     picked = run.values(run.picked(draws))
     few = run.values(run.picked(min(_FEW, draws)))
+
+    def plays(one: Recorded, values: Array, times: Array) -> tuple[_Plays, _Plays]:
+        """Play it without and with ``times`` ``(n,)`` the unexplained torque."""
+        m = one.measurement
+        alone = _play(run, one, values, None, rng)
+        push = times[:, None] * played(series, len(values), m.time.size, m.period, rng)
+        return alone, _play(run, one, values, push, rng)
+
     known = own(run, every=True)[len(run.model.held_out) :]
     factors = {}
     for one in known[:: -(-len(known) // _CALIBRATED)]:
         m = one.measurement
         progress(Progress(f"unexplained torque: {m.name}"))
-        alone = _play(run, one, few, None, rng)
-        push = played(series, len(few), m.time.size, m.period, rng)
-        moved = _play(run, one, few, push, rng)
+        (alone, _), (moved, _) = plays(one, few, np.ones(len(few)))
         rounding = _ROUNDED * one.observation.position_step
-        stays = ~_over(run.joint, m.position, alone[0], moved[0])
-        factors[m.name] = moving_share(m.position, alone[0][stays], moved[0][stays], rounding)
+        stays = ~_over(run.joint, m.position, alone, moved)
+        factors[m.name] = moving_share(m.position, alone[stays], moved[stays], rounding)
     # each as often as the others
     each = rng.permutation(np.resize(list(factors.values()), len(picked)))
     found = []
     for one in recorded:
-        m = one.measurement
-        progress(Progress(f"roll-out: {m.name}"))
-        alone = _play(run, one, picked, None, rng)
-        push = each[:, None] * played(series, len(picked), m.time.size, m.period, rng)
-        moved = _play(run, one, picked, push, rng)
-        found.append(_rolled(run, one, alone, moved))
+        progress(Progress(f"roll-out: {one.measurement.name}"))
+        found.append(_rolled(run, one, *plays(one, picked, each)))
     left = np.concatenate([one.values for one in series])
     unit = "N m" if run.joint.motor_motion == "rotary" else "N"
     rms = float(np.sqrt(np.mean(left**2)))
     return RollOut(run.name, tuple(found), len(picked), seed, factors, rms, unit)
-
-
-def _segments(one: Recorded) -> NDArray[np.int64]:
-    """Stretches that are played, ``(K, 2)``: where the drive is off, the joint goes on."""
-    m = one.measurement
-    off = np.zeros(m.time.size, dtype=np.bool_) if m.law is None or m.law.off is None else m.law.off
-    parts = [
-        (a, b)
-        for a, b in without_excluded(m.segments, m.excluded & ~off)
-        if b - a >= _LEAST_SAMPLES
-    ]
-    if not parts:
-        raise BadInput(
-            f"recording '{m.name}'",
-            f"has no stretch of {_LEAST_SAMPLES} samples to play",
-            "exclude less, or record longer",
-        )
-    return np.array(parts, dtype=np.int64)
 
 
 def _play(
@@ -149,12 +180,11 @@ def _play(
     values: Array,
     push: Array | None,
     rng: np.random.Generator,
-) -> tuple[Array, Array]:
+) -> _Plays:
     """Simulate positions and speeds ``(n, N)``; NaN where nothing is played or moves."""
     m, o, chain = one.measurement, one.observation, posterior.joint
     law = m.law or Law(m.torque, np.ones(m.torque.shape))
-    segments = _segments(one)
-    start = segments[:, 0]
+    segments, start = one.segments, one.segments[:, 0]
     q, qd = np.full((2, len(values), m.time.size), np.nan)
     # what each recording has of its own, a new one borrows from any
     offsets = chain.own_offsets
@@ -211,7 +241,7 @@ def moving_share(position: Array, alone: Array, moved: Array, rounding: float) -
     return float(min(np.sqrt(np.quantile(asked, LEVEL, method="inverted_cdf")), _MOST))
 
 
-def _over(joint: Joint, position: Array, *played: Array) -> NDArray[np.bool_]:
+def _over(joint: Joint, position: Array, *played: Array) -> Flags:
     """Tell which plays ``(n, N)`` went another way than the joint over the top, ``(n,)``.
 
     They came half a turn away from its position, where gravity acts: from there on each turn is
@@ -229,13 +259,8 @@ def _weighed(joint: Joint) -> bool:
     return moment and joint.load.motion == "rotary"
 
 
-def _rolled(
-    posterior: Finished, one: Recorded, alone: tuple[Array, Array], moved: tuple[Array, Array]
-) -> Rolled:
-    m, o, chain = one.measurement, one.observation, posterior.joint
-    used = np.zeros(m.time.size, dtype=np.bool_)
-    for a, b in _segments(one):
-        used[a:b] = True
+def _rolled(posterior: Finished, one: Recorded, alone: _Plays, moved: _Plays) -> Rolled:
+    m, o, chain, used = one.measurement, one.observation, posterior.joint, one.used
     lost = ~np.isfinite(moved[0][:, used]).all(axis=1) | ~np.isfinite(alone[0][:, used]).all(axis=1)
     if lost.all():
         raise BadInput(
@@ -279,39 +304,25 @@ def _rolled(
     )
 
 
-_Band = tuple[Array, Array]
-
-
 def _compared(
-    measured: Array, moved: Array, alone: Array, used: NDArray[np.bool_], step: float
+    measured: Array, moved: Array, alone: Array, used: Flags, step: float
 ) -> tuple[_Band, _Band, Array, Error]:
     """Bands with unexplained torque and of the parameters alone, their middle, and its error."""
-
-    def quantile(values: Array, share: float) -> Array:
-        out = np.full(used.size, np.nan)
-        out[used] = np.quantile(values[:, used], share, axis=0)
-        return out
-
-    low, high = 0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0
-    band, narrow = ((quantile(x, low) - step, quantile(x, high) + step) for x in (moved, alone))
-    middle = quantile(alone, 0.5)
+    ends = np.full((2, 3, used.size), np.nan)
+    for rows, values in zip(ends, (moved, alone), strict=True):
+        rows[:, used] = np.quantile(
+            values[:, used], [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2], axis=0
+        )
+    band, narrow = ((low - step, high + step) for low, _, high in ends)
+    middle = ends[1, 1]
     left = (measured - middle)[used]
     inside, inside_alone = (
-        float(np.mean((measured >= ends[0])[used] & (measured <= ends[1])[used]))
-        for ends in (band, narrow)
+        float(np.mean(((low <= measured) & (measured <= high))[used]))
+        for low, high in (band, narrow)
     )
     rms, width = np.sqrt(np.mean(left**2)), np.median((band[1] - band[0])[used])
     error = Error(float(np.mean(np.abs(left))), float(rms), inside, inside_alone, float(width))
     return band, narrow, middle, error
-
-
-@dataclass(frozen=True, eq=False)
-class Recorded:
-    """A recording to be played, as read and as prepared."""
-
-    measurement: Measurement
-    observation: Observation
-    part: Part
 
 
 def own(posterior: Finished, *, every: bool = False) -> list[Recorded]:
@@ -370,14 +381,6 @@ def _part(posterior: Finished, m: Measurement) -> Part:
     same = (one for one in posterior.model.recordings if one.sha256 == m.sha256)
     within = any(one.time[0] <= m.time[-1] and m.time[0] <= one.time[-1] for one in same)
     return "fitted" if within else "new"
-
-
-# Draws that the residuals are those of the mean of.
-_DRAWS = 100
-# Mean length of a piece in times over which residuals remember, and outputs at least.
-_MEMORIES, _LEAST = 10.0, 10
-# Of the outputs, the longest memory that is looked for.
-_LONGEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)

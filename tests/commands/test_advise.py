@@ -93,7 +93,7 @@ def test_the_knee_needs_a_mass_and_says_so(bench):
     (bench.folder / "knee.csv").write_bytes((FOLDER / "knee.csv").read_bytes())
     ended = bench.run("identify", "c.toml", "--advise", "load.inertia")
     assert ended.code == 0, ended.err
-    has(ended.out, "No recording that was tried determines load.inertia", "rest on the priors")
+    has(ended.out, "No recording that was tried determines load.inertia", "rests on the priors")
     has(ended.out, "recordings alone leave it open", "the load drives gearbox in")
     # nothing that is not determined is given as a value, nor its sd as a share of one
     has(ended.out.splitlines()[0], "load.inertia (inertia", "): not determined yet")

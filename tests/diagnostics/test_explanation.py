@@ -11,7 +11,7 @@ from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
 from bayesfric.diagnostics.explanation import finding, setting_of
 from bayesfric.diagnostics.regression import Regression, Step
 from bayesfric.diagnostics.scans import TONE, Scan
-from bayesfric.diagnostics.statistics import Asked, basis_of, scored, solved, without
+from bayesfric.diagnostics.statistics import Asked, scored, solved
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
@@ -131,13 +131,6 @@ def test_solved_is_least_squares_and_leaves_out_what_is_open():
     assert np.linalg.norm(told.T @ [1.0, 0.0, 0.0, -1.0]) < 1e-6
 
 
-def test_a_basis_leaves_nothing_of_its_columns():
-    x = np.random.default_rng(2).standard_normal((50, 4))
-    basis = basis_of(np.column_stack([x, x @ [1.0, 1.0, 0.0, 0.0]]))
-    assert basis.shape == (50, 4)
-    assert np.abs(without(basis, x)).max() < 1e-12
-
-
 def test_scores_of_twins_like_the_recording_are_standard_normal():
     """Of many recordings drawn like their twins, squares of a score average to one."""
     rng = np.random.default_rng(3)
@@ -158,7 +151,7 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
     assert np.mean(np.square(np.concatenate(twins))[:, :2], axis=0) == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("times", [0.8, 1.0, 1.3])
+@pytest.mark.parametrize("times", [1.0, 1.3])
 def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     """SIMULATED. What passes it on with losses below zero is a factor of all torque."""
     full = bf.Joint.preset("servo-pendulum")

@@ -1,20 +1,13 @@
 """What a fit says of itself: the bias of central differences is found and taken off."""
 
 import json
-from types import SimpleNamespace
 
 import pytest
 from numba import get_num_threads, set_num_threads
 
 import bayesfric as bf
-from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.policy import TWINS
-from bayesfric.diagnostics.self_check import self_check
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.self_check_part import self_check_part
-from bayesfric.report.terminal import fit_text
 from tests.diagnostics.bench import CENTRAL, TRUTH, model, recording
 
 
@@ -48,9 +41,6 @@ def test_what_is_corrected_is_no_doubt_and_said(central):
     one = central.summary.parameters["motor.inertia"].reported
     assert one.how.bias > 1.0
     assert one.value < one.how.posterior[0]
-    assert "not always found again" in "\n".join(fit_text(central.summary, verbose=True))
-    frame = central.summary.frame.set_index("name")
-    assert frame.loc["motor.inertia", "value"] < frame.loc["motor.inertia", "posterior"]
 
 
 def test_exact_derivatives_have_next_to_no_bias(exact):
@@ -62,8 +52,6 @@ def test_exact_derivatives_have_next_to_no_bias(exact):
         assert abs(row.bias) < 0.5, name
         assert row.coverage == pytest.approx(0.9, abs=0.03), name
         assert (row.corrected_interval is None) == (abs(row.bias) < 0.3)
-    (line,) = [one for one in fit_text(exact.summary, verbose=True) if one.startswith("Self-check")]
-    assert "found again" in line
 
 
 def test_the_same_seed_gives_the_same_numbers_whatever_the_threads(exact):
@@ -80,18 +68,6 @@ def test_the_same_seed_gives_the_same_numbers_whatever_the_threads(exact):
         for one in (exact, again)
     ]
     assert told[0] == told[1]
-
-
-def test_the_output_error_has_none_and_says_so(exact):
-    found = exact.fit
-    likelihood = object.__new__(PositionLikelihood)
-    simulating = SimpleNamespace(likelihood=likelihood, free=(), priors=())
-    model = exact.model
-    checked = self_check(simulating, found.posterior, model.observations, Explanation(), 1e-3)
-    part = self_check_part(found, exact.summary, checked, groups(found))
-    assert (part.made, part.reason, part.rows) == (0, "likelihood", {})
-    told = fit_text(exact.summary.model_copy(update={"self_check": part}), verbose=True)
-    assert any("Self-check: none, the likelihood is of the position" in line for line in told)
 
 
 def test_a_joint_that_cannot_be_simulated_says_why():
@@ -112,7 +88,3 @@ def test_a_joint_that_cannot_be_simulated_says_why():
     assert check.reason == "simulation"
     assert "irreversible" in check.said
     assert found.summary.parameters["load.inertia"].sd > 0.0
-
-
-def test_none_is_made_where_none_is_wanted():
-    assert model(recordings=0).fit(seed=1).summary.self_check is None

@@ -59,13 +59,6 @@ def test_a_replay_is_read_in_the_steps_of_the_recording(made):
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
-def test_a_replay_is_treated_as_the_recording_was(made):
-    told = made.observations[0].settings
-    for seen in replayed(made, draws_about(VALUES)):
-        for key in ("lowpass", "decimate", "band", "dead_zone", "trim_samples", "reach", "taps"):
-            assert seen.settings[key] == told[key]
-
-
 def test_each_segment_is_replayed_from_its_own_state(made):
     recording, processing = made.recordings[0], made.config.tables.processing
     halves = replace(recording, segments=((0, 2400), (2400, recording.time.size)))

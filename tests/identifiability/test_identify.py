@@ -11,22 +11,18 @@ import bayesfric as bf
 from bayesfric.identifiability.at_estimate import estimate_point
 from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
-from bayesfric.identifiability.identification import expected_covariance, identify
-from bayesfric.identifiability.local import WEAK, local_information
-from bayesfric.identifiability.remedies import left_along, open_counts
+from bayesfric.identifiability.identification import identify
+from bayesfric.identifiability.local import WEAK, joined, local_information, prior_rows
+from bayesfric.identifiability.open_directions import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
-from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
 from tests.conftest import made_observation, made_recording
+from tests.identifiability.bench import AXIS, CHAIN, KNEE, PERIOD, VALUES, problem
 
-KNEE, AXIS = PRESETS["rabbit-knee"], PRESETS["motor-axis"]
-CHAIN = KNEE.chain()
-VALUES = CHAIN.vector(KNEE.values)
 SCALED = (
     "gearbox.alpha_drive",
     "gearbox.alpha_back",
@@ -36,7 +32,7 @@ SCALED = (
     "load.inertia",
     "load.first_moment",
 )
-PERIOD, N, SIGMA, PEAK = 1e-3, 4000, 0.02, 0.8
+N, PEAK = 4000, 0.8
 TIME = PERIOD * np.arange(N)
 SQUARE = excitation.square(TIME, PEAK, 1.0)
 LAGGED = excitation.current_loop(SQUARE, PERIOD, 0.005)
@@ -52,13 +48,6 @@ def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
     )
     moved = motion.q, motion.qd, motion.qdd
     return made_observation(name, motion.time, moved, torque, taken, PERIOD, inputs)
-
-
-def problem(*observations, texts=None):
-    target = make_target(
-        CHAIN, observations, read_priors(CHAIN, texts or {}, observations), "shared"
-    )
-    return target, np.array([KNEE.values[name] for name in target.free] + [SIGMA])
 
 
 def look(*observations, texts=None):
@@ -82,7 +71,7 @@ def test_lagged_square_torque_leaves_the_papers_scaling_and_nothing_else(lagged)
     zero = np.array([label not in SCALED for label in lagged.local.labels])
     np.testing.assert_allclose(lagged.local.null_rows[0][zero], 0.0, atol=1e-6)
     assert lagged.directions[0] is null
-    assert "can all be multiplied by one factor" in str(null.meaning)
+    assert "can all be multiplied by one factor" in null.meaning
 
 
 def test_an_ideal_square_wave_leaves_three(lagged):
@@ -116,15 +105,15 @@ def test_an_ideal_square_wave_leaves_three(lagged):
     row = np.array([change.get(label, 0.0) for label in found.local.labels])
     null_space = np.linalg.qr(found.local.null_rows.T)[0]
     np.testing.assert_allclose(null_space @ (null_space.T @ row), row, atol=1e-6 * abs(row).max())
-    assert all(any("multisine" in str(r.text) for r in one.remedies) for one in null[1:])
+    assert all(any("multisine" in r.text for r in one.remedies) for one in null[1:])
 
 
 def test_with_a_sine_the_load_never_drives(sine):
     assert sine.back_driving == {"gearbox": 0.0}
     alone = next(one for one in sine.directions if set(one.exponents) == {"gearbox.alpha_back"})
     assert alone.null
-    assert "ever drives" in str(alone.reasons[0])
-    assert any("load drives the motor" in str(r.text) for r in alone.remedies)
+    assert "ever drives" in alone.reasons[0]
+    assert any("load drives the motor" in r.text for r in alone.remedies)
     # five totals are all that a motor that always drives can tell
     assert sum(one.null for one in sine.directions) == len(CHAIN.names) - 5
     rows = {one.name: one for one in sine.parameters}
@@ -141,10 +130,8 @@ def test_a_table_says_by_parameter_what_determines_it_and_json_holds_no_infinity
     assert list(frame.index) == [one.name for one in sine.parameters]
     assert frame.loc["gearbox.load_back", "status"] == "unidentified"
     assert set(frame.loc["load.inertia", "open_with"].split(", ")) >= set(SCALED) - {"load.inertia"}
-    assert "load.inertia" in sine._repr_html_()
     told = json.loads(json.dumps(sine.as_json(), allow_nan=False))
     assert told["parameters"]["gearbox.load_back"]["data_sd"] is None
-    assert all(isinstance(text, str) for one in told["directions"] for text in one["reasons"])
 
 
 def test_what_is_proposed_does_it(lagged):
@@ -185,7 +172,7 @@ def test_the_same_mass_everywhere_counts_as_load():
     expected |= {"load.inertia": 1.0 + 2.0 * 0.35**2 / inertia}
     whole = expected["load.first_moment"]
     assert null.exponents == pytest.approx({n: x / whole for n, x in expected.items()}, abs=1e-6)
-    assert any("another known added mass" in str(r.text) for r in null.remedies)
+    assert any("another known added mass" in r.text for r in null.remedies)
 
 
 def test_a_back_emf_has_the_shape_of_viscous_loss():
@@ -202,8 +189,7 @@ def test_a_back_emf_has_the_shape_of_viscous_loss():
 def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
     chain = AXIS.chain()
     o = make_observation(chain, AXIS.values, n=500)
-    target = make_target(chain, [o], read_priors(chain, {}, [o]), "shared")
-    parameters = np.array([AXIS.values[name] for name in target.free] + [0.02])
+    target, parameters = problem(o, chain=chain, values=AXIS.values)
     found = identify(target, parameters)
     x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.q)], axis=1)
     data = x.T @ x / 0.02**2
@@ -224,10 +210,12 @@ def test_a_flat_improper_scale_is_infinite_not_large(lagged):
     target, parameters = problem(recorded(LAGGED))
     flat = SimpleNamespace(sd=lambda: np.inf)
     wide = SimpleNamespace(free=target.free, priors=(flat,) * len(target.priors))
-    covariance = expected_covariance(wide, local_information(target, parameters))
+    local = local_information(target, parameters)
+    both = joined(local.directions.told, prior_rows(wide, local))
     named = np.array([label in SCALED for label in lagged.local.labels])
-    assert np.isinf(np.diag(covariance)[named]).all()
-    assert np.isfinite(np.diag(covariance)[~named]).all()
+    sds = np.array([both.sd(one) for one in np.eye(named.size)])
+    assert np.isinf(sds[named]).all()
+    assert np.isfinite(sds[~named]).all()
 
 
 def test_noise_of_the_estimate_is_its_residual():
@@ -264,13 +252,12 @@ def test_open_directions_are_counted_by_what_they_leave():
     assert left_along(np.diag([4.0, 0.0]), np.array([0.0, 1.0])) == np.inf
 
 
-@pytest.mark.parametrize("sds", [0.5, 1.3, 1.8, 5.0])
+@pytest.mark.parametrize("sds", [0.5, 5.0])
 def test_an_offset_that_the_table_says_the_data_tell_is_not_called_weak(make_observation, sds):
     """Known to a hundredth of the torque, it is well known, whether or not it differs from 0."""
     chain = AXIS.chain()
-    (observation,) = [make_observation(chain, AXIS.values | {"offset": 0.0}, sigma=1.0, n=1000)]
-    target = make_target(chain, [observation], read_priors(chain, {}, [observation]), "shared")
-    values = np.array([AXIS.values[name] for name in target.free] + [1.0])
+    observation = make_observation(chain, AXIS.values | {"offset": 0.0}, sigma=1.0, n=1000)
+    target, values = problem(observation, chain=chain, values=AXIS.values, sigma=1.0)
     j = target.free.index("offset")
     values[j] = sds * local_information(target, values).data_sd[j]
     found = identify(target, values)

@@ -110,8 +110,3 @@ def test_what_cannot_be_pooled_is_refused(given, said):
     with pytest.raises(bf.BadInput, match=r"pooling|likelihood|recordings") as error:
         model(**given).pool()
     assert said in str(error.value)
-
-
-def test_only_recordings_are_varied_over():
-    with pytest.raises(bf.BadInput, match=r"motor\.viscous"):
-        bf.Model(AXIS, recording(0, 0.1), vary={"motor.viscous": "day"})

@@ -114,12 +114,6 @@ def test_a_prior_is_divided_out_once():
     assert found.sd == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_same_seed_gives_the_same_numbers():
-    runs = [normal(1.0, 0.1), normal(1.4, 0.2)]
-    assert population(runs, seed=3) == population(runs, seed=3)
-    assert population(runs, seed=3) != population(runs, seed=4)
-
-
 @pytest.mark.parametrize("runs", [[], [normal(1.0, 1.0)]])
 def test_one_run_is_no_population(runs):
     with pytest.raises(ValueError, match="two runs"):

@@ -10,16 +10,13 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
-from bayesfric.commands.rollout import rollout_text
 from bayesfric.fit.finished_run import finished
 from bayesfric.fit.result import result_of
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
 from bayesfric.report.alerts import roll_out_alerts
-from bayesfric.report.figures.rollout import rollout_figure
 from bayesfric.report.summary.rows import rollout_part
-from bayesfric.results.roll_out import LEVEL
 from bayesfric.rollouts.rollout import (
     Recorded,
     Series,
@@ -150,13 +147,8 @@ def test_the_command_prints_what_python_returns(bench, made):
     assert summary.rollout.as_dict() == found
     page = (folder / "run" / "report.html").read_text()
     assert 'id="roll-out"' in page
-    assert "Recordings played to the joint" in page
     for kind in ("pdf", "png", "svg"):
         assert (folder / "run" / "figures" / f"rollout.{kind}").is_file()
-    text = bench.run("rollout", "run", "--draws", "30", "--all").out
-    assert "1 held out" in text
-    assert "1 fitted" in text
-    assert "closed loop" in text
 
 
 def test_other_recordings_are_played_by_their_targets_alone(bench, made):
@@ -222,17 +214,10 @@ def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
     assert not two.wide
     told = rollout_part(played)
     assert "wide bands" not in roll_out_alerts(told)
-    assert not any("tell anything" in line for line in rollout_text(told))
     # at what half of all bands are wider than
     small = replace(two, room=two.at_position.width, blind=0.5)
     told = rollout_part(replace(played, rolled=(small,)))
     assert roll_out_alerts(told)["wide bands"] == {"wide": ["two"]}
-    lines = list(rollout_text(told))
-    marked = [line for line in lines if line.endswith("too wide to tell")]
-    assert [line.split()[0] for line in marked] == ["two", "all"]
-    assert "tell anything (two)" in lines[-1]
-    figure = rollout_figure(replace(played, rolled=(small,)))
-    assert figure.axes[0].get_title().endswith("too wide to tell")
 
 
 @pytest.mark.parametrize(("gravity", "turns"), [(True, 0.5), (False, 4.0)])
@@ -269,10 +254,6 @@ def test_plays_that_go_another_way_over_the_top_do_not_make_the_bands(made, join
             assert x.at_position.width == pytest.approx(0.33, abs=4 * 0.03)
             ends = (x.band[1] - x.band[0])[np.isfinite(x.band[0])]
             assert np.ptp(ends) < 1e-9
-        played = replace(rollout(found, draws=30), rolled=(x,), draws=100)
-        text = "\n".join(rollout_text(rollout_part(played)))
-        said = f"{lost} of 100 plays went another way over the top" in text
-        assert said == (chain is joint and lost > 0)
 
 
 def test_recordings_that_tell_nothing_decide_nothing(made):
@@ -405,28 +386,13 @@ def test_pieces_keep_size_and_neighbours():
     assert lag == pytest.approx(0.8, abs=0.03)
 
 
-def test_between_outputs_it_goes_straight():
-    rng = np.random.default_rng(3)
-    drawn = played([Series(remembering(300), 0.05)], 1, 1001, 0.005, rng)[0]
-    every = drawn[::10]
-    assert drawn == pytest.approx(np.interp(np.arange(1001), np.arange(0, 1001, 10), every))
-
-
-def test_the_same_seed_gives_the_same_bytes():
-    series = [Series(remembering(400), 0.02), Series(remembering(90, seed=4), 0.01)]
-    drawn = [played(series, 3, 500, 0.01, np.random.default_rng(5)).tobytes() for _ in range(2)]
-    assert drawn[0] == drawn[1]
-
-
 def test_the_share_that_moves_the_joint_is_found():
     """Errors that are half of what the whole torque would make; parameters known or not."""
     rng = np.random.default_rng(6)
     for known in (0.0, 0.3):
         alone = known * rng.standard_normal((4000, 300))
         moved = alone + rng.standard_normal((4000, 300))
-        measured = np.concatenate([
-            np.sqrt(known**2 + 0.25) * rng.standard_normal(300) for _ in range(1)
-        ])  # fmt: skip
+        measured = np.sqrt(known**2 + 0.25) * rng.standard_normal(300)
         # the 90 % point of 300 normals: sd of the quantile 0.09 of a sd, twice that allowed
         assert moving_share(measured, alone, moved, 0.0) == pytest.approx(0.5, abs=0.1)
 
@@ -441,4 +407,3 @@ def test_noise_that_moves_nothing_counts_for_nothing():
 def test_nothing_can_be_told_of_what_does_not_move():
     nothing = np.full((5, 8), np.nan)
     assert moving_share(np.zeros(8), nothing, nothing, 0.0) == 1.0
-    assert LEVEL == 0.9

@@ -14,8 +14,8 @@ from io import StringIO
 from typing import Any, Literal
 
 from bayesfric.base.errors import BadInput
+from bayesfric.base.templates import capital
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
-from bayesfric.identifiability.sentences import capital
 from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.comparison.cell import (

@@ -24,7 +24,6 @@ from markupsafe import Markup, escape
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import read_text
 from bayesfric.base.templates import environment
-from bayesfric.identifiability.sentences import capital, factor
 from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
@@ -80,9 +79,7 @@ def _environment() -> Environment:
         "p": numbers.html_p,
         "sig": numbers.HTML.number,
         "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
-        "capital": capital,
         "named": clause,
-        "factor": factor,
     }
     made.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
     return made

@@ -11,8 +11,7 @@ import numpy as np
 
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import typical_load, weighed_torque
-from bayesfric.identifiability.local import LocalInformation, verdict
-from bayesfric.identifiability.scale_from_priors import given_by
+from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling import convergence

@@ -11,8 +11,7 @@ from bayesfric.base.version import __version__
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driven
-from bayesfric.identifiability.local import LocalInformation, local_information, verdict
-from bayesfric.identifiability.scale_from_priors import given_by
+from bayesfric.identifiability.local import LocalInformation, given_by, local_information, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.inference.noise import SCALES
@@ -76,8 +75,7 @@ def summarise(
         },
         "identifiability": {
             "null_directions": [
-                {"parameters": n.exponents, "meaning": str(n.meaning)}
-                for n in local.null_directions
+                {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
             ],
         },
         "noise": noise_part.noise_record(fit, residual, choice),
