@@ -35,15 +35,15 @@ def open_scalings(
     masses = {o.inputs.load(chain.load.motion) for o in observations}
     if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
         return ()
-    fixed, told = knowledge.fixed, set(knowledge.told)
-    found = []
-    for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0))):
-        losses = {scaling.drive, scaling.back}
-        loaded = {name for name, mass in scaling.parts() if mass}
-        telling = {name for name, x in fixed.items() if x != 0.0 or name in losses | loaded}
-        if not (telling | told) & set(scaling.names):
-            found.append(scaling)
-    return tuple(found)
+    fixed, told = knowledge.fixed, knowledge.told
+    return tuple(
+        scaling
+        for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0)))
+        if not any(
+            name in told or (name in fixed and fixed[name] + shift != 0.0)
+            for name, (shift, _) in scaling.rules.items()
+        )
+    )
 
 
 def open_directions(

@@ -16,7 +16,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import TOTALS, State
-from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
@@ -138,22 +138,10 @@ def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Arra
     Where none is fixed it goes to the middle of what a passive gearbox allows.
     """
     for scaling in scalings(chain):
-        names = [name for name in scaling.names if name in fixed]
-        factors = [_factor_to(scaling, values, name, fixed[name]) for name in names]
-        values = scaling.scaled(values, next(filter(None, factors), 0.0) or scaling.middle(values))
+        factors = (scaling.factor_to(values, n, fixed[n]) for n in scaling.names if n in fixed)
+        reached = (factor for factor in factors if 0.0 < factor < math.inf)
+        values = scaling.scaled(values, next(reached, None) or scaling.middle(values))
     return values
-
-
-def _factor_to(scaling: Scaling, values: Array, name: str, value: float) -> float:
-    """Factor of a scaling that gives a parameter a value; zero where none does."""
-    if name not in scaling.names:
-        return 0.0
-    now = float(values[scaling.chain.names.index(name)])
-    if name in scaling.behind:
-        return max(value / now, 0.0) if now else 0.0
-    way = 1.0 if name == scaling.drive else -1.0  # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2)
-    above, below = 1.0 + way * now, 1.0 + way * value
-    return above / below if above > 0.0 and below > 0.0 else 0.0
 
 
 def _turning(chain: Joint) -> list[int]:
