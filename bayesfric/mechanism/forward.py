@@ -11,14 +11,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism.chain import Chain, Tables
-from bayesfric.mechanism.dynamics import CarriedValues, Moved, carried_by, moved
-from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
+from bayesfric.mechanism.dynamics import CarriedValues, Moved, moved
+from bayesfric.mechanism.integrate import (
+    ACCELERATION,
+    POSITION,
+    RUNAWAY,
+    SPEED,
+    STICKS,
+    integrate,
+    integrate_segments,
+)
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
@@ -31,8 +39,7 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_LOAD_RATIO,
     STRIBECK_VELOCITY,
 )
-from bayesfric.mechanism.own_term import compiled
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.own_term import signal_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
@@ -41,11 +48,6 @@ from bayesfric.recordings.measurement import Hold
 # Steps that a cubic torque is straight in, a sample.
 _FINER = 4
 _MAX_SUBSTEPS = 64
-
-
-def _against(state: State) -> float:
-    """Give what a torque from outside is multiplied by: the motor need not."""
-    return float(-1.0 + 0.0 * state.speed)
 
 
 class RunsAway(ValueError):
@@ -68,7 +70,9 @@ class Motion:
     sticking: NDArray[np.bool_]
     events: int  # located stops, breakaways and sign changes of transmitted torques
     reversals: int  # how often the joint moved off against the direction it had moved in before
-    step_error: float  # estimated discretisation error of q (rad or m), largest over the samples
+    # estimated discretisation error of q (rad or m), largest over the samples; NaN where the
+    # number of steps was given
+    step_error: float
     substeps: int  # integration steps per sample
     # steps with more events than the simulator follows; their rest was integrated without
     # locating any. Zero unless the steps are far too coarse
@@ -144,26 +148,19 @@ def simulate(
     def run(each: int) -> Motion:
         made = _motion(joint, fine, period / finer, begin, hold != "zero", (q0, qd0), each)
         every = slice(None, None, finer)
-        return replace(
-            made,
-            **{name: getattr(made, name)[every] for name in ("time", "q", "qd", "qdd", "sticking")},
-            torque=given,
-            substeps=each * finer,
-        )
+        names = ("time", "q", "qd", "qdd", "sticking")
+        kept: dict[str, Any] = {name: getattr(made, name)[every] for name in names}
+        return replace(made, torque=given, substeps=each * finer, **kept)
 
     if substeps is not None:
-        each = -(-substeps // finer)
-        found, even = run(each), each % 2 == 0
-        other = run(each // 2 if even else 2 * each)
-        change = float(np.max(np.abs(found.q - other.q)))
-        return replace(found, step_error=change / 15.0 if even else change * 16.0 / 15.0)
-    coarse = run(2)
+        return run(-(-substeps // finer))
+    found = run(2)
     while True:
-        found = run(2 * coarse.substeps // finer)
+        coarse, found = found, run(2 * found.substeps // finer)
         change = float(np.max(np.abs(found.q - coarse.q)))
         if change < tolerance or found.substeps >= _MAX_SUBSTEPS:
+            # of fourth order: half the step leaves a sixteenth of the error
             return replace(found, step_error=change / 15.0)
-        coarse = found
 
 
 def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
@@ -177,12 +174,20 @@ def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
     ]
     if outside:
         raise ValueError(f"not finite or outside its support: {', '.join(outside)}")
-    elements, load, carried = chain.tables(vector[np.newaxis], inputs)
-    if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
+    (elements,), (load,), carried = chain.tables(vector[np.newaxis], inputs)
+    if load[GAIN] == 0.0 or np.any(elements[:, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
-    terms = carried_by(carried_values(chain, carried, inputs), 0)
-    joint = moved(elements[0], load[0], terms, *inputs.load(chain.load.motion))
-    _check_slope(joint)
+    joint = moved(
+        elements, load, carried_values(chain, carried, inputs), *inputs.load(chain.load.motion)
+    )
+    low, high = _slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
+    if high[0] <= 0.0:
+        raise ValueError("the chain has no inertia, so a torque does not determine its motion")
+    if low[0] <= 0.0:
+        raise ValueError(
+            "irreversible gearbox: its loss when the load drives is so large, against the inertia "
+            "on the motor side, that one torque allows more than one motion"
+        )
     return joint
 
 
@@ -196,21 +201,19 @@ def _motion(
     substeps: int,
 ) -> Motion:
     """Integrate with a given number of steps per sample; its error is not known."""
-    q, qd, qdd = (np.empty(torque.size) for _ in range(3))
-    sticking = np.empty(torque.size, dtype=np.bool_)
-    counts = np.zeros(3, dtype=np.int64)
+    out, counts = np.empty((4, torque.size)), np.zeros(3, dtype=np.int64)
     now = (float(period), float(begin), linear, float(start[0]), float(start[1]), substeps)
-    done = integrate(joint, torque, *now, q, qd, qdd, sticking, counts)
+    done = integrate(joint, torque, *now, out, counts)
     if done < torque.size:
         at = f"{RUNAWAY:g} rad or m after {done * period:g} s"
         raise RunsAway(f"the joint runs away: beyond {at}")
     return Motion(
         time=np.arange(torque.size, dtype=np.float64) * float(period),
-        q=q,
-        qd=qd,
-        qdd=qdd,
+        q=out[POSITION],
+        qd=out[SPEED],
+        qdd=out[ACCELERATION],
         torque=torque,
-        sticking=sticking,
+        sticking=out[STICKS] == 1.0,
         events=int(counts[0]),
         reversals=int(counts[1]),
         step_error=math.nan,
@@ -305,37 +308,21 @@ def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
     Raises ``ValueError`` where the inputs do not hold the signal that one is multiplied by.
     """
-    felt = [k for k, c in enumerate(chain.carried) if c.row.column is not None]
-    pushed = inputs.load_torque
-    if not felt and pushed is None:
+    felt = chain.felt(inputs)
+    kept = [k for k, c in enumerate(felt) if c.row.column is not None]
+    if not kept:
         return None
-    terms = [chain.carried[k] for k in felt]
-    places, addresses = [c.place for c in terms], [c.address for c in terms]
-    signals: dict[int, tuple[str, float]] = {
-        k: (c.row.signal, c.row.zero) for k, c in enumerate(terms) if c.row.signal
-    }
-    if pushed is not None:
-        felt = [*felt, len(chain.carried)]
-        signals[len(places)] = ("load_torque", 0.0)
-        places, addresses = (
-            [*places, len(chain.elements)],
-            [*addresses, int(compiled(_against, shaped=False).address)],
-        )
-    found = {}
-    for k, (name, zero) in signals.items():
-        signal = getattr(inputs, name)
-        if signal is None:
-            raise ValueError(f"the inputs hold no {name}")
-        found[k] = (signal, zero)
+    terms = [felt[k] for k in kept]
+    signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
-    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one, _ in found.values())]))
-    levels = np.ones((len(places), stamps.size))
-    for k, (signal, zero) in found.items():
-        levels[k] = signal.at(stamps) - zero
+    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one in signals.values())]))
+    levels = np.ones((len(terms), stamps.size))
+    for k, signal in signals.items():
+        levels[k] = signal.at(stamps) - terms[k].row.zero
     return CarriedValues(
-        np.ascontiguousarray(values[:, felt]),
-        np.array(places, dtype=np.int64),
-        np.array(addresses, dtype=np.int64),
+        np.ascontiguousarray(values[:, kept]),
+        np.array([c.place for c in terms], dtype=np.int64),
+        np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
     )
@@ -414,14 +401,3 @@ def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
         low = corners.min(axis=0) + element[:, INERTIA] * to_input
         high = corners.max(axis=0) + element[:, INERTIA] * to_input
     return low, high
-
-
-def _check_slope(joint: Moved) -> None:
-    low, high = _slope_bounds(joint.elements[np.newaxis], np.array([joint.inertia]))
-    if high[0] <= 0.0:
-        raise ValueError("the chain has no inertia, so a torque does not determine its motion")
-    if low[0] <= 0.0:
-        raise ValueError(
-            "irreversible gearbox: its loss when the load drives is so large, against the inertia "
-            "on the motor side, that one torque allows more than one motion"
-        )

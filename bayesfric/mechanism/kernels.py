@@ -129,18 +129,6 @@ def risen_torque(
 
 
 @njit(cache=True, inline="always")
-def element_input(
-    element: Row, torque_out: float, sign: float, speed: float, acceleration: float
-) -> float:
-    """Torque at an element's input for one sample.
-
-    ``sign`` is the direction of motion, handed in apart from ``speed`` because at
-    rest it is the direction in which the joint is about to break away.
-    """
-    return element_torque(element, torque_out / element[RATIO], sign, speed, acceleration)
-
-
-@njit(cache=True, inline="always")
 def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float) -> float:
     """Gravity on the load, ``g ml sin(q + q_g)``, with the known added mass."""
     angle = load[GRAVITY_ANGLE]

@@ -85,16 +85,16 @@ def random_joint(rng, mu=1.5):
     elements[:, kernels.STRIBECK_EXPONENT] = rng.choice([2.0, 0.7], n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
-    return dynamics.moved(elements, load, None, 0.0, 0.0)
+    return dynamics.moved(elements, load, None, 0.0, 0.0), load
 
 
 def test_closed_form_acceleration_agrees_with_root_finding():
     rng = np.random.default_rng(1)
     tried = irreversible = 0
     while tried < 3000:
-        joint = random_joint(rng)
-        elements, load = joint[0], joint[1]
-        low, _ = forward._slope_bounds(elements[np.newaxis], np.array([joint[2]]))
+        joint, load = random_joint(rng)
+        elements = joint.elements
+        low, _ = forward._slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
         if low[0] <= 1e-6:
             continue
         tried += 1
@@ -104,20 +104,21 @@ def test_closed_form_acceleration_agrees_with_root_finding():
         gravity = kernels.gravity_torque(load, 0.0, np.sin(q), np.cos(q))
 
         def excess(a, elements=elements, gravity=gravity, joint=joint, s=sign, v=qd, t=torque):
-            return carried_to_motor(elements, joint[2] * a + gravity, s, v, a) - t
+            return carried_to_motor(elements, joint.inertia * a + gravity, s, v, a) - t
 
-        found, pattern = dynamics.exact_acceleration(joint, q, qd, torque, 0.0, sign)
+        at, lines = (joint, q, qd, torque, 0.0, sign), np.zeros((len(elements), 2))
+        found, pattern = dynamics.acceleration(*at, lines)
         reach = abs(excess(0.0)) / low[0] * 1.01 + 1e-9
         brute = brentq(excess, -reach, reach, xtol=1e-14, rtol=1e-15)
         scale = abs(brute) + (abs(gravity) + abs(torque) + 10.0) / low[0]
         assert abs(found - brute) <= 1e-12 * scale
         # the frozen pattern is that motion's, and gives the same acceleration
-        lines = np.zeros((len(elements), 2))
-        again = dynamics.frozen_acceleration(joint, q, qd, torque, 0.0, sign, pattern, lines)
-        assert again == found
+        assert dynamics.held_acceleration(*at, pattern, lines) == found
         for k in range(len(elements)):
-            out = carried_to_motor(elements[k + 1 :], joint[2] * found + gravity, sign, qd, found)
-            if dynamics.kinked(elements, k) and abs(out) > 1e-9:
+            out = carried_to_motor(
+                elements[k + 1 :], joint.inertia * found + gravity, sign, qd, found
+            )
+            if joint.kinks >> k & 1 and abs(out) > 1e-9:
                 assert bool(pattern >> k & 1) == (out * sign > 0)
     assert irreversible > 100
 
@@ -125,8 +126,8 @@ def test_closed_form_acceleration_agrees_with_root_finding():
 def test_slope_bounds_are_those_of_all_patterns():
     rng = np.random.default_rng(2)
     for _ in range(300):
-        joint = random_joint(rng)
-        elements = joint[0].copy()
+        joint, _ = random_joint(rng)
+        elements = joint.elements.copy()
         for slot in ("stribeck_load_ratio", "load_drive_difference", "load_back_difference"):
             elements[:, kernels.ELEMENT_SLOTS.index(slot)] = 0.0
         joint = joint._replace(elements=elements)
@@ -135,24 +136,15 @@ def test_slope_bounds_are_those_of_all_patterns():
         for bits in itertools.product((0, 1), repeat=len(elements)):
             pattern = sum(bit << k for k, bit in enumerate(bits))
             a, b = (
-                dynamics.frozen_acceleration(joint, 0.1, 1.0, t, 0.0, 1.0, pattern, lines)
+                dynamics.held_acceleration(joint, 0.1, 1.0, t, 0.0, 1.0, pattern, lines)
                 for t in (0.0, 1.0)
             )
             slopes.append(1 / (b - a))
-        low, high = forward._slope_bounds(elements[np.newaxis], np.array([joint[2]]))
+        low, high = forward._slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
         np.testing.assert_allclose([low[0], high[0]], [min(slopes), max(slopes)], rtol=1e-8)
 
 
 # --- closed forms ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("hold", ["linear", "zero"])
-def test_free_mass_moves_exactly(hold):
-    # BAM's integrator gives 1.5 a t²: its speed is updated before the position uses it
-    motion = simulate(axis(), [0.5], np.full(1001, 0.25), 1e-3, hold=hold, substeps=3)
-    np.testing.assert_allclose(motion.q, 0.25 * motion.time**2, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(motion.qd, 0.5 * motion.time, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(motion.qdd, 0.5)
 
 
 def test_holds_are_what_they_say():
@@ -294,21 +286,6 @@ def test_sticking_joint_keeps_still_between_the_limits():
     assert np.all(motion.q == 0.0)
     assert np.all(motion.sticking)
     assert motion.events == 0
-
-
-def test_stribeck_raises_the_breakaway_torque():
-    chain = axis(coulomb="symmetric", stribeck=True)
-    values = chain.vector(
-        {
-            "motor.inertia": 0.01,
-            "motor.coulomb": 0.2,
-            "motor.stribeck_ratio": 0.5,
-            "motor.stribeck_velocity": 0.1,
-        }
-    )
-    time = np.arange(1001) * 1e-3
-    motion = simulate(chain, values, 0.4 * time, 1e-3)
-    np.testing.assert_array_equal(motion.sticking, 0.4 * time <= 0.2 * 1.5 + 1e-15)
 
 
 # --- energy, order, and another integrator --------------------------------------------
