@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.point_estimate import Bound, EstimatedValue
+from bayesfric.estimates.point_estimate import Bound, EstimatedValue, Kind
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
@@ -117,56 +118,74 @@ def assemble(
     Gives totals of eq. (11) as least squares would see this vector's torque, derived quantities,
     parameters. What the data leave open has an infinite sd; what stands on a bound has none.
     """
-    free = knowledge.free(chain)
-    columns = np.array([chain.names.index(name) for name in free], dtype=np.int64)
+    columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
     scale = np.zeros(values.size)
     # these also suit parameters that are zero
     scale[columns] = information.directions.units
-
-    def sds(gradient: Array, gauge_free: bool) -> tuple[float, float]:
-        own = gradient[columns]
-        if bound_of(gradient):
-            return np.nan, np.nan
-        return information.sds(information.directions.off_known(own) if gauge_free else own)
-
-    open_ = open_scalings(chain, knowledge, observations)
-
-    def bound_of(gradient: Array) -> Bound | None:
-        """Which bound a quantity stands on that only parameters on theirs make up."""
-        own = gradient[columns]
-        if not np.any(own) or np.any(own[at_bound == 0]):
-            return None
-        return "lower" if own @ at_bound < 0 else "upper"
-
-    def span(function: Callable[[Array], Array]) -> tuple[float, float] | None:
-        if len(open_) != 1:
-            return None
-        low, high = open_[0].bounds(values)
-        # the lower end of k is where alpha_2 would be one; at zero it is no end at all
-        along = open_[0].scaled(values, np.geomspace(max(low, 1e-6 * high), high, 101))
-        found = function(along)
-        found = found[np.isfinite(found)]
-        return (float(found.min()), float(found.max())) if found.size else None
-
-    stated = list(_totals(chain, observations, values, scale, sds))
-    taken = {value.name for value in stated}
+    still_open = open_scalings(chain, knowledge, observations)
+    stated = _Stated(values, columns, information, at_bound, still_open)
+    found = list(_totals(chain, observations, values, scale, stated))
+    taken = {value.name for value in found}
     load = typical_load(chain, observations, values)
-    derived = _derived(chain, values, load, scale, sds, span, bound_of)
-    stated += [v for v in derived if v.name not in taken]
+    found += [v for v in _derived(chain, values, load, scale, stated) if v.name not in taken]
+    gauged = {name for scaling in scalings(chain) for name in scaling.names}
+    moving = {name for scaling in still_open for name in scaling.names}
     for column in columns.tolist():
-        p, gradient = chain.parameters[column], np.eye(values.size)[column]
-        scaled = any(p.name in s.names for s in open_)
-        stated.append(
-            EstimatedValue(
-                *(p.name, p.unit, p.symbol, p.meaning, float(values[column])),
-                *sds(gradient, False),
-                kind="parameter",
-                gauge_free=not any(p.name in s.names for s in scalings(chain)),
-                at_bound=bound_of(gradient),
-                span=span(lambda along, c=column: along[:, c]) if scaled else None,  # type: ignore[misc]
+        p = chain.parameters[column]
+        found.append(
+            stated(
+                (p.name, p.unit, p.symbol, p.meaning, float(values[column])),
+                np.eye(values.size)[column],
+                "parameter",
+                gauge_free=p.name not in gauged,
+                along=(lambda x, c=column: x[:, c]) if p.name in moving else None,  # type: ignore[misc]
             )
         )
-    return tuple(stated)
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Stated:
+    """States numbers that a fitted vector makes up."""
+
+    values: Array  # (n_parameters,)
+    columns: NDArray[np.int64]  # the free ones
+    information: Information  # of these
+    at_bound: NDArray[np.int_]
+    scalings: tuple[Scaling, ...]  # that are open
+
+    def __call__(
+        self,
+        number: tuple[str, str, str, str, float],
+        gradient: Array,
+        kind: Kind,
+        *,
+        gauge_free: bool = True,
+        along: Callable[[Array], Array] | None = None,
+    ) -> EstimatedValue:
+        """State a number by its gradient ``(n_parameters,)``, and by what it is of other vectors.
+
+        Where only parameters on a bound make it up, it stands on one, too.
+        """
+        own, directions = gradient[self.columns], self.information.directions
+        bound: Bound | None = None
+        sds = np.nan, np.nan
+        if np.any(own) and not np.any(own[self.at_bound == 0]):
+            bound = "lower" if own @ self.at_bound < 0 else "upper"
+        else:
+            sds = self.information.sds(directions.off_known(own) if gauge_free else own)
+        span = None if along is None or np.isfinite(sds[0]) else self._span(along)
+        return EstimatedValue(*number, *sds, kind, gauge_free, bound, span)
+
+    def _span(self, along: Callable[[Array], Array]) -> tuple[float, float] | None:
+        if len(self.scalings) != 1:
+            return None
+        low, high = self.scalings[0].bounds(self.values)
+        # the lower end of k is where alpha_2 would be one; at zero it is no end at all
+        factors = np.geomspace(max(low, 1e-6 * high), high, 101)
+        found = along(self.scalings[0].scaled(self.values, factors))
+        found = found[np.isfinite(found)]
+        return (float(found.min()), float(found.max())) if found.size else None
 
 
 def bounds_met(
@@ -184,11 +203,7 @@ def bounds_met(
 
 
 def _totals(
-    chain: Joint,
-    observations: Sequence[Observation],
-    values: Array,
-    scale: Array,
-    sds: Callable[[Array, bool], tuple[float, float]],
+    chain: Joint, observations: Sequence[Observation], values: Array, scale: Array, stated: _Stated
 ) -> Iterator[EstimatedValue]:
     """Totals that least squares would find in the torque this vector makes."""
     projection = TotalsProjection(chain, observations)
@@ -201,40 +216,30 @@ def _totals(
     for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
         if label in chain.names:
             continue  # it is a parameter, stated as such
-        both = (np.inf, np.inf) if projection.open[i] else sds(gradients[i], True)
-        yield EstimatedValue(label, *projection.describe(name), float(found[i]), *both)
+        number = label, *projection.describe(name), float(found[i])
+        if projection.open[i]:
+            yield EstimatedValue(*number, np.inf, np.inf)
+        else:
+            yield stated(number, gradients[i], "total")
 
 
 def _derived(
-    chain: Joint,
-    values: Array,
-    load: float,
-    scale: Array,
-    sds: Callable[[Array, bool], tuple[float, float]],
-    span: Callable[[Callable[[Array], Array]], tuple[float, float] | None],
-    bound_of: Callable[[Array], Bound | None],
+    chain: Joint, values: Array, load: float, scale: Array, stated: _Stated
 ) -> Iterator[EstimatedValue]:
     steps = 1e-5 * scale
     moving = np.flatnonzero(steps)
     k = moving.size
     beside = np.eye(values.size)[moving] * steps
     moved = values + np.concatenate([beside, -beside, np.zeros((1, values.size))])
-    for quantity in derive(chain, moved, load):
-        middle = float(quantity.values[-1])
+    for q in derive(chain, moved, load):
+        middle = float(q.values[-1])
         gradient = np.zeros(values.size)
-        gradient[moving] = (quantity.values[:k] - quantity.values[k : 2 * k]) / (2 * steps[moving])
+        gradient[moving] = (q.values[:k] - q.values[k : 2 * k]) / (2 * steps[moving])
         if not np.isfinite(middle) or not np.isfinite(gradient).all() or not gradient.any():
             continue  # undefined here, or made of known numbers only
-        sd, robust = sds(gradient, quantity.gauge_free)
 
-        def along(vectors: Array, name: str = quantity.name) -> Array:
-            return next(q.values for q in derive(chain, vectors, load) if q.name == name)
+        def along(vectors: Array, name: str = q.name) -> Array:
+            return next(one.values for one in derive(chain, vectors, load) if one.name == name)
 
-        yield EstimatedValue(
-            *(quantity.name, quantity.unit, quantity.symbol, quantity.meaning, middle),
-            *(sd, robust),
-            kind="derived",
-            gauge_free=quantity.gauge_free,
-            at_bound=bound_of(gradient),
-            span=None if np.isfinite(sd) else span(along),
-        )
+        number = q.name, q.unit, q.symbol, q.meaning, middle
+        yield stated(number, gradient, "derived", gauge_free=q.gauge_free, along=along)

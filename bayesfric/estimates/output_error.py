@@ -21,7 +21,6 @@ from bayesfric.estimates.shooting_fit import (
     Frame,
     Linearised,
     Solution,
-    Weights,
     descend_afresh,
     residual_of,
     settle_states,
@@ -170,8 +169,7 @@ class OutputError:
         values = values.copy()
         values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
         frame = self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values)
-        plain = Weights(np.ones(frame.shooting.measured.size), 1.0)
-        states = settle_states(frame, plain, values, frame.shooting.initial)
+        states = settle_states(frame, values, frame.shooting.initial)
         return frame, values, states, residual_of(frame, values, states)
 
     def fit(self, values: Array, length: float) -> Fit | None:
@@ -186,8 +184,8 @@ class OutputError:
                 frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
         several = len(self.trajectories) > 1
         for _ in range(_WEIGHINGS if several or self.knowledge.told else 1):
-            weights = self._weights(frame, residual)
-            solution = descend_afresh(frame, weights, values, states)
+            frame = self._weighted(frame, residual)
+            solution = descend_afresh(frame, values, states)
             if not np.isfinite(solution.cost):
                 return None
             values, states, residual = solution.values, solution.states, solution.residual
@@ -198,7 +196,7 @@ class OutputError:
             solution = replace(solution, values=middle, residual=moved)
         at_bound = fitted.bounds_met(solution.values[self.columns], *self.limits, frame.units)
         error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
-        information = self._information(frame, weights, solution)
+        information = self._information(frame, solution)
         return Fit(length, frame, solution, information, at_bound, error)
 
     def lengths(self) -> tuple[float, ...]:
@@ -286,6 +284,8 @@ class OutputError:
             targets,
             speed=max(float(np.sqrt(np.mean(speeds**2))), 1e-12),
             span=max(float(np.ptp(t.position)) for t in self.trajectories) or 1e-12,
+            rows=np.ones(shooting.measured.size),
+            sigma=1.0,
             deadline=self.deadline,
         )
 
@@ -299,7 +299,7 @@ class OutputError:
         whole = float(np.sqrt(np.mean(torque**2)))
         return np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), values_size)
 
-    def _weights(self, frame: Frame, residual: Array) -> Weights:
+    def _weighted(self, frame: Frame, residual: Array) -> Frame:
         of = frame.shooting.recording_of
         rows = np.ones(residual.size)
         if len(self.trajectories) > 1:
@@ -307,11 +307,11 @@ class OutputError:
             # a joint that stands still is simulated exactly, and measured to a count no better
             sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
             rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
-        return Weights(rows, float(np.sqrt(np.mean((residual * rows) ** 2))))
+        return replace(frame, rows=rows, sigma=float(np.sqrt(np.mean((residual * rows) ** 2))))
 
-    def _information(self, frame: Frame, weights: Weights, solution: Solution) -> Information:
-        linear = Linearised(frame, solution.values, solution.states, weights.rows, weights.sigma)
-        residual = weights.rows * linear.residual
+    def _information(self, frame: Frame, solution: Solution) -> Information:
+        linear = Linearised(frame, solution.values, solution.states)
+        residual = frame.rows * linear.residual
         projected, _ = linear.elimination.of(residual[:, None])
         return Information(
             linear.elimination.projected[:, 1:],
@@ -325,7 +325,7 @@ class OutputError:
             tolerance=_NULL,
             groups=frame.shooting.segment_of,
             lost=linear.elimination.lost,
-            least=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
+            least=float(np.min(frame.rows * self.grain[frame.shooting.recording_of])),
         )
 
 
