@@ -28,10 +28,24 @@ _ON_BOUND = 1e-6
 def open_scalings(
     chain: Joint, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
-    """Scalings that neither known loads nor a known or told parameter takes away.
+    """Scalings that neither known loads nor a known or told parameter takes away (section 4.2).
 
     One known mass in all recordings alike might as well be more leg, and zero times any
     factor is zero: neither fixes a scale.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    knowledge
+        Fixed and told values; bounds alone fix no scale.
+    observations
+        Whose known loads count.
+
+    Returns
+    -------
+    tuple of Scaling
+        None, one, or one for each of several such elements.
     """
     masses = {o.inputs.load(chain.load.motion) for o in observations}
     if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
@@ -50,7 +64,20 @@ def open_scalings(
 def open_directions(
     chain: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
 ) -> Array:
-    """Directions of the open scalings at a vector, in the free parameters, ``(k, d)``."""
+    """Directions of the open scalings at a vector.
+
+    Parameters
+    ----------
+    chain, knowledge, observations
+        As for :func:`open_scalings`.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(k, d)`` tangents, one a row, of the ``d`` free parameters, in their units.
+    """
     columns = [chain.names.index(name) for name in knowledge.free(chain)]
     found = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
     return np.array(found).reshape(-1, len(columns))
@@ -61,7 +88,19 @@ def centred(
 ) -> Array:
     """Move a fit along open scalings to the middle of what gearbox and limits leave open.
 
-    ``values`` ``(n_parameters,)`` within the limits; all vectors it may become fit as well.
+    All vectors that it may become fit as well (section 4.2).
+
+    Parameters
+    ----------
+    chain, knowledge, observations
+        As for :func:`open_scalings`.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``, within the limits.
+
+    Returns
+    -------
+    ndarray
+        ``(n_parameters,)``; the factor is the geometric mean of its bounds.
     """
     free = knowledge.free(chain)
     limits = dict(zip(free, zip(*knowledge.limits(chain), strict=True), strict=True))
@@ -73,9 +112,21 @@ def centred(
 
 
 def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
-    """Say what counts as a change of one, ``(len(free),)``: the value; for load losses alpha.
+    """Say what counts as a change of one: the value; for load losses that of 1/alpha, eq. (6).
 
-    ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; no unit is zero.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    free
+        Names of the parameters that are asked for.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(len(free),)`` positive, in the parameters' units.
     """
     units = []
     for p in (chain.parameters[chain.names.index(name)] for name in free):
@@ -111,12 +162,24 @@ def assemble(
 ) -> tuple[EstimatedValue, ...]:
     """State totals, derived quantities and parameters of a fitted vector ``(n_parameters,)``.
 
-    ``information`` is of the free parameters, in the chain's order. Bounds are left out of it:
-    beside a parameter that stands on one, others would look far too certain. ``at_bound``
-    ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
+    Parameters
+    ----------
+    chain, observations, knowledge
+        What was fitted, and to what.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    information
+        Of the ``d`` free parameters, in the chain's order. Bounds are left out of it: beside a
+        parameter that stands on one, others would look far too certain.
+    at_bound
+        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
 
-    Gives totals of eq. (11) as least squares would see this vector's torque, derived quantities,
-    parameters. What the data leave open has an infinite sd; what stands on a bound has none.
+    Returns
+    -------
+    tuple of EstimatedValue
+        Totals of eq. (11) as least squares would see this vector's torque, derived quantities,
+        free parameters. Sds are of first order in the gradient. What the data leave open has an
+        infinite sd; what stands on a bound has none.
     """
     columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
     scale = np.zeros(values.size)
@@ -191,9 +254,19 @@ class _Stated:
 def bounds_met(
     values: Array, lower: Array, upper: Array, sizes: Array | None = None
 ) -> NDArray[np.int_]:
-    """Which free parameters stand on a bound: -1 lower, 1 upper, else 0, ``(d,)``.
+    """Find which free parameters stand on a bound.
 
-    ``sizes`` ``(d,)`` says what is a large change of each; the values themselves if left out.
+    Parameters
+    ----------
+    values, lower, upper
+        ``(d,)`` each, in the parameters' units.
+    sizes
+        ``(d,)``, what is a large change of each besides the value itself.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``: -1 within a millionth of that of the lower bound, 1 of the upper, else 0.
     """
     width = _ON_BOUND * np.maximum(np.abs(values), 1e-9 if sizes is None else sizes)
     out = np.zeros(values.size, dtype=np.int_)

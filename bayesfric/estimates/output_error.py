@@ -16,7 +16,7 @@ from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
+from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution
 from bayesfric.estimates.shooting_fit import (
     Frame,
     Linearised,
@@ -120,13 +120,11 @@ def output_error(
 class Fit:
     """A fit with segments of one length."""
 
-    length: float  # s
     frame: Frame
     solution: Solution
     # of the free parameters, bounds left out: beside one, others would look far too certain
     information: Information
     at_bound: NDArray[np.int_]  # (d,) -1 on the lower bound, 1 on the upper, else 0
-    error: float  # of the discretisation, rad or m
 
 
 class OutputError:
@@ -195,9 +193,8 @@ class OutputError:
             moved = residual_of(frame, middle, states)
             solution = replace(solution, values=middle, residual=moved)
         at_bound = fitted.bounds_met(solution.values[self.columns], *self.limits, frame.units)
-        error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
         information = self._information(frame, solution)
-        return Fit(length, frame, solution, information, at_bound, error)
+        return Fit(frame, solution, information, at_bound)
 
     def lengths(self) -> tuple[float, ...]:
         """Segment lengths to try, s: the one told, or those with segments enough for sound sds."""
@@ -216,14 +213,9 @@ class OutputError:
         solution, shooting = fit.solution, fit.frame.shooting
         given = self.chain, self.observations, self.knowledge
         values = fitted.assemble(*given, solution.values, fit.information, fit.at_bound)
-        finest = float(self.grain.min()) * 12**0.5
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         n = shooting.n_segments
-        notes = [
-            f"simulated in {n} segments of {length:.3g} s",
-            f"integration steps a sample: {shooting.substeps}, discretisation error "
-            f"{fit.error:.1e} {unit}, position resolution {finest:.1e} {unit}",
-        ]
+        notes = [f"simulated in {n} segments of {length:.3g} s"]
         if n < LEAST_GROUPS * self.columns.size:
             notes.append(
                 f"{n} segments are too few for sums over segments: sd_robust takes residuals for "

@@ -220,9 +220,20 @@ def resolution(position: Array) -> float:
 def choose_substeps(
     shooting: Shooting, values: Array, states: Array, small: float | None = None
 ) -> tuple[int, float]:
-    """Integration steps a sample that leave a small error, well below the encoder's resolution.
+    """Choose integration steps a sample: the fewest, doubled from one on, that err little enough.
 
-    Gives them, and the largest estimated error of the position, rad or m.
+    Parameters
+    ----------
+    shooting, values, states
+        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``.
+    small
+        Error that is small, rad or m; a hundredth of the resolution if left out.
+
+    Returns
+    -------
+    substeps : int
+    error : float
+        Largest estimated error of the position, rad or m.
     """
     if small is None:
         small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)

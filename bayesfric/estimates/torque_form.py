@@ -227,7 +227,21 @@ def in_order(chain: Joint) -> list[str]:
 
 
 def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Array:
-    """Columns of ``psi`` before filtering, one a row ``(n, N)``, in motor units."""
+    """Columns of ``psi`` of eq. (13), before filtering.
+
+    Parameters
+    ----------
+    chain, observation
+        The mechanism, and a motion of it.
+    names
+        Of :func:`in_order`.
+
+    Returns
+    -------
+    ndarray
+        ``(n, N)``, one column a row, in motor units; a parameter with a column of its own has the
+        torque at its element's input for a value of one.
+    """
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)
     sine = np.sin(o.q)
@@ -259,8 +273,16 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
 def shortest(regressors: Array) -> tuple[Array, Flags, Array, Array]:
     """Solve a linear least-squares problem ``(n, k)`` once for all targets.
 
-    Gives norms of the columns ``(k,)``, which of them others can stand for, the map ``(k, n)`` to
-    the shortest solution, and an orthonormal basis of what they span.
+    Returns
+    -------
+    size : ndarray
+        ``(k,)`` norms of the columns, 1 for those of zeros.
+    shared : ndarray
+        ``(k,)`` of bool: which columns others can stand for.
+    solution : ndarray
+        ``(k, n)``, from targets to the solution that is shortest in units of the norms.
+    basis : ndarray
+        ``(n, rank)`` orthonormal, of what the columns span.
     """
     size = np.linalg.norm(regressors, axis=0)
     size[size == 0.0] = 1.0

@@ -287,7 +287,10 @@ def _solved(
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(joint: Moved, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest sticks."""
+    """Motor torques between which the joint at rest at ``q`` sticks: ``(low, high)``, N m or N.
+
+    They are those that a motion about to begin would take, either way.
+    """
     down, up = _load_torque(joint, q, 0.0, -1.0, time), _load_torque(joint, q, 0.0, 1.0, time)
     return (
         motor_torque(joint, q, 0.0, 0.0, -1.0, time, down),

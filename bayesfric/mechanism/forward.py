@@ -358,7 +358,22 @@ def _finer(torque: Array, finer: int) -> Array:
 def possible(
     chain: Chain, vectors: Array, tables: Tables, added_inertia: float
 ) -> NDArray[np.bool_]:
-    """Which vectors lie in the support and have one motion for one torque."""
+    """Find which vectors lie in the support and have one motion for one torque.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    vectors, tables
+        ``(n, n_parameters)`` and :meth:`Chain.tables` of them.
+    added_inertia
+        Of a known mass on the load, kg m² or kg.
+
+    Returns
+    -------
+    ndarray
+        ``(n,)`` of bool.
+    """
     lower = np.array([p.lower for p in chain.parameters])
     upper = np.array([p.upper for p in chain.parameters])
     valid = np.all((vectors >= lower) & (vectors <= upper), axis=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.estimates.information import Information, directions, long_run_variance
+from bayesfric.estimates.information import Information, long_run_variance
 
 
 def autoregression(rng, n, rho, burn=200):
@@ -145,13 +145,6 @@ def test_null_directions_have_no_sd_and_what_is_across_them_has():
     assert information.sds(np.array([1.0, 0.0, 0.0])) == pytest.approx(
         seen.sds(np.array([1.0, 0.0])), rel=1e-9
     )
-
-
-def test_fewer_rows_than_parameters_leave_directions_open():
-    found = directions(np.array([[1.0, 1.0, 0.0]]), np.ones(3))
-    assert found.null.tolist() == [False, True, True]
-    assert found.solve(np.array([1.0, -1.0, 0.0])) is None
-    np.testing.assert_allclose(found.solve(np.array([1.0, 1.0, 0.0])), [0.5, 0.5, 0.0], atol=1e-12)
 
 
 def test_units_do_not_change_what_is_known():

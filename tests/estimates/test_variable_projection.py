@@ -58,21 +58,6 @@ def knee(make_observation, *, sigma=0.01, masses=(0.0,), factor=4, n=1000):
     return chain, observations, form, VariableProjection(form, observations)
 
 
-def test_thetas_are_those_printed_below_eq_13():
-    chain = KNEE.chain()
-    theta1, theta2 = torque_form(chain).thetas(chain.vector(KNEE.values))
-    v, n = KNEE.values, 50.0
-    l1 = (1 / 0.7432 + 1 / 1.408) / 2
-    l2 = (1 / 0.7432 - 1 / 1.408) / 2
-    c1, c2 = v["joint.coulomb_positive"], v["joint.coulomb_negative"]
-    m1, m2 = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
-    # gravity carries the g that the printed theta5 and theta10 lack
-    leg = [0.206 / n**2, 3.12 / n**2, (c1 + c2) / (2 * n), (c1 - c2) / (2 * n), 9.80665 * 0.42 / n]
-    motor = [3.56e-4, 4.0e-3, (m1 + m2) / 2, (m1 - m2) / 2, 0.0]
-    np.testing.assert_allclose(theta1, np.add(motor, np.multiply(l1, leg)), rtol=1e-12)
-    np.testing.assert_allclose(theta2, np.multiply(l2, leg), rtol=1e-12)
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_the_form_makes_the_torque_of_the_kernels(case, make_observation):
     chain, values = CASES[case]
@@ -98,17 +83,6 @@ def test_parameters_make_the_thetas_they_came_from(case):
     again = form.thetas(form.parameters(theta1, theta2))
     np.testing.assert_allclose(again[0], theta1, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(again[1], theta2, rtol=1e-9, atol=1e-15)
-
-
-def test_theta1_is_the_least_squares_solution_beside_theta2(make_observation):
-    chain, (o,), form, projection = knee(make_observation)
-    theta2 = 1.3 * form.thetas(chain.vector(KNEE.values))[1]
-    psi = columns(chain, o, form.names1)
-    folded = o.filter.apply(np.sign(o.qd) * np.abs(theta2 @ psi))
-    expected = np.linalg.lstsq(o.filter.apply(psi).T, o.measured - folded, rcond=None)[0]
-    np.testing.assert_allclose(projection.theta1(theta2), expected, rtol=1e-9)
-    residual = o.measured - folded - o.filter.apply(psi).T @ expected
-    assert projection.criterion(theta2) == pytest.approx(residual @ residual, rel=1e-12)
 
 
 def test_dependent_columns_leave_the_fit_what_it_was(make_observation):
@@ -163,19 +137,6 @@ def test_the_minimum_solves_eq_19_and_is_reached_from_afar(make_observation):
     gradient = gradient_of(projection, minimum.theta2) / projection.scale
     assert np.abs(gradient).max() < 1e-6 * projection.criterion(minimum.theta2) ** 0.5
     assert projection.criterion(minimum.theta2) <= projection.criterion(truth)
-
-
-def test_a_known_mass_tells_the_lambdas_and_so_everything(make_observation):
-    """The 'tests not described here': the added column's coefficients are lambda_1, lambda_2."""
-    chain, _, form, projection = knee(make_observation, sigma=0.0, masses=(0.0, 2.0))
-    truth = chain.vector(KNEE.values)
-    assert form.names1[-1] == form.names2[-1] == "added_load"
-    start = form.thetas(truth)[1]
-    minimum = projection.minimise([1.3 * start, 0.5 * start])
-    lambdas = (minimum.theta1[-1], minimum.theta2[-1])
-    np.testing.assert_allclose(lambdas, form.lambdas(truth), rtol=1e-6)
-    found = form.parameters(minimum.theta1, minimum.theta2)
-    np.testing.assert_allclose(found, truth, rtol=1e-6)
 
 
 def test_the_same_mass_everywhere_is_but_more_leg(make_observation):

@@ -267,27 +267,6 @@ def test_reversible_gearbox_lets_the_same_load_down():
     held(chain, chain.vector({**heavy, "gearbox.load_back": 1.0}), 1.2)
 
 
-def test_load_that_moves_on_an_irreversible_gearbox_stops_and_stays():
-    chain = KNEE.chain()
-    vector = chain.vector({**KNEE.values, "gearbox.load_back": 1.3})
-    motion = simulate(chain, vector, np.zeros(501), 1e-2, q0=1.0, qd0=-2.0)
-    assert not motion.sticking[0]
-    first = int(np.argmax(motion.sticking))
-    assert np.all(motion.q[first:] == motion.q[-1])
-    assert np.all(motion.sticking[first:])
-    returns_the_torque(chain, vector, signal(2e-3), q0=1.0, qd0=-2.0)
-
-
-def test_sticking_joint_keeps_still_between_the_limits():
-    chain = KNEE.chain()
-    vector = chain.vector(KNEE.values)
-    wave = 0.2 * np.sin(np.arange(3001) * 1e-2)
-    motion = simulate(chain, vector, wave, 1e-3, substeps=4)
-    assert np.all(motion.q == 0.0)
-    assert np.all(motion.sticking)
-    assert motion.events == 0
-
-
 # --- energy, order, and another integrator --------------------------------------------
 
 

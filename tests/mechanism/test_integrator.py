@@ -75,20 +75,6 @@ def simulate_many(chain, values, torque, period, q0=0.0, qd0=0.0, **options):
 # --- many vectors, and refusals -------------------------------------------------------
 
 
-def test_many_is_one_by_one():
-    chain = everything()
-    rng = np.random.default_rng(5)
-    vectors = chain.vector(EVERYTHING) * np.exp(0.2 * rng.normal(size=(6, len(chain.names))))
-    torque = signal(2e-3)
-    q0, qd0 = rng.normal(size=(2, 6))
-    options = {"inputs": Inputs(0.5, 0.2), "substeps": 3}
-    many = simulate_many(chain, vectors, torque, 2e-3, q0=q0, qd0=qd0, **options)
-    assert many.shape == (6, torque.size)
-    for row, vector, q, qd in zip(many, vectors, q0, qd0, strict=True):
-        one = simulate(chain, vector, torque, 2e-3, q0=q, qd0=qd, **options)
-        np.testing.assert_array_equal(row, one.q)
-
-
 def test_many_marks_what_cannot_move():
     chain = KNEE.chain()
     good = chain.vector(KNEE.values)
