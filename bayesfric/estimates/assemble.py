@@ -251,9 +251,7 @@ class _Stated:
         return (float(found.min()), float(found.max())) if found.size else None
 
 
-def bounds_met(
-    values: Array, lower: Array, upper: Array, sizes: Array | None = None
-) -> NDArray[np.int_]:
+def bounds_met(values: Array, lower: Array, upper: Array, sizes: Array) -> NDArray[np.int_]:
     """Find which free parameters stand on a bound.
 
     Parameters
@@ -268,7 +266,7 @@ def bounds_met(
     ndarray
         ``(d,)``: -1 within a millionth of that of the lower bound, 1 of the upper, else 0.
     """
-    width = _ON_BOUND * np.maximum(np.abs(values), 1e-9 if sizes is None else sizes)
+    width = _ON_BOUND * np.maximum(np.abs(values), sizes)
     out = np.zeros(values.size, dtype=np.int_)
     out[values - lower <= width] = -1
     out[upper - values <= width] = 1

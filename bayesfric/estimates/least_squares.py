@@ -29,7 +29,19 @@ def least_squares(
     linear in the totals. Regressors and torque have passed the same parallel filter. A total that
     the motion cannot tell from others gets an infinite standard deviation. A known added mass is
     part of the totals unless recordings with different masses, or a load without parameters of its
-    own, set it apart. ``projection`` is theirs, where it is there already.
+    own, set it apart.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its recordings, prepared.
+    projection
+        Theirs, where it is there already.
+
+    Returns
+    -------
+    Estimate
+        Of totals alone; ``point`` is empty.
 
     Raises
     ------

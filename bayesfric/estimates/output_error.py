@@ -60,13 +60,29 @@ def output_error(
     """Estimate by simulation, section 4.3: the least ``||q - qc||``.
 
     The measured torque drives the simulated joint; parameters and the state at the start of
-    every segment are fitted to the measured position, unfiltered. ``trajectories`` are not yet
-    divided, ``observations`` the same recordings, prepared; ``start`` has a value for every
-    parameter: the input error.
+    every segment are fitted to the measured position, unfiltered. ``sd`` is for white noise of the
+    position. Noise of the torque drives the simulated joint, so residuals within a segment drift
+    together; ``sd_robust`` rests on segments being independent of each other.
 
-    ``sd`` is for white noise of the position. Noise of the torque drives the simulated joint, so
-    residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
-    each other.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    trajectories
+        Recordings to simulate, not yet divided into segments.
+    observations
+        The same recordings, prepared for the input error.
+    knowledge
+        Fixed values, bounds, and told values, which are one more residual each.
+    options
+        Time limit, and segment length and steps where these are given.
+    start
+        The input error, with a value for every parameter.
+
+    Returns
+    -------
+    Estimate
+        Not converged, and without sds, where the search ended in no minimum or ran out of time.
 
     Raises
     ------
@@ -75,13 +91,7 @@ def output_error(
     """
     _check(chain, trajectories, knowledge)
     problem = OutputError(chain, trajectories, observations, knowledge, options)
-    given = dict(start.point)
-    try:
-        values = chain.vector({n: knowledge.fixed.get(n, given[n]) for n in chain.names})
-    except KeyError as error:
-        raise BadInput(
-            "start", f"has no value for {error.args[0]}", "start from the input error"
-        ) from None
+    values = chain.vector({**dict(start.point), **knowledge.fixed})
     lengths = problem.lengths()
     best: Fit | None = None
     # Of the two places to start from the nearer one; the other if that one gets stuck.
@@ -232,8 +242,8 @@ class OutputError:
                 f"the search was stopped after {self.options.max_seconds:g} s of CPU time (raise "
                 "estimation.max_seconds, or give fewer recordings)"
                 if self.late
-                else f"the search stopped after {solution.iterations} steps in a place that is no "
-                "minimum (another segment length, or longer recordings, may help)"
+                else "the search stopped in a place that is no minimum (another segment length, or "
+                "longer recordings, may help)"
             )
             notes.insert(0, f"NOT CONVERGED, these numbers are no estimate: {why}")
         before, left = self._torque_left(start), self._torque_left(solution.values)
@@ -303,10 +313,9 @@ class OutputError:
 
     def _information(self, frame: Frame, solution: Solution) -> Information:
         linear = Linearised(frame, solution.values, solution.states)
-        residual = frame.rows * linear.residual
-        projected, _ = linear.elimination.of(residual[:, None])
+        projected = linear.elimination.projected
         return Information(
-            linear.elimination.projected[:, 1:],
+            projected[:, 1:],
             projected[:, 0],
             frame.units,
             places=frame.shooting.places,

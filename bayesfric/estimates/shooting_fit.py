@@ -65,7 +65,6 @@ class Solution:
     residual: Array  # (n,) measured minus simulated position, not weighted
     cost: float  # sum of the squares, of what is told too
     gain: float  # by how much a further step would lower it, in residual variances
-    iterations: int
     # the last step was as small as wanted, or nothing smaller was found; not where time ran out
     converged: bool
 
@@ -76,10 +75,15 @@ def residual_of(frame: Frame, values: Array, states: Array) -> Array:
 
 
 class Linearised:
-    """The problem around one point: residual, derivatives, states taken out.
+    """The problem around one point: derivatives, states taken out.
 
-    ``central``: whether to take the more exact of the two kinds of differences. ``jacobian``
-    ``(n, d)`` of the weighted positions is blind along :meth:`Frame.tangents`.
+    The derivatives are blind along :meth:`Frame.tangents`. ``central``: whether to take the more
+    exact of the two kinds of differences.
+
+    Attributes
+    ----------
+    elimination
+        Of the weighted residual ``(n,)``, its first column, and its derivatives ``(n, d)``.
     """
 
     def __init__(self, frame: Frame, values: Array, states: Array, *, central: bool = True) -> None:
@@ -94,14 +98,13 @@ class Linearised:
         found = frame.shooting.sensitivities(
             values, states, steps, widths, (lower, upper), central=central
         )
-        self.jacobian = np.where(np.isfinite(found.parameters), found.parameters, 0.0)
+        jacobian = np.where(np.isfinite(found.parameters), found.parameters, 0.0)
         tangents = frame.tangents(values)
-        self.jacobian -= (self.jacobian * units) @ tangents @ tangents.T / units
-        by_state = np.where(np.isfinite(found.states), found.states, 0.0)
-        self.residual = frame.shooting.measured - found.positions
-        weighted = np.column_stack([self.residual, self.jacobian]) * frame.rows[:, None]
-        self.jacobian = weighted[:, 1:]
-        by_state *= frame.rows[:, None]
+        jacobian -= (jacobian * units) @ tangents @ tangents.T / units
+        by_state = np.where(np.isfinite(found.states), found.states, 0.0) * frame.rows[:, None]
+        residual = frame.shooting.measured - found.positions
+        weighted = np.column_stack([residual, jacobian]) * frame.rows[:, None]
+        self._squares = float(np.sum(weighted[:, 0] ** 2))
         self.elimination = Elimination(frame.shooting, by_state, weighted)
         projected = self.elimination.projected
         triangle = np.asarray(
@@ -120,9 +123,7 @@ class Linearised:
     def gain(self) -> float:
         """By how much the full step would lower the sum of squares, states included."""
         left = self.target - self._matrix @ self.step(0.0)
-        states = np.sum((self._frame.rows * self.residual) ** 2) - np.sum(
-            self.elimination.projected[:, 0] ** 2
-        )
+        states = self._squares - np.sum(self.elimination.projected[:, 0] ** 2)
         return float(self.target @ self.target - left @ left + states)
 
     def step(self, damping: float) -> Array:
@@ -165,16 +166,16 @@ def descend(frame: Frame, values: Array, states: Array) -> Solution:
     cost = float(_segment_costs(frame, residual[None])[0].sum())
     cost += _told_cost(frame, values[columns])
     if not np.isfinite(cost):
-        return Solution(values, states, residual, np.inf, np.inf, 0, False)
-    at = Solution(values, states, residual, cost, np.inf, 0, False)
+        return Solution(values, states, residual, np.inf, np.inf, False)
+    at = Solution(values, states, residual, cost, np.inf, False)
     damping = 1e-3
-    for iteration in range(1, _MAX_ITERATIONS + 1):
+    for _ in range(_MAX_ITERATIONS):
         if time.process_time() >= frame.deadline:
             return at
         linear = Linearised(frame, at.values, at.states, central=False)
         freedom = max(at.residual.size - linear.elimination.lost - columns.size, 1)
         gain = linear.gain * freedom / at.cost if at.cost > 0 else 0.0
-        at = replace(at, gain=gain, iterations=iteration)
+        at = replace(at, gain=gain)
         if gain < _GAIN:
             return replace(at, converged=True)
         found = None

@@ -43,19 +43,15 @@ class TorqueForm:
     behind: Mapping[str, list[Term]] = field(repr=False)  # and behind it
     loss: str  # name of the element with load loss; empty for none
 
-    def lambdas(self, values: Array) -> tuple[float, float]:
-        """``lambda_1`` and ``lambda_2`` of a parameter vector ``(n_parameters,)``."""
-        if not self.loss:
-            return 1.0, 0.0
-        at = dict(zip(self.chain.names, values.tolist(), strict=True))
-        one = at.get(f"{self.loss}.load", 0.0)
-        drive = at.get(f"{self.loss}.load_drive", one)
-        back = at.get(f"{self.loss}.load_back", one)
-        return (2.0 + drive - back) / 2.0, (drive + back) / 2.0
-
     def thetas(self, values: Array) -> tuple[Array, Array]:
-        """``Theta1`` and ``Theta2`` of a parameter vector ``(n_parameters,)``."""
-        lambda1, lambda2 = self.lambdas(values)
+        """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector ``(n_parameters,)``."""
+        lambda1, lambda2 = 1.0, 0.0
+        if self.loss:
+            at = dict(zip(self.chain.names, values.tolist(), strict=True))
+            one = at.get(f"{self.loss}.load", 0.0)
+            drive = at.get(f"{self.loss}.load_drive", one)
+            back = at.get(f"{self.loss}.load_back", one)
+            lambda1, lambda2 = (2.0 + drive - back) / 2.0, (drive + back) / 2.0
         leg = self._sums(self.behind, values)
         motor = self._sums(self.front, values)
         theta1 = [motor.get(name, 0.0) + lambda1 * leg.get(name, 0.0) for name in self.names1]
@@ -150,25 +146,30 @@ def _turning(chain: Joint) -> list[int]:
 
 
 def torque_form(
-    chain: Joint,
-    observations: Sequence[Observation] = (),
-    *,
-    times_gain: bool = False,
-    any_shape: bool = False,
+    chain: Joint, observations: Sequence[Observation] = (), *, any_shape: bool = False
 ) -> TorqueForm | None:
-    """Write a chain's torque in the form of eq. (13), or the measured one ``times_gain``.
+    """Write a chain's torque in the form of eq. (13).
 
-    With ``any_shape`` what only shapes terms is left out: the form is that of the others.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        Whose known mass has columns of its own, ``added_load``, if their motion sets it apart.
+    any_shape
+        Leave out what only shapes or scales terms, as a Stribeck rise and the gain: the form is
+        that of the others, times the gain.
 
-    A known mass of the observations has a column of its own if the motion sets it apart. ``None``
-    for a chain with several load losses, a Stribeck rise or an unknown gain, or with a known mass
-    at an unknown angle: these are not of the form.
+    Returns
+    -------
+    TorqueForm or None
+        None for a chain with several load losses, a Stribeck rise or an unknown gain, or with a
+        known mass at an unknown angle: these are not of the form.
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = bool(_turning(chain))
     masses = any(o.inputs.known_load for o in observations)
-    forms = [p for p in chain.parameters if p.row.role == "form" and not p.circular]
-    shaped = any(p.quantity != "gain" or not times_gain for p in forms)
+    shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
     if len(lossy) > 1 or (shaped and not any_shape) or (angled and masses):
         return None
     last = lossy[0] if lossy else len(chain.elements)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -133,24 +133,17 @@ def simulate(
         that the motor's inertia does not outweigh it), or if the joint runs away
         beyond 1e6 rad or m.
     """
-    given = _torque(torque, period, hold)
+    given = _torque(torque, period, hold, substeps)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
     vector = np.asarray(values, dtype=np.float64)
     joint = _joint(chain, vector, inputs)
     samples = _acting(chain, vector[np.newaxis], given, period)[0]
-    if substeps is not None and substeps < 1:
-        raise ValueError("substeps must be at least 1")
-
     finer = _FINER if hold == "cubic" else 1
     fine = _finer(samples[np.newaxis], finer)[0]
 
     def run(each: int) -> Motion:
-        made = _motion(joint, fine, period / finer, begin, hold != "zero", (q0, qd0), each)
-        every = slice(None, None, finer)
-        names = ("time", "q", "qd", "qdd", "sticking")
-        kept: dict[str, Any] = {name: getattr(made, name)[every] for name in names}
-        return replace(made, torque=given, substeps=each * finer, **kept)
+        return _motion(joint, given, fine, finer, period, begin, hold != "zero", (q0, qd0), each)
 
     if substeps is not None:
         return run(-(-substeps // finer))
@@ -194,19 +187,22 @@ def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
 def _motion(
     joint: Moved,
     torque: Array,
+    fine: Array,
+    finer: int,
     period: float,
     begin: float,
     linear: bool,
     start: tuple[float, float],
-    substeps: int,
+    each: int,
 ) -> Motion:
-    """Integrate with a given number of steps per sample; its error is not known."""
-    out, counts = np.empty((4, torque.size)), np.zeros(3, dtype=np.int64)
-    now = (float(period), float(begin), linear, float(start[0]), float(start[1]), substeps)
-    done = integrate(joint, torque, *now, out, counts)
-    if done < torque.size:
-        at = f"{RUNAWAY:g} rad or m after {done * period:g} s"
+    """Integrate the ``fine`` torque in so many steps each; the error is not known."""
+    out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
+    now = (float(period) / finer, float(begin), linear, float(start[0]), float(start[1]), each)
+    done = integrate(joint, fine, *now, out, counts)
+    if done < fine.size:
+        at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
         raise RunsAway(f"the joint runs away: beyond {at}")
+    out = out[:, ::finer]
     return Motion(
         time=np.arange(torque.size, dtype=np.float64) * float(period),
         q=out[POSITION],
@@ -217,7 +213,7 @@ def _motion(
         events=int(counts[0]),
         reversals=int(counts[1]),
         step_error=math.nan,
-        substeps=substeps,
+        substeps=each * finer,
         unresolved=int(counts[2]),
     )
 
@@ -267,7 +263,7 @@ def simulate_segments(
     vectors = np.asarray(values, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
         raise ValueError(f"values must have the shape (n, {len(chain.names)})")
-    samples = _torque(torque, period, hold)
+    samples = _torque(torque, period, hold, substeps)
     ranges = np.asarray(segments, dtype=np.int64)
     if ranges.ndim != 2 or ranges.shape[1] != 2 or np.any(ranges[:, 0] >= ranges[:, 1]):
         raise ValueError("segments must be (K, 2) ranges that are not empty")
@@ -279,8 +275,6 @@ def simulate_segments(
     )
     if not all(np.all(np.isfinite(x)) for x in (vectors, start, speed)):
         raise ValueError("values, q0 and qd0 must be finite")
-    if substeps < 1:
-        raise ValueError("substeps must be at least 1")
     tables = chain.tables(vectors, inputs)
     finer = _FINER if hold == "cubic" else 1
     q, qd = integrate_segments(
@@ -383,7 +377,7 @@ def possible(
     return np.asarray(valid)
 
 
-def _torque(torque: ArrayLike, period: float, hold: str) -> Array:
+def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -> Array:
     samples = np.array(torque, dtype=np.float64)
     if samples.ndim != 1 or samples.size == 0:
         raise ValueError("torque must be a one-dimensional array of samples")
@@ -393,6 +387,8 @@ def _torque(torque: ArrayLike, period: float, hold: str) -> Array:
         raise ValueError("period must be a positive number of seconds")
     if hold not in get_args(Hold):
         raise ValueError("hold must be 'zero', 'linear' or 'cubic'")
+    if substeps is not None and substeps < 1:
+        raise ValueError("substeps must be at least 1")
     return samples
 
 

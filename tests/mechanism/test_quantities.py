@@ -225,10 +225,7 @@ def test_every_other_form_takes_it(case):
     assert len(scalings(chain)) == sum(e.load_loss == "two" for e in chain.elements)
 
 
-def test_totals_are_what_the_motor_feels_at_steady_speed():
-    """Each total by its own column: the motor's torque per value, at constant speed."""
-    for total in TOTALS.values():
-        assert total.units
+def test_every_power_of_speed_has_a_total():
     # what does not grow with a power of speed is a total of its own
     own = [q for q in QUANTITIES.values() if q.role == "own" and q.power is not None]
     filled = {kind for q in own for kind, _ in q.fills}

@@ -103,7 +103,7 @@ class LinearTorque:
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
-        form = torque_form(chain, times_gain=True, any_shape=True)
+        form = torque_form(chain, any_shape=True)
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
@@ -383,7 +383,7 @@ def linear_torque(
     values = np.empty((0, len(chain.names))) if draws is None else draws
     angled = "load.gravity_angle" in chain.names
     forms = [(i, p.quantity) for i, p in enumerate(chain.parameters) if p.row.role == "form"]
-    if torque_form(chain, times_gain=True, any_shape=True) is None or (
+    if torque_form(chain, any_shape=True) is None or (
         angled and any(o.inputs.known_load for o in observations)
     ):
         return None
