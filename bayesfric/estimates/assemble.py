@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.point_estimate import Bound, EstimatedValue
+from bayesfric.estimates.point_estimate import Bound, EstimatedValue, Kind
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
@@ -27,29 +28,56 @@ _ON_BOUND = 1e-6
 def open_scalings(
     chain: Joint, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
-    """Scalings that neither known loads nor a known or told parameter takes away.
+    """Scalings that neither known loads nor a known or told parameter takes away (section 4.2).
 
     One known mass in all recordings alike might as well be more leg, and zero times any
     factor is zero: neither fixes a scale.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    knowledge
+        Fixed and told values; bounds alone fix no scale.
+    observations
+        Whose known loads count.
+
+    Returns
+    -------
+    tuple of Scaling
+        None, one, or one for each of several such elements.
     """
     masses = {o.inputs.load(chain.load.motion) for o in observations}
     if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
         return ()
-    fixed, told = knowledge.fixed, set(knowledge.told)
-    found = []
-    for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0))):
-        losses = {scaling.drive, scaling.back}
-        loaded = {name for name, mass in scaling.parts() if mass}
-        telling = {name for name, x in fixed.items() if x != 0.0 or name in losses | loaded}
-        if not (telling | told) & set(scaling.names):
-            found.append(scaling)
-    return tuple(found)
+    fixed, told = knowledge.fixed, knowledge.told
+    return tuple(
+        scaling
+        for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0)))
+        if not any(
+            name in told or (name in fixed and fixed[name] + shift != 0.0)
+            for name, (shift, _) in scaling.rules.items()
+        )
+    )
 
 
 def open_directions(
     chain: Joint, knowledge: Knowledge, observations: Sequence[Observation], values: Array
 ) -> Array:
-    """Directions of the open scalings at a vector, in the free parameters, ``(k, d)``."""
+    """Directions of the open scalings at a vector.
+
+    Parameters
+    ----------
+    chain, knowledge, observations
+        As for :func:`open_scalings`.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(k, d)`` tangents, one a row, of the ``d`` free parameters, in their units.
+    """
     columns = [chain.names.index(name) for name in knowledge.free(chain)]
     found = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
     return np.array(found).reshape(-1, len(columns))
@@ -60,7 +88,19 @@ def centred(
 ) -> Array:
     """Move a fit along open scalings to the middle of what gearbox and limits leave open.
 
-    ``values`` ``(n_parameters,)`` within the limits; all vectors it may become fit as well.
+    All vectors that it may become fit as well (section 4.2).
+
+    Parameters
+    ----------
+    chain, knowledge, observations
+        As for :func:`open_scalings`.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``, within the limits.
+
+    Returns
+    -------
+    ndarray
+        ``(n_parameters,)``; the factor is the geometric mean of its bounds.
     """
     free = knowledge.free(chain)
     limits = dict(zip(free, zip(*knowledge.limits(chain), strict=True), strict=True))
@@ -72,9 +112,21 @@ def centred(
 
 
 def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
-    """Say what counts as a change of one, ``(len(free),)``: the value; for load losses alpha.
+    """Say what counts as a change of one: the value; for load losses that of 1/alpha, eq. (6).
 
-    ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; no unit is zero.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    free
+        Names of the parameters that are asked for.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(len(free),)`` positive, in the parameters' units.
     """
     units = []
     for p in (chain.parameters[chain.names.index(name)] for name in free):
@@ -110,73 +162,111 @@ def assemble(
 ) -> tuple[EstimatedValue, ...]:
     """State totals, derived quantities and parameters of a fitted vector ``(n_parameters,)``.
 
-    ``information`` is of the free parameters, in the chain's order. Bounds are left out of it:
-    beside a parameter that stands on one, others would look far too certain. ``at_bound``
-    ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
+    Parameters
+    ----------
+    chain, observations, knowledge
+        What was fitted, and to what.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    information
+        Of the ``d`` free parameters, in the chain's order. Bounds are left out of it: beside a
+        parameter that stands on one, others would look far too certain.
+    at_bound
+        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
 
-    Gives totals of eq. (11) as least squares would see this vector's torque, derived quantities,
-    parameters. What the data leave open has an infinite sd; what stands on a bound has none.
+    Returns
+    -------
+    tuple of EstimatedValue
+        Totals of eq. (11) as least squares would see this vector's torque, derived quantities,
+        free parameters. Sds are of first order in the gradient. What the data leave open has an
+        infinite sd; what stands on a bound has none.
     """
-    free = knowledge.free(chain)
-    columns = np.array([chain.names.index(name) for name in free], dtype=np.int64)
+    columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
     scale = np.zeros(values.size)
     # these also suit parameters that are zero
     scale[columns] = information.directions.units
+    still_open = open_scalings(chain, knowledge, observations)
+    stated = _Stated(values, columns, information, at_bound, still_open)
+    found = list(_totals(chain, observations, values, scale, stated))
+    taken = {value.name for value in found}
+    load = typical_load(chain, observations, values)
+    found += [v for v in _derived(chain, values, load, scale, stated) if v.name not in taken]
+    gauged = {name for scaling in scalings(chain) for name in scaling.names}
+    moving = {name for scaling in still_open for name in scaling.names}
+    for column in columns.tolist():
+        p = chain.parameters[column]
+        found.append(
+            stated(
+                (p.name, p.unit, p.symbol, p.meaning, float(values[column])),
+                np.eye(values.size)[column],
+                "parameter",
+                gauge_free=p.name not in gauged,
+                along=(lambda x, c=column: x[:, c]) if p.name in moving else None,  # type: ignore[misc]
+            )
+        )
+    return tuple(found)
 
-    def sds(gradient: Array, gauge_free: bool) -> tuple[float, float]:
-        own = gradient[columns]
-        if bound_of(gradient):
-            return np.nan, np.nan
-        return information.sds(information.directions.off_known(own) if gauge_free else own)
 
-    open_ = open_scalings(chain, knowledge, observations)
+@dataclass(frozen=True, eq=False)
+class _Stated:
+    """States numbers that a fitted vector makes up."""
 
-    def bound_of(gradient: Array) -> Bound | None:
-        """Which bound a quantity stands on that only parameters on theirs make up."""
-        own = gradient[columns]
-        if not np.any(own) or np.any(own[at_bound == 0]):
+    values: Array  # (n_parameters,)
+    columns: NDArray[np.int64]  # the free ones
+    information: Information  # of these
+    at_bound: NDArray[np.int_]
+    scalings: tuple[Scaling, ...]  # that are open
+
+    def __call__(
+        self,
+        number: tuple[str, str, str, str, float],
+        gradient: Array,
+        kind: Kind,
+        *,
+        gauge_free: bool = True,
+        along: Callable[[Array], Array] | None = None,
+    ) -> EstimatedValue:
+        """State a number by its gradient ``(n_parameters,)``, and by what it is of other vectors.
+
+        Where only parameters on a bound make it up, it stands on one, too.
+        """
+        own, directions = gradient[self.columns], self.information.directions
+        bound: Bound | None = None
+        sds = np.nan, np.nan
+        if np.any(own) and not np.any(own[self.at_bound == 0]):
+            bound = "lower" if own @ self.at_bound < 0 else "upper"
+        else:
+            sds = self.information.sds(directions.off_known(own) if gauge_free else own)
+        span = None if along is None or np.isfinite(sds[0]) else self._span(along)
+        return EstimatedValue(*number, *sds, kind, gauge_free, bound, span)
+
+    def _span(self, along: Callable[[Array], Array]) -> tuple[float, float] | None:
+        if len(self.scalings) != 1:
             return None
-        return "lower" if own @ at_bound < 0 else "upper"
-
-    def span(function: Callable[[Array], Array]) -> tuple[float, float] | None:
-        if len(open_) != 1:
-            return None
-        low, high = open_[0].bounds(values)
+        low, high = self.scalings[0].bounds(self.values)
         # the lower end of k is where alpha_2 would be one; at zero it is no end at all
-        along = open_[0].scaled(values, np.geomspace(max(low, 1e-6 * high), high, 101))
-        found = function(along)
+        factors = np.geomspace(max(low, 1e-6 * high), high, 101)
+        found = along(self.scalings[0].scaled(self.values, factors))
         found = found[np.isfinite(found)]
         return (float(found.min()), float(found.max())) if found.size else None
 
-    stated = list(_totals(chain, observations, values, scale, sds))
-    taken = {value.name for value in stated}
-    load = typical_load(chain, observations, values)
-    derived = _derived(chain, values, load, scale, sds, span, bound_of)
-    stated += [v for v in derived if v.name not in taken]
-    for column in columns.tolist():
-        p, gradient = chain.parameters[column], np.eye(values.size)[column]
-        scaled = any(p.name in s.names for s in open_)
-        stated.append(
-            EstimatedValue(
-                *(p.name, p.unit, p.symbol, p.meaning, float(values[column])),
-                *sds(gradient, False),
-                kind="parameter",
-                gauge_free=not any(p.name in s.names for s in scalings(chain)),
-                at_bound=bound_of(gradient),
-                span=span(lambda along, c=column: along[:, c]) if scaled else None,  # type: ignore[misc]
-            )
-        )
-    return tuple(stated)
 
+def bounds_met(values: Array, lower: Array, upper: Array, sizes: Array) -> NDArray[np.int_]:
+    """Find which free parameters stand on a bound.
 
-def bounds_met(
-    values: Array, lower: Array, upper: Array, sizes: Array | None = None
-) -> NDArray[np.int_]:
-    """Which free parameters stand on a bound: -1 lower, 1 upper, else 0, ``(d,)``.
+    Parameters
+    ----------
+    values, lower, upper
+        ``(d,)`` each, in the parameters' units.
+    sizes
+        ``(d,)``, what is a large change of each besides the value itself.
 
-    ``sizes`` ``(d,)`` says what is a large change of each; the values themselves if left out.
+    Returns
+    -------
+    ndarray
+        ``(d,)``: -1 within a millionth of that of the lower bound, 1 of the upper, else 0.
     """
-    width = _ON_BOUND * np.maximum(np.abs(values), 1e-9 if sizes is None else sizes)
+    width = _ON_BOUND * np.maximum(np.abs(values), sizes)
     out = np.zeros(values.size, dtype=np.int_)
     out[values - lower <= width] = -1
     out[upper - values <= width] = 1
@@ -184,11 +274,7 @@ def bounds_met(
 
 
 def _totals(
-    chain: Joint,
-    observations: Sequence[Observation],
-    values: Array,
-    scale: Array,
-    sds: Callable[[Array, bool], tuple[float, float]],
+    chain: Joint, observations: Sequence[Observation], values: Array, scale: Array, stated: _Stated
 ) -> Iterator[EstimatedValue]:
     """Totals that least squares would find in the torque this vector makes."""
     projection = TotalsProjection(chain, observations)
@@ -201,40 +287,30 @@ def _totals(
     for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
         if label in chain.names:
             continue  # it is a parameter, stated as such
-        both = (np.inf, np.inf) if projection.open[i] else sds(gradients[i], True)
-        yield EstimatedValue(label, *projection.describe(name), float(found[i]), *both)
+        number = label, *projection.describe(name), float(found[i])
+        if projection.open[i]:
+            yield EstimatedValue(*number, np.inf, np.inf)
+        else:
+            yield stated(number, gradients[i], "total")
 
 
 def _derived(
-    chain: Joint,
-    values: Array,
-    load: float,
-    scale: Array,
-    sds: Callable[[Array, bool], tuple[float, float]],
-    span: Callable[[Callable[[Array], Array]], tuple[float, float] | None],
-    bound_of: Callable[[Array], Bound | None],
+    chain: Joint, values: Array, load: float, scale: Array, stated: _Stated
 ) -> Iterator[EstimatedValue]:
     steps = 1e-5 * scale
     moving = np.flatnonzero(steps)
     k = moving.size
     beside = np.eye(values.size)[moving] * steps
     moved = values + np.concatenate([beside, -beside, np.zeros((1, values.size))])
-    for quantity in derive(chain, moved, load):
-        middle = float(quantity.values[-1])
+    for q in derive(chain, moved, load):
+        middle = float(q.values[-1])
         gradient = np.zeros(values.size)
-        gradient[moving] = (quantity.values[:k] - quantity.values[k : 2 * k]) / (2 * steps[moving])
+        gradient[moving] = (q.values[:k] - q.values[k : 2 * k]) / (2 * steps[moving])
         if not np.isfinite(middle) or not np.isfinite(gradient).all() or not gradient.any():
             continue  # undefined here, or made of known numbers only
-        sd, robust = sds(gradient, quantity.gauge_free)
 
-        def along(vectors: Array, name: str = quantity.name) -> Array:
-            return next(q.values for q in derive(chain, vectors, load) if q.name == name)
+        def along(vectors: Array, name: str = q.name) -> Array:
+            return next(one.values for one in derive(chain, vectors, load) if one.name == name)
 
-        yield EstimatedValue(
-            *(quantity.name, quantity.unit, quantity.symbol, quantity.meaning, middle),
-            *(sd, robust),
-            kind="derived",
-            gauge_free=quantity.gauge_free,
-            at_bound=bound_of(gradient),
-            span=None if np.isfinite(sd) else span(along),
-        )
+        number = q.name, q.unit, q.symbol, q.meaning, middle
+        yield stated(number, gradient, "derived", gauge_free=q.gauge_free, along=along)

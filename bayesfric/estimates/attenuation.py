@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 from scipy import stats
@@ -85,11 +84,11 @@ def _attenuated(
     # noise that takes a share of the inertia leaves at least that share of its torque unexplained
     if first is None or first.free * first.sd**2 < _WORTH * first.inertia**2:
         return None
-    others = _narrower(chain, recording, observation, processing)
-    best, tried = first, list(islice(others, _NEXT))
-    while better := [i for i, one in enumerate(tried) if _beats(one, best)]:
-        best, after = tried[better[0]], better[0] + 1
-        tried = [*tried[after:], *islice(others, after)]
+    best, missed = first, 0
+    for one in _narrower(chain, recording, observation, processing):
+        best, missed = (one, 0) if _beats(one, best) else (best, missed + 1)
+        if missed == _NEXT:
+            break
     if best is first:
         return None
     return Attenuated(recording.name, first.band, best.band, first.inertia, best.inertia)

@@ -53,8 +53,20 @@ def with_fine_motion(
 ) -> tuple[Array | None, list[Observation]]:
     """Refine the motion of recordings by what a first estimate of the joint makes of their torque.
 
-    Gives the estimate, too. Where nothing can be estimated, or no filter sets what is compared
-    apart from what the encoder does not tell, there is none and they stay as they are.
+    Parameters
+    ----------
+    chain, recordings, observations
+        The mechanism, its recordings, and the same prepared.
+    knowledge, options
+        Of that estimate, an input error.
+
+    Returns
+    -------
+    values : ndarray or None
+        ``(n_parameters,)`` of the estimate; none where nothing can be estimated, or no filter sets
+        what is compared apart from what the encoder does not tell.
+    refined : list of Observation
+        As they were where there is no estimate.
     """
     found, point = list(observations), None
     if not any(map(refinable, found)):

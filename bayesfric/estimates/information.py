@@ -77,11 +77,17 @@ class Directions:
 def directions(
     jacobian: Array, units: Array, tolerance: float = NULL, *, known_null: Array | None = None
 ) -> Directions:
-    """Decompose a Jacobian ``(n, d)``.
+    """Decompose a Jacobian.
 
-    ``known_null`` ``(k, d)`` are directions, in parameter units, of which theory says that
-    no output changes: they come out as null however the derivatives were taken. The rest
-    is as in :class:`Directions`.
+    Parameters
+    ----------
+    jacobian
+        ``(n, d)`` of outputs by parameters.
+    units, tolerance
+        As in :class:`Directions`.
+    known_null
+        ``(k, d)`` directions, in parameter units, of which theory says that no output changes:
+        they come out as null however the derivatives were taken.
     """
     scaled = jacobian * units
     basis = None
@@ -139,8 +145,14 @@ class Information:
     def sds(self, gradient: Array) -> tuple[float, float]:
         """Give the sds of a function of the parameters with this gradient ``(d,)``.
 
-        For uncorrelated residuals, and accounting for correlation; both infinite
-        where the function changes along a null direction.
+        Returns
+        -------
+        plain : float
+            For uncorrelated residuals; infinite, as the other, where the function changes along a
+            null direction.
+        robust : float
+            Accounting for correlation: within groups, where there are enough, else by
+            :func:`long_run_variance`.
         """
         if not np.any(gradient):
             return 0.0, 0.0

@@ -53,8 +53,26 @@ def input_error(
 
     The search starts from the variable projection of eqs. (18) and (19) where the chain
     has that form, from splits of the least-squares totals, from random vectors, and at the shapes
-    that the table of quantities gives to try; limits are kept exactly. With a ``start`` it begins
-    there alone. What the data leave open has an infinite sd; what stands on a limit has none.
+    that the table of quantities gives to try; limits are kept exactly.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        Its recordings, prepared; each is weighed by its own residuals' sd.
+    knowledge
+        Fixed values, bounds, and told values, which are one more residual each.
+    options
+        Number and seed of the random starts.
+    start
+        Values of all parameters to begin at, and nowhere else.
+
+    Returns
+    -------
+    Estimate
+        With a value for every parameter. What the data leave open has an infinite sd; what stands
+        on a limit has none.
 
     Raises
     ------

@@ -29,7 +29,19 @@ def least_squares(
     linear in the totals. Regressors and torque have passed the same parallel filter. A total that
     the motion cannot tell from others gets an infinite standard deviation. A known added mass is
     part of the totals unless recordings with different masses, or a load without parameters of its
-    own, set it apart. ``projection`` is theirs, where it is there already.
+    own, set it apart.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its recordings, prepared.
+    projection
+        Theirs, where it is there already.
+
+    Returns
+    -------
+    Estimate
+        Of totals alone; ``point`` is empty.
 
     Raises
     ------
@@ -166,8 +178,26 @@ def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
 def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
     """Split the totals of :func:`least_squares` into parameters, as a place to start from.
 
-    ``mu`` is the load loss wherever there is one, ``share`` the motor's share of each total; the
-    other elements and the load divide the rest.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    totals
+        By :func:`least_squares`, of the same mechanism.
+    mu
+        Load loss wherever there is one.
+    share
+        The motor's share of each total; the other elements and the load divide the rest.
+
+    Returns
+    -------
+    dict
+        A value for every parameter, in its unit.
+
+    Raises
+    ------
+    KeyError
+        If the table of quantities does not say where to start for one.
     """
     labels = {name: total_label(chain, name) for name in in_order(chain)}
     total = {name: totals[label].value for name, label in labels.items() if label in totals}
@@ -222,9 +252,19 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
 
 
 def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
-    """Name the totals of eq. (11), and give their torques for a value of one, ``(n_outputs, k)``.
+    """Name the totals of eq. (11), and give their regressors.
 
-    Filtered like the measured torque.
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its recordings.
+
+    Returns
+    -------
+    names : list of str
+        Of :func:`bayesfric.estimates.torque_form.in_order`, those that show in this mechanism.
+    regressors : ndarray
+        ``(n_outputs, k)`` motor torque for a value of one, filtered like the measured one.
     """
     found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
     loads = {o.inputs.load(chain.load.motion) for o in observations}

@@ -79,8 +79,21 @@ def estimate_by(
 ) -> dict[Method, Estimate]:
     """Estimate by some methods, and by those they start from unless ``found`` has them.
 
-    ``progress`` is called with the name of each method before it begins. Gives estimates by every
-    name in ``methods``, in the order of :data:`ESTIMATORS`.
+    Parameters
+    ----------
+    methods
+        Names of :data:`ESTIMATORS`.
+    given
+        What is estimated from.
+    found
+        Estimates that were made before, by name.
+    progress
+        Called with the name of each method before it begins.
+
+    Returns
+    -------
+    dict
+        Estimates by every name in ``methods``, in the order of :data:`ESTIMATORS`.
 
     Raises
     ------

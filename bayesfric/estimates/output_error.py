@@ -16,12 +16,11 @@ from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution, step_error
+from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution
 from bayesfric.estimates.shooting_fit import (
     Frame,
     Linearised,
     Solution,
-    Weights,
     descend_afresh,
     residual_of,
     settle_states,
@@ -61,13 +60,29 @@ def output_error(
     """Estimate by simulation, section 4.3: the least ``||q - qc||``.
 
     The measured torque drives the simulated joint; parameters and the state at the start of
-    every segment are fitted to the measured position, unfiltered. ``trajectories`` are not yet
-    divided, ``observations`` the same recordings, prepared; ``start`` has a value for every
-    parameter: the input error.
+    every segment are fitted to the measured position, unfiltered. ``sd`` is for white noise of the
+    position. Noise of the torque drives the simulated joint, so residuals within a segment drift
+    together; ``sd_robust`` rests on segments being independent of each other.
 
-    ``sd`` is for white noise of the position. Noise of the torque drives the simulated joint, so
-    residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
-    each other.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    trajectories
+        Recordings to simulate, not yet divided into segments.
+    observations
+        The same recordings, prepared for the input error.
+    knowledge
+        Fixed values, bounds, and told values, which are one more residual each.
+    options
+        Time limit, and segment length and steps where these are given.
+    start
+        The input error, with a value for every parameter.
+
+    Returns
+    -------
+    Estimate
+        Not converged, and without sds, where the search ended in no minimum or ran out of time.
 
     Raises
     ------
@@ -76,13 +91,7 @@ def output_error(
     """
     _check(chain, trajectories, knowledge)
     problem = OutputError(chain, trajectories, observations, knowledge, options)
-    given = dict(start.point)
-    try:
-        values = chain.vector({n: knowledge.fixed.get(n, given[n]) for n in chain.names})
-    except KeyError as error:
-        raise BadInput(
-            "start", f"has no value for {error.args[0]}", "start from the input error"
-        ) from None
+    values = chain.vector({**dict(start.point), **knowledge.fixed})
     lengths = problem.lengths()
     best: Fit | None = None
     # Of the two places to start from the nearer one; the other if that one gets stuck.
@@ -121,13 +130,11 @@ def output_error(
 class Fit:
     """A fit with segments of one length."""
 
-    length: float  # s
     frame: Frame
     solution: Solution
     # of the free parameters, bounds left out: beside one, others would look far too certain
     information: Information
     at_bound: NDArray[np.int_]  # (d,) -1 on the lower bound, 1 on the upper, else 0
-    error: float  # of the discretisation, rad or m
 
 
 class OutputError:
@@ -170,8 +177,7 @@ class OutputError:
         values = values.copy()
         values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
         frame = self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values)
-        plain = Weights(np.ones(frame.shooting.measured.size), 1.0)
-        states = settle_states(frame, plain, values, frame.shooting.initial)
+        states = settle_states(frame, values, frame.shooting.initial)
         return frame, values, states, residual_of(frame, values, states)
 
     def fit(self, values: Array, length: float) -> Fit | None:
@@ -186,8 +192,8 @@ class OutputError:
                 frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
         several = len(self.trajectories) > 1
         for _ in range(_WEIGHINGS if several or self.knowledge.told else 1):
-            weights = self._weights(frame, residual)
-            solution = descend_afresh(frame, weights, values, states)
+            frame = self._weighted(frame, residual)
+            solution = descend_afresh(frame, values, states)
             if not np.isfinite(solution.cost):
                 return None
             values, states, residual = solution.values, solution.states, solution.residual
@@ -197,9 +203,8 @@ class OutputError:
             moved = residual_of(frame, middle, states)
             solution = replace(solution, values=middle, residual=moved)
         at_bound = fitted.bounds_met(solution.values[self.columns], *self.limits, frame.units)
-        error, _ = step_error(frame.shooting, solution.values, states, frame.shooting.substeps)
-        information = self._information(frame, weights, solution)
-        return Fit(length, frame, solution, information, at_bound, error)
+        information = self._information(frame, solution)
+        return Fit(frame, solution, information, at_bound)
 
     def lengths(self) -> tuple[float, ...]:
         """Segment lengths to try, s: the one told, or those with segments enough for sound sds."""
@@ -218,14 +223,9 @@ class OutputError:
         solution, shooting = fit.solution, fit.frame.shooting
         given = self.chain, self.observations, self.knowledge
         values = fitted.assemble(*given, solution.values, fit.information, fit.at_bound)
-        finest = float(self.grain.min()) * 12**0.5
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         n = shooting.n_segments
-        notes = [
-            f"simulated in {n} segments of {length:.3g} s",
-            f"integration steps a sample: {shooting.substeps}, discretisation error "
-            f"{fit.error:.1e} {unit}, position resolution {finest:.1e} {unit}",
-        ]
+        notes = [f"simulated in {n} segments of {length:.3g} s"]
         if n < LEAST_GROUPS * self.columns.size:
             notes.append(
                 f"{n} segments are too few for sums over segments: sd_robust takes residuals for "
@@ -242,8 +242,8 @@ class OutputError:
                 f"the search was stopped after {self.options.max_seconds:g} s of CPU time (raise "
                 "estimation.max_seconds, or give fewer recordings)"
                 if self.late
-                else f"the search stopped after {solution.iterations} steps in a place that is no "
-                "minimum (another segment length, or longer recordings, may help)"
+                else "the search stopped in a place that is no minimum (another segment length, or "
+                "longer recordings, may help)"
             )
             notes.insert(0, f"NOT CONVERGED, these numbers are no estimate: {why}")
         before, left = self._torque_left(start), self._torque_left(solution.values)
@@ -286,6 +286,8 @@ class OutputError:
             targets,
             speed=max(float(np.sqrt(np.mean(speeds**2))), 1e-12),
             span=max(float(np.ptp(t.position)) for t in self.trajectories) or 1e-12,
+            rows=np.ones(shooting.measured.size),
+            sigma=1.0,
             deadline=self.deadline,
         )
 
@@ -299,7 +301,7 @@ class OutputError:
         whole = float(np.sqrt(np.mean(torque**2)))
         return np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), values_size)
 
-    def _weights(self, frame: Frame, residual: Array) -> Weights:
+    def _weighted(self, frame: Frame, residual: Array) -> Frame:
         of = frame.shooting.recording_of
         rows = np.ones(residual.size)
         if len(self.trajectories) > 1:
@@ -307,14 +309,13 @@ class OutputError:
             # a joint that stands still is simulated exactly, and measured to a count no better
             sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
             rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
-        return Weights(rows, float(np.sqrt(np.mean((residual * rows) ** 2))))
+        return replace(frame, rows=rows, sigma=float(np.sqrt(np.mean((residual * rows) ** 2))))
 
-    def _information(self, frame: Frame, weights: Weights, solution: Solution) -> Information:
-        linear = Linearised(frame, solution.values, solution.states, weights.rows, weights.sigma)
-        residual = weights.rows * linear.residual
-        projected, _ = linear.elimination.of(residual[:, None])
+    def _information(self, frame: Frame, solution: Solution) -> Information:
+        linear = Linearised(frame, solution.values, solution.states)
+        projected = linear.elimination.projected
         return Information(
-            linear.elimination.projected[:, 1:],
+            projected[:, 1:],
             projected[:, 0],
             frame.units,
             places=frame.shooting.places,
@@ -325,7 +326,7 @@ class OutputError:
             tolerance=_NULL,
             groups=frame.shooting.segment_of,
             lost=linear.elimination.lost,
-            least=float(np.min(weights.rows * self.grain[frame.shooting.recording_of])),
+            least=float(np.min(frame.rows * self.grain[frame.shooting.recording_of])),
         )
 
 

@@ -10,10 +10,10 @@ shooting without continuity constraints.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
@@ -152,40 +152,42 @@ class Shooting:
         )
         return Sensitivities(middle, found[:, :d], found[:, d:])
 
-    def eliminate(self, states: Array, columns: Array) -> Elimination:
-        """Take the initial states out of a least-squares problem.
-
-        ``states`` ``(n, 2)`` are derivatives by them, weighted like ``columns`` ``(n, k)``:
-        residual and derivatives by parameters.
-        """
-        base = np.zeros((columns.shape[0], 2))
-        back = np.zeros((self.n_segments, 2, 2))
-        lost = 0
-        for k in range(self.n_segments):
-            a, b = self.borders[k], self.borders[k + 1]
-            q, r = np.linalg.qr(states[a:b])
-            # Where the joint sticks at the start, its speed there is no more than noise of
-            # the differences; how long the speed would carry it says which is which.
-            full = abs(r[1, 1]) > _LEAST_REACH * self.periods[k] * abs(r[0, 0])
-            rank = 2 if full else 1
-            lost += rank
-            base[a:b, :rank] = q[:, :rank]
-            back[k, :rank, :rank] = np.linalg.inv(r[:rank, :rank])
-        return Elimination(columns, lost, base, back, self.borders)
-
 
 class Elimination:
     """A least-squares problem without its initial states.
 
-    ``columns`` ``(n, k)`` are residual and derivatives; ``lost`` is the number of states taken out.
-    ``base``, ``back``: ``(n, 2)`` orthonormal in each segment, and ``(K, 2, 2)`` from their
-    coefficients to the states.
+    Parameters
+    ----------
+    shooting
+        Whose segments the states are of.
+    states
+        ``(n, 2)`` derivatives by them, weighted like ``columns``.
+    columns
+        ``(n, k)``: residual and derivatives by parameters.
+
+    Attributes
+    ----------
+    projected, onto
+        As :meth:`of` gives them for ``columns``.
+    lost
+        Number of states taken out.
+    back
+        ``(K, 2, 2)``, from coefficients of an orthonormal basis in each segment to the states.
     """
 
-    def __init__(
-        self, columns: Array, lost: int, base: Array, back: Array, borders: NDArray[np.int64]
-    ) -> None:
-        self.lost, self.back, self._base, self._borders = lost, back, base, borders
+    def __init__(self, shooting: Shooting, states: Array, columns: Array) -> None:
+        self._borders, self.lost = shooting.borders, 0
+        self._base = np.zeros((columns.shape[0], 2))
+        self.back = np.zeros((shooting.n_segments, 2, 2))
+        for k, (a, b) in enumerate(pairwise(self._borders)):
+            q, r = np.linalg.qr(states[a:b])
+            # Where the joint sticks at the start, its speed there is no more than noise of
+            # the differences; how long the speed would carry it says which is which.
+            full = abs(r[1, 1]) > _LEAST_REACH * shooting.periods[k] * abs(r[0, 0])
+            rank = 2 if full else 1
+            self.lost += rank
+            self._base[a:b, :rank] = q[:, :rank]
+            self.back[k, :rank, :rank] = np.linalg.inv(r[:rank, :rank])
         self.projected, self.onto = self.of(columns)
 
     def of(self, columns: Array) -> tuple[Array, Array]:
@@ -218,9 +220,20 @@ def resolution(position: Array) -> float:
 def choose_substeps(
     shooting: Shooting, values: Array, states: Array, small: float | None = None
 ) -> tuple[int, float]:
-    """Integration steps a sample that leave a small error, well below the encoder's resolution.
+    """Choose integration steps a sample: the fewest, doubled from one on, that err little enough.
 
-    Gives them, and the largest estimated error of the position, rad or m.
+    Parameters
+    ----------
+    shooting, values, states
+        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``.
+    small
+        Error that is small, rad or m; a hundredth of the resolution if left out.
+
+    Returns
+    -------
+    substeps : int
+    error : float
+        Largest estimated error of the position, rad or m.
     """
     if small is None:
         small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)

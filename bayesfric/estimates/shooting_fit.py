@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.descent import bounded_step
-from bayesfric.estimates.shooting import Shooting
+from bayesfric.estimates.shooting import Elimination, Shooting
 from bayesfric.mechanism.scaling import Scaling
 from bayesfric.recordings.arrays import Array
 
@@ -43,6 +43,9 @@ class Frame:
     targets: Array  # mean/sd of it
     speed: float  # typical speed and range of the position, for the size of state steps
     span: float
+    # how residuals count: (n,) a factor on each, and their sd times that
+    rows: Array
+    sigma: float
     deadline: float = math.inf  # CPU time of the process, s, at which a descent ends where it is
 
     def tangents(self, values: Array) -> Array:
@@ -54,14 +57,6 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
-    """How residuals count."""
-
-    rows: Array  # (n,) factor on each
-    sigma: float  # sd of the residuals times that
-
-
-@dataclass(frozen=True, eq=False)
 class Solution:
     """Where a descent ended."""
 
@@ -70,7 +65,6 @@ class Solution:
     residual: Array  # (n,) measured minus simulated position, not weighted
     cost: float  # sum of the squares, of what is told too
     gain: float  # by how much a further step would lower it, in residual variances
-    iterations: int
     # the last step was as small as wanted, or nothing smaller was found; not where time ran out
     converged: bool
 
@@ -81,24 +75,19 @@ def residual_of(frame: Frame, values: Array, states: Array) -> Array:
 
 
 class Linearised:
-    """The problem around one point: residual, derivatives, states taken out.
+    """The problem around one point: derivatives, states taken out.
 
-    ``rows`` ``(n,)`` weigh the residuals, whose sd is then ``sigma``, against what is told.
-    ``central``: whether to take the more exact of the two kinds of differences. ``jacobian``
-    ``(n, d)`` of the weighted positions is blind along :meth:`Frame.tangents`.
+    The derivatives are blind along :meth:`Frame.tangents`. ``central``: whether to take the more
+    exact of the two kinds of differences.
+
+    Attributes
+    ----------
+    elimination
+        Of the weighted residual ``(n,)``, its first column, and its derivatives ``(n, d)``.
     """
 
-    def __init__(
-        self,
-        frame: Frame,
-        values: Array,
-        states: Array,
-        rows: Array,
-        sigma: float,
-        *,
-        central: bool = True,
-    ) -> None:
-        self._frame, self.rows = frame, rows
+    def __init__(self, frame: Frame, values: Array, states: Array, *, central: bool = True) -> None:
+        self._frame = frame
         columns, units, d = frame.columns, frame.units, frame.columns.size
         steps = np.zeros(values.size)
         steps[columns] = STEP * units
@@ -109,20 +98,20 @@ class Linearised:
         found = frame.shooting.sensitivities(
             values, states, steps, widths, (lower, upper), central=central
         )
-        self.jacobian = np.where(np.isfinite(found.parameters), found.parameters, 0.0)
+        jacobian = np.where(np.isfinite(found.parameters), found.parameters, 0.0)
         tangents = frame.tangents(values)
-        self.jacobian -= (self.jacobian * units) @ tangents @ tangents.T / units
-        self._by_state = np.where(np.isfinite(found.states), found.states, 0.0)
-        self.residual = frame.shooting.measured - found.positions
-        weighted = np.column_stack([self.residual, self.jacobian]) * rows[:, None]
-        self.jacobian = weighted[:, 1:]
-        self.elimination = frame.shooting.eliminate(self._by_state * rows[:, None], weighted)
+        jacobian -= (jacobian * units) @ tangents @ tangents.T / units
+        by_state = np.where(np.isfinite(found.states), found.states, 0.0) * frame.rows[:, None]
+        residual = frame.shooting.measured - found.positions
+        weighted = np.column_stack([residual, jacobian]) * frame.rows[:, None]
+        self._squares = float(np.sum(weighted[:, 0] ** 2))
+        self.elimination = Elimination(frame.shooting, by_state, weighted)
         projected = self.elimination.projected
         triangle = np.asarray(
             np.linalg.qr(np.column_stack([projected[:, 1:] * units, projected[:, 0]]), mode="r")
         )
-        told = sigma * frame.told * units
-        rest = sigma * (frame.targets - frame.told @ values[columns])
+        told = frame.sigma * frame.told * units
+        rest = frame.sigma * (frame.targets - frame.told @ values[columns])
         # the last row of the triangle is what no step can lower
         self._matrix = np.concatenate([triangle[:d, :d], told])
         self.target = np.concatenate([triangle[:d, d], rest])
@@ -134,9 +123,7 @@ class Linearised:
     def gain(self) -> float:
         """By how much the full step would lower the sum of squares, states included."""
         left = self.target - self._matrix @ self.step(0.0)
-        states = np.sum((self.rows * self.residual) ** 2) - np.sum(
-            self.elimination.projected[:, 0] ** 2
-        )
+        states = self._squares - np.sum(self.elimination.projected[:, 0] ** 2)
         return float(self.target @ self.target - left @ left + states)
 
     def step(self, damping: float) -> Array:
@@ -166,7 +153,7 @@ class Linearised:
         return np.column_stack([change[:, 0] - by_speed * change[:, 1], 0.0 * change[:, 1]])
 
 
-def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Solution:
+def descend(frame: Frame, values: Array, states: Array) -> Solution:
     """Find the least cost over free parameters, within limits, and initial states.
 
     Levenberg and Marquardt's steps on the problem without its states. Several dampings
@@ -176,26 +163,26 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     """
     columns = frame.columns
     residual = residual_of(frame, values, states)
-    cost = float(_segment_costs(frame, weights, residual[None])[0].sum())
-    cost += _told_cost(frame, weights, values[columns])
+    cost = float(_segment_costs(frame, residual[None])[0].sum())
+    cost += _told_cost(frame, values[columns])
     if not np.isfinite(cost):
-        return Solution(values, states, residual, np.inf, np.inf, 0, False)
-    at = Solution(values, states, residual, cost, np.inf, 0, False)
+        return Solution(values, states, residual, np.inf, np.inf, False)
+    at = Solution(values, states, residual, cost, np.inf, False)
     damping = 1e-3
-    for iteration in range(1, _MAX_ITERATIONS + 1):
+    for _ in range(_MAX_ITERATIONS):
         if time.process_time() >= frame.deadline:
             return at
-        linear = Linearised(frame, at.values, at.states, weights.rows, weights.sigma, central=False)
+        linear = Linearised(frame, at.values, at.states, central=False)
         freedom = max(at.residual.size - linear.elimination.lost - columns.size, 1)
         gain = linear.gain * freedom / at.cost if at.cost > 0 else 0.0
-        at = replace(at, gain=gain, iterations=iteration)
+        at = replace(at, gain=gain)
         if gain < _GAIN:
             return replace(at, converged=True)
         found = None
         while found is None and damping < 1e12:
             dampings = [damping * f for f in _DAMPINGS]
             for stuck in (False, True):
-                trial, worked = _try(frame, weights, at, linear, dampings, stuck=stuck)
+                trial, worked = _try(frame, at, linear, dampings, stuck=stuck)
                 if trial.cost < at.cost:
                     found, damping = trial, worked
                     break
@@ -210,7 +197,7 @@ def descend(frame: Frame, weights: Weights, values: Array, states: Array) -> Sol
     return at
 
 
-def settle_states(frame: Frame, weights: Weights, values: Array, states: Array) -> Array:
+def settle_states(frame: Frame, values: Array, states: Array) -> Array:
     """Fit the initial states alone, ``(K, 2)``, the parameters held."""
     low, high = frame.limits
     held = replace(
@@ -221,35 +208,34 @@ def settle_states(frame: Frame, weights: Weights, values: Array, states: Array) 
         scalings=(),
         told=frame.told[:, :0],
     )
-    return descend(held, weights, values, states).states
+    return descend(held, values, states).states
 
 
-def descend_afresh(frame: Frame, weights: Weights, values: Array, states: Array) -> Solution:
+def descend_afresh(frame: Frame, values: Array, states: Array) -> Solution:
     """Descend as :func:`descend`, and again while a segment's state has a better minimum.
 
     A bad start of the parameters can drive a segment's state into a minimum of its own (a
     joint that stops where the measured one passes) that no small step leaves. At the end
     each segment is tried from its measured state once more.
     """
-    at = descend(frame, weights, values, states)
+    at = descend(frame, values, states)
     for _ in range(_AFRESH):
         if not np.isfinite(at.cost):
             break
-        tried = settle_states(frame, weights, at.values, frame.shooting.initial)
+        tried = settle_states(frame, at.values, frame.shooting.initial)
         residual = residual_of(frame, at.values, tried)
-        old = _segment_costs(frame, weights, at.residual[None])[0]
-        new = _segment_costs(frame, weights, residual[None])[0]
+        old = _segment_costs(frame, at.residual[None])[0]
+        new = _segment_costs(frame, residual[None])[0]
         better = new < old * (1.0 - 1e-6)
         if old[better].sum() - new[better].sum() <= 1e-6 * at.cost:
             break
         mixed = np.where(better[:, None], tried, at.states)
-        at = descend(frame, weights, at.values, mixed)
+        at = descend(frame, at.values, mixed)
     return at
 
 
 def _try(
     frame: Frame,
-    weights: Weights,
     solution: Solution,
     linear: Linearised,
     dampings: list[float],
@@ -277,11 +263,11 @@ def _try(
         starts[i, -1] = (solution.states + change) * (1.0, 0.0)
     starts = starts.reshape(-1, *solution.states.shape)
     residuals = frame.shooting.measured - frame.shooting.positions(vectors, starts)
-    costs = _segment_costs(frame, weights, residuals).reshape(len(moves), shares, -1)
+    costs = _segment_costs(frame, residuals).reshape(len(moves), shares, -1)
     costs = np.where(np.isfinite(costs), costs, np.inf)
     choice = np.argmin(costs, axis=1)
     totals = np.take_along_axis(costs, choice[:, None], axis=1)[:, 0].sum(axis=1)
-    totals += [_told_cost(frame, weights, moved[columns]) for _, moved, _ in moves]
+    totals += [_told_cost(frame, moved[columns]) for _, moved, _ in moves]
     best = int(np.argmin(totals))
     pick = best * shares + choice[best]
     better = replace(
@@ -300,13 +286,13 @@ def _moved(frame: Frame, values: Array, step: Array) -> Array:
     return out
 
 
-def _segment_costs(frame: Frame, weights: Weights, residuals: Array) -> Array:
+def _segment_costs(frame: Frame, residuals: Array) -> Array:
     """Cost of every segment, ``(m, K)``; NaN where it cannot be simulated."""
-    squares = (residuals * weights.rows) ** 2
+    squares = (residuals * frame.rows) ** 2
     return np.asarray(np.add.reduceat(squares, frame.shooting.borders[:-1], axis=1))
 
 
-def _told_cost(frame: Frame, weights: Weights, at: Array) -> float:
+def _told_cost(frame: Frame, at: Array) -> float:
     if not frame.targets.size:
         return 0.0
-    return float(weights.sigma**2 * np.sum((frame.targets - frame.told @ at) ** 2))
+    return float(frame.sigma**2 * np.sum((frame.targets - frame.told @ at) ** 2))

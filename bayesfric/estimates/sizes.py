@@ -37,7 +37,13 @@ class Scales:
 
 
 def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales:
-    """Take the scales from all recordings together."""
+    """Take the scales from all recordings together.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism, and at least one recording of it; only samples where outputs are count.
+    """
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])

@@ -22,9 +22,21 @@ _LOAD_QUANTILE = 0.95
 
 
 def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
-    """Motor torque of vectors ``(n, n_parameters)`` along a measured motion, filtered.
+    """Motor torque along a measured motion, behind the filter of the measured torque.
 
-    Gives ``(n, n_outputs)``, N m or N.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observation
+        Motion, inputs and filter.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    ndarray
+        ``(n, n_outputs)``, N m or N, to be compared with ``observation.measured``.
     """
     out = np.empty((values.shape[0], observation.filter.n_outputs))
     for part, torque in _torques(chain, observation, values):
@@ -33,7 +45,20 @@ def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Ar
 
 
 def weighed_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
-    """Weigh the samples of that torque before any filter, by ``(k, n_samples)``: ``(k, n)``."""
+    """Weigh the samples of the modelled torque before any filter.
+
+    Parameters
+    ----------
+    chain, observation, values
+        As for :func:`filtered_torque`.
+    weights
+        ``(k, n_samples)``.
+
+    Returns
+    -------
+    ndarray
+        ``(k, n)``.
+    """
     out = np.empty((len(weights), values.shape[0]))
     for part, torque in _torques(chain, observation, values):
         # no threads: for products this small those of @ cost more, on a busy machine fifty times
@@ -68,9 +93,22 @@ def torque_jacobian(
     """Differentiate the filtered torque by the chain's parameters.
 
     The torque is linear in nearly every parameter, so central differences are exact up
-    to rounding except where a step changes the direction of power. ``steps``
-    ``(n_parameters,)`` are their widths; zero for parameters to leave out. Gives
-    ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
+    to rounding except where a step changes the direction of power.
+
+    Parameters
+    ----------
+    chain, observations
+        As for :func:`filtered_torque`, of several recordings.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    steps
+        ``(n_parameters,)`` widths of the differences, in the parameters' units; zero for
+        parameters to leave out.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
     """
     moving = np.flatnonzero(steps)
     k = moving.size
@@ -97,7 +135,17 @@ def load_at_outputs(chain: Joint, o: Observation, values: Array) -> Array:
 def typical_load(chain: Joint, observations: Sequence[Observation], values: Array) -> float:
     """Joint torque at which efficiencies are stated: the 95th percentile of the recordings.
 
-    ``values`` ``(n_parameters,)`` in the order of ``chain.names``; the result is in N m or N.
+    Parameters
+    ----------
+    chain, observations
+        The mechanism, and the motions that it made.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+
+    Returns
+    -------
+    float
+        Of the absolute torque of eq. (3), N m or N.
     """
     loads = [load_at_outputs(chain, o, values) for o in observations]
     return float(np.quantile(np.abs(np.concatenate(loads)), _LOAD_QUANTILE))

@@ -16,7 +16,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import TOTALS, State
-from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
@@ -43,19 +43,15 @@ class TorqueForm:
     behind: Mapping[str, list[Term]] = field(repr=False)  # and behind it
     loss: str  # name of the element with load loss; empty for none
 
-    def lambdas(self, values: Array) -> tuple[float, float]:
-        """``lambda_1`` and ``lambda_2`` of a parameter vector ``(n_parameters,)``."""
-        if not self.loss:
-            return 1.0, 0.0
-        at = dict(zip(self.chain.names, values.tolist(), strict=True))
-        one = at.get(f"{self.loss}.load", 0.0)
-        drive = at.get(f"{self.loss}.load_drive", one)
-        back = at.get(f"{self.loss}.load_back", one)
-        return (2.0 + drive - back) / 2.0, (drive + back) / 2.0
-
     def thetas(self, values: Array) -> tuple[Array, Array]:
-        """``Theta1`` and ``Theta2`` of a parameter vector ``(n_parameters,)``."""
-        lambda1, lambda2 = self.lambdas(values)
+        """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector ``(n_parameters,)``."""
+        lambda1, lambda2 = 1.0, 0.0
+        if self.loss:
+            at = dict(zip(self.chain.names, values.tolist(), strict=True))
+            one = at.get(f"{self.loss}.load", 0.0)
+            drive = at.get(f"{self.loss}.load_drive", one)
+            back = at.get(f"{self.loss}.load_back", one)
+            lambda1, lambda2 = (2.0 + drive - back) / 2.0, (drive + back) / 2.0
         leg = self._sums(self.behind, values)
         motor = self._sums(self.front, values)
         theta1 = [motor.get(name, 0.0) + lambda1 * leg.get(name, 0.0) for name in self.names1]
@@ -138,22 +134,10 @@ def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Arra
     Where none is fixed it goes to the middle of what a passive gearbox allows.
     """
     for scaling in scalings(chain):
-        names = [name for name in scaling.names if name in fixed]
-        factors = [_factor_to(scaling, values, name, fixed[name]) for name in names]
-        values = scaling.scaled(values, next(filter(None, factors), 0.0) or scaling.middle(values))
+        factors = (scaling.factor_to(values, n, fixed[n]) for n in scaling.names if n in fixed)
+        reached = (factor for factor in factors if 0.0 < factor < math.inf)
+        values = scaling.scaled(values, next(reached, None) or scaling.middle(values))
     return values
-
-
-def _factor_to(scaling: Scaling, values: Array, name: str, value: float) -> float:
-    """Factor of a scaling that gives a parameter a value; zero where none does."""
-    if name not in scaling.names:
-        return 0.0
-    now = float(values[scaling.chain.names.index(name)])
-    if name in scaling.behind:
-        return max(value / now, 0.0) if now else 0.0
-    way = 1.0 if name == scaling.drive else -1.0  # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2)
-    above, below = 1.0 + way * now, 1.0 + way * value
-    return above / below if above > 0.0 and below > 0.0 else 0.0
 
 
 def _turning(chain: Joint) -> list[int]:
@@ -162,25 +146,30 @@ def _turning(chain: Joint) -> list[int]:
 
 
 def torque_form(
-    chain: Joint,
-    observations: Sequence[Observation] = (),
-    *,
-    times_gain: bool = False,
-    any_shape: bool = False,
+    chain: Joint, observations: Sequence[Observation] = (), *, any_shape: bool = False
 ) -> TorqueForm | None:
-    """Write a chain's torque in the form of eq. (13), or the measured one ``times_gain``.
+    """Write a chain's torque in the form of eq. (13).
 
-    With ``any_shape`` what only shapes terms is left out: the form is that of the others.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        Whose known mass has columns of its own, ``added_load``, if their motion sets it apart.
+    any_shape
+        Leave out what only shapes or scales terms, as a Stribeck rise and the gain: the form is
+        that of the others, times the gain.
 
-    A known mass of the observations has a column of its own if the motion sets it apart. ``None``
-    for a chain with several load losses, a Stribeck rise or an unknown gain, or with a known mass
-    at an unknown angle: these are not of the form.
+    Returns
+    -------
+    TorqueForm or None
+        None for a chain with several load losses, a Stribeck rise or an unknown gain, or with a
+        known mass at an unknown angle: these are not of the form.
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = bool(_turning(chain))
     masses = any(o.inputs.known_load for o in observations)
-    forms = [p for p in chain.parameters if p.row.role == "form" and not p.circular]
-    shaped = any(p.quantity != "gain" or not times_gain for p in forms)
+    shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
     if len(lossy) > 1 or (shaped and not any_shape) or (angled and masses):
         return None
     last = lossy[0] if lossy else len(chain.elements)
@@ -239,7 +228,21 @@ def in_order(chain: Joint) -> list[str]:
 
 
 def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Array:
-    """Columns of ``psi`` before filtering, one a row ``(n, N)``, in motor units."""
+    """Columns of ``psi`` of eq. (13), before filtering.
+
+    Parameters
+    ----------
+    chain, observation
+        The mechanism, and a motion of it.
+    names
+        Of :func:`in_order`.
+
+    Returns
+    -------
+    ndarray
+        ``(n, N)``, one column a row, in motor units; a parameter with a column of its own has the
+        torque at its element's input for a value of one.
+    """
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)
     sine = np.sin(o.q)
@@ -271,8 +274,16 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
 def shortest(regressors: Array) -> tuple[Array, Flags, Array, Array]:
     """Solve a linear least-squares problem ``(n, k)`` once for all targets.
 
-    Gives norms of the columns ``(k,)``, which of them others can stand for, the map ``(k, n)`` to
-    the shortest solution, and an orthonormal basis of what they span.
+    Returns
+    -------
+    size : ndarray
+        ``(k,)`` norms of the columns, 1 for those of zeros.
+    shared : ndarray
+        ``(k,)`` of bool: which columns others can stand for.
+    solution : ndarray
+        ``(k, n)``, from targets to the solution that is shortest in units of the norms.
+    basis : ndarray
+        ``(n, rank)`` orthonormal, of what the columns span.
     """
     size = np.linalg.norm(regressors, axis=0)
     size[size == 0.0] = 1.0

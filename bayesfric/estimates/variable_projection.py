@@ -39,9 +39,10 @@ class VariableProjection:
         self._psi2 = [columns(chain, o, form.names2) for o in observations]
         self._sign = [np.sign(o.qd) for o in observations]
         target, regressors = [], []
+        leg_is_scaled = f"{form.loss}.load_drive" in chain.names
         for o in observations:
             known = np.zeros_like(o.measured)
-            if o.inputs.known_load and "added_load" not in form.names1 and not self._leg_is_scaled:
+            if o.inputs.known_load and "added_load" not in form.names1 and not leg_is_scaled:
                 # lambda_1 is one: what the known load takes is known
                 known = o.filter.apply(columns(chain, o, ("added_load",)))[0]
             target.append(o.measured - known)
@@ -50,10 +51,6 @@ class VariableProjection:
         *_, self._solution, self._range = shortest(np.concatenate(regressors, axis=1).T)
         norms = np.sqrt(sum(((p**2).sum(axis=1) for p in self._psi2), np.zeros(len(form.names2))))
         self.scale: Array = np.where(norms > 0.0, norms, 1.0)
-
-    @property
-    def _leg_is_scaled(self) -> bool:
-        return f"{self.form.loss}.load_drive" in self.form.chain.names
 
     def theta1(self, theta2: Array) -> Array:
         """``Theta1`` that fits best beside ``Theta2``, eq. (18)."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from bayesfric.base.errors import nearest
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
-from bayesfric.mechanism.own_term import CarriedTerm, Term, along
+from bayesfric.mechanism.own_term import PUSH, CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
 from bayesfric.recordings.arrays import Array
@@ -26,8 +26,8 @@ class Tables(NamedTuple):
 
     elements: Array  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
     load: Array  # (n, n_slots); columns are kernels.LOAD_SLOTS
-    # (n, n_carried, 2) of the terms that have no slot, Chain.carried: the coefficient, and the
-    # value that shapes it, 0 where none does; behind them a measured load torque, 1 and 0
+    # (n, n_carried, 2) of the terms that have no slot, Chain.felt: the coefficient, and the
+    # value that shapes it, 0 where none does
     carried: Array
 
 
@@ -179,6 +179,12 @@ class Chain:
             if p.owner in places and p.row.role == "own" and not _slots(p)
         )
 
+    def felt(self, inputs: Inputs | None) -> tuple[CarriedTerm, ...]:
+        """Give :attr:`carried`, and behind them a load torque that a recording has."""
+        if inputs is None or inputs.load_torque is None:
+            return self.carried
+        return (*self.carried, CarriedTerm(-1, len(self.elements), 1.0, PUSH))
+
     @property
     def unseen_inertia(self) -> tuple[str, ...]:
         """Inertias that a load loss does not see, all of them standing before it; else empty."""
@@ -236,11 +242,10 @@ class Chain:
             flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
-        loaded = inputs is not None and inputs.load_torque is not None
-        carried = np.zeros((len(values), len(self.carried) + loaded, 2), values.dtype)
-        carried[:, len(self.carried) :, 0] = 1.0
-        for k, term in enumerate(self.carried):
-            carried[:, k, 0] = values[:, term.index]
+        felt = self.felt(inputs)
+        carried = np.zeros((len(values), len(felt), 2), values.dtype)
+        for k, term in enumerate(felt):
+            carried[:, k, 0] = values[:, term.index] if term.index >= 0 else 1.0
             if term.shape >= 0:
                 carried[:, k, 1] = values[:, term.shape]
         return Tables(
@@ -275,20 +280,14 @@ class Chain:
             np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
         )
         stamps = np.full(speed.size, np.nan) if time is None else time
+        felt = self.felt(inputs)
         # the kernels work out what a parameter shapes
         columns = [
             along(c.row, c.reach, position, speed, stamps, inputs)
             if c.shape < 0
             else np.zeros_like(speed)
-            for c in self.carried
+            for c in felt
         ]
-        places = [c.place for c in self.carried]
-        reaches = [c.reach for c in self.carried]
-        addresses = [c.address if c.shape >= 0 else 0 for c in self.carried]
-        if inputs.load_torque is not None:  # what pushes the load, the motor need not
-            columns.append(-inputs.load_torque.at(stamps))
-            places, reaches = [*places, len(self.elements)], [*reaches, 1.0]
-            addresses = [*addresses, 0]
         return Samples(
             *inputs.load(self.load.motion),
             np.sin(position),
@@ -298,9 +297,9 @@ class Chain:
             position,
             np.ascontiguousarray(stamps, dtype=np.float64),
             np.stack(columns) if columns else np.empty((0, speed.size)),
-            np.array(places, dtype=np.int64),
-            np.array(reaches, dtype=np.float64),
-            np.array(addresses, dtype=np.int64),
+            np.array([c.place for c in felt], dtype=np.int64),
+            np.array([c.reach for c in felt], dtype=np.float64),
+            np.array([c.address if c.shape >= 0 else 0 for c in felt], dtype=np.int64),
         )
 
     @cached_property

@@ -9,9 +9,9 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.dynamics import CarriedValues, carried_by, moved
+from bayesfric.mechanism.dynamics import CarriedValues, moved
 from bayesfric.mechanism.forward import carried_values, possible
-from bayesfric.mechanism.integrate import integrate
+from bayesfric.mechanism.integrate import POSITION, SPEED, integrate
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.inputs import Inputs
@@ -142,49 +142,26 @@ def _follow(
         v, k = job // pieces, job % pieces
         if not valid[v]:
             continue
-        joint = moved(elements[v], load[v], carried_by(carried, v), added[0], added[1])
+        joint = moved(elements[v], load[v], carried, added[0], added[1], v)
         row = v if push.shape[0] > 1 else 0
-        torque, q_two, qd_two, qdd_two = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-        rests, counts = np.empty(2, dtype=np.bool_), np.zeros(3, dtype=np.int64)
+        torque, out, counts = np.empty(2), np.empty((4, 2)), np.zeros(3, dtype=np.int64)
         a, b = segments[k]
         q, qd = q0[k], qd0[k]
         for i in range(a, b):
             q_out[v, i], qd_out[v, i] = q, qd
-            if i == b - 1:
-                break
-            done = 2
+            if i == b - 1 or np.isnan(q):
+                continue
             for s in range(steps):
                 now, then = (0.0, 0.0) if held else (s / steps, (s + 1) / steps)
                 more = push[row, i + 1] - push[row, i]
                 before = push[row, i] + s / steps * more
                 after = push[row, i] + (s + 1) / steps * more
                 time = begin + i * period + s * h
-                torque[0] = _torque(drive, i, now, before, q, qd)
-                torque[1] = torque[0]
+                torque[0] = torque[1] = _torque(drive, i, now, before, q, qd)
+                done = 2
                 for _ in range(2):  # what the motion makes of the torque at the end, then with it
-                    done = integrate(
-                        joint,
-                        torque,
-                        h,
-                        time,
-                        True,
-                        q,
-                        qd,
-                        1,
-                        q_two,
-                        qd_two,
-                        qdd_two,
-                        rests,
-                        counts,
-                    )
-                    if done < 2:
-                        break
-                    torque[1] = _torque(drive, i, then, after, q_two[1], qd_two[1])
-                if done < 2:
-                    break
-                q, qd = q_two[1], qd_two[1]
-            if done < 2:
-                q_out[v, i + 1 : b] = np.nan
-                qd_out[v, i + 1 : b] = np.nan
-                break
+                    found = integrate(joint, torque, h, time, True, q, qd, 1, out, counts)
+                    done = min(done, found)
+                    torque[1] = _torque(drive, i, then, after, out[POSITION, 1], out[SPEED, 1])
+                q, qd = (out[POSITION, 1], out[SPEED, 1]) if done == 2 else (np.nan, np.nan)
     return q_out, qd_out

@@ -18,7 +18,7 @@ from pydantic import (
 
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.mechanism.chain import Chain
-from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
+from bayesfric.mechanism.element import STANDARD_GRAVITY, Element
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
@@ -170,35 +170,7 @@ class MechanismOptions(_Options):
                 f"{missing[0]} is a term of one's own, a function that no file holds",
                 "fit it in Python: bayesfric.Model.from_config(path, terms=[bayesfric.Term(...)])",
             )
-        if self.preset is None:
-            base = Chain(elements=(Element("motor"),), load=Load())
-            elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
-            if not elements:
-                raise BadInput(
-                    "mechanism", "describes no joint", f"set preset to one of {', '.join(PRESETS)}"
-                )
-        else:
-            if self.preset not in PRESETS:
-                raise BadInput(
-                    "mechanism.preset",
-                    f"there is no preset {self.preset!r}",
-                    nearest(self.preset, PRESETS),
-                )
-            base = PRESETS[self.preset].chain()
-            names = [element.name for element in base.elements]
-            for name in self.elements:
-                if name not in names:
-                    raise BadInput(
-                        f"mechanism.elements.{name}",
-                        f"{self.preset} has no such element",
-                        nearest(name, names),
-                    )
-            elements = [
-                replace(element, **self.elements[element.name].given())
-                if element.name in self.elements
-                else element
-                for element in base.elements
-            ]
+        base, elements = self._elements()
         load = replace(base.load, **self.load.given())
         if self.motion is not None:
             elements = [replace(element, motion=self.motion) for element in elements]
@@ -231,3 +203,30 @@ class MechanismOptions(_Options):
             )
         except ValueError as error:
             raise BadInput("mechanism.elements", str(error), "rename the element") from None
+
+    def _elements(self) -> tuple[Chain, list[Element]]:
+        """Give the preset, or an empty one, and its elements with what is said of them."""
+        if self.preset is None:
+            elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
+            if not elements:
+                raise BadInput(
+                    "mechanism", "describes no joint", f"set preset to one of {', '.join(PRESETS)}"
+                )
+            return Chain((Element("motor"),)), elements
+        if self.preset not in PRESETS:
+            raise BadInput(
+                "mechanism.preset",
+                f"there is no preset {self.preset!r}",
+                nearest(self.preset, PRESETS),
+            )
+        base = PRESETS[self.preset].chain()
+        changes = {name: options.given() for name, options in self.elements.items()}
+        names = [element.name for element in base.elements]
+        for name in changes:
+            if name not in names:
+                raise BadInput(
+                    f"mechanism.elements.{name}",
+                    f"{self.preset} has no such element",
+                    nearest(name, names),
+                )
+        return base, [replace(one, **changes.get(one.name, {})) for one in base.elements]

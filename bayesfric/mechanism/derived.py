@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element
@@ -46,7 +47,7 @@ class Derived:
 
 
 def efficiencies(
-    mu_drive: Array, mu_back: Array, constant_loss: Array, torque: float | Array
+    mu_drive: ArrayLike, mu_back: ArrayLike, constant_loss: ArrayLike, torque: float | Array
 ) -> tuple[Array, Array]:
     """Efficiencies of an element, eq. (4).
 
@@ -86,7 +87,9 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
         Joint torque at which efficiencies are stated, N m or N.
     """
     at = {name: values[:, i] for i, name in enumerate(chain.names)}
-    return (*_totals(chain, at, values.shape[0]), *_coefficients(chain, at, load_torque))
+    lossy = (element for element in chain.elements if element.load_loss != "none")
+    coefficients = (one for e in lossy for one in _of_loss(chain, e, at, load_torque))
+    return (*_totals(chain, at, values.shape[0]), *coefficients)
 
 
 def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
@@ -110,7 +113,8 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
         through = np.ones(n)
         for element in chain.elements:
             reach[element.name] = through
-            through = through * _transfer(element.name, element.load_loss, at, side) / element.ratio
+            drive, back = _losses(element, at)
+            through = through * (1.0 + drive if side == "drive" else 1.0 - back) / element.ratio
         reach["load"] = through
         for kind in kinds:
             total: Array = np.zeros(n)
@@ -146,10 +150,13 @@ def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
     return row.totals or (row.name,)
 
 
-def _coefficients(chain: Chain, at: dict[str, Array], load_torque: float) -> Iterator[Derived]:
-    for element in chain.elements:
-        if element.load_loss != "none":
-            yield from _of_loss(chain, element, at, load_torque)
+def _losses(element: Element, at: dict[str, Array]) -> tuple[Array | float, Array | float]:
+    """Load losses while the motor drives and while the load does; none is zero."""
+    if element.load_loss == "none":
+        return 0.0, 0.0
+    ways = ("_drive", "_back") if element.load_loss == "two" else ("", "")
+    drive, back = (at[f"{element.name}.load{way}"] for way in ways)
+    return drive, back
 
 
 def _of_loss(
@@ -163,9 +170,7 @@ def _of_loss(
     ) -> Derived:
         return Derived(f"{name}.{quantity}", "", symbol, meaning, values, gauge_free)
 
-    mu_drive, mu_back = (
-        at[f"{name}.load_{side}" if two else f"{name}.load"] for side in ("drive", "back")
-    )
+    mu_drive, mu_back = map(np.asarray, _losses(element, at))
     # a loss that grows with the torque, or with speed, is not yet there
     slow = " at low speed" if element.has("load_speed") else ""
     where = slow + (" under a small load" if element.has("load_square") else "")
@@ -191,51 +196,22 @@ def _of_loss(
     if load_torque > 0.0:
         # of the torque at its input, as the loss itself
         grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
-        constant = _constant_loss(chain, name, at)
+        place = chain.elements.index(element)
+        before, behind = chain.elements[:place], chain.elements[place:]
+        # Fr of eq. (4), at the joint; section 4.4 takes the bearing's, behind the gearbox, for it
+        constant = sum(
+            weight * at[f"{e.name}.{key}"] * chain.reaches[e.name]
+            for e in behind
+            for key, weight in _CONSTANT.items()
+            if f"{e.name}.{key}" in at
+        )
         drive, driven = efficiencies(mu_drive + grown, mu_back + grown, constant, load_torque)
+        lossy = any(e.has(*_CONSTANT) for e in behind[1:])
+        counted = f"{name} {'with the constant loss behind it' if lossy else 'alone'}"
         at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
         load = f"{at_load} of load{' and' * bool(slow)}{slow}"
-        counted = f"{_counted(chain, name)}, eq. (4), {load}, {_not_counted(chain, name)}"
-        yield one("efficiency_drive", r"\eta_m", f"driving efficiency of {counted}", drive)
-        yield one("efficiency_back", r"\eta_r", f"back-driving efficiency of {counted}", driven)
-
-
-def _counted(chain: Chain, name: str) -> str:
-    """Name what an efficiency is of, as :func:`_constant_loss` sums it."""
-    at = [element.name for element in chain.elements].index(name)
-    behind = chain.elements[at + 1 :]
-    lossy = any(element.has(*_CONSTANT) for element in behind)
-    return f"{name} with the constant loss behind it" if lossy else f"{name} alone"
-
-
-def _not_counted(chain: Chain, name: str) -> str:
-    """Say which losses are outside an efficiency: what the motor feels is less efficient."""
-    names = [element.name for element in chain.elements]
-    before = names[: names.index(name)]
-    more = f" and all that stands before it ({', '.join(before)})" if before else ""
-    return f"viscous loss{more} not counted"
-
-
-def _constant_loss(chain: Chain, name: str, at: dict[str, Array]) -> Array:
-    """Sum the constant losses in and behind the element, brought to the joint: ``Fr`` of eq. (4).
-
-    Section 4.4 takes the bearing's loss for it, which stands behind the gearbox.
-    """
-    total: Array = np.zeros(next(iter(at.values())).shape[0])
-    behind = False
-    for element in chain.elements:
-        behind = behind or element.name == name
-        if not behind:
-            continue
-        speed = chain.reaches[element.name]
-        for key, weight in _CONSTANT.items():
-            if f"{element.name}.{key}" in at:
-                total = total + weight * at[f"{element.name}.{key}"] * speed
-    return total
-
-
-def _transfer(name: str, loss: str, at: dict[str, Array], side: str) -> Array | float:
-    if loss == "none":
-        return 1.0
-    key = f"{name}.load" if loss == "one" else f"{name}.load_{side}"
-    return 1.0 + at[key] if side == "drive" else 1.0 - at[key]
+        more = ", ".join(e.name for e in before)
+        outside = f" and all that stands before it ({more})" if more else ""
+        said = f"{counted}, eq. (4), {load}, viscous loss{outside} not counted"
+        yield one("efficiency_drive", r"\eta_m", f"driving efficiency of {said}", drive)
+        yield one("efficiency_back", r"\eta_r", f"back-driving efficiency of {said}", driven)

@@ -16,12 +16,13 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from bayesfric.mechanism.kernels import (
+    GAIN,
     INERTIA,
     LOAD_DRIVE,
     LOAD_INERTIA,
     LOAD_SQUARE,
+    OFFSET,
     RATIO,
-    element_input,
     element_torque,
     gravity_torque,
     load_losses,
@@ -34,8 +35,7 @@ from bayesfric.recordings.arrays import Array
 class CarriedValues(NamedTuple):
     """Terms without a slot in the kernels."""
 
-    # (n_carried, 2) coefficients and what shapes each, or (n, n_carried, 2) of several vectors
-    values: Array
+    values: Array  # (n, n_carried, 2) coefficients and what shapes each, of several vectors
     places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
     addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
     stamps: Array  # (K,) times of what some are multiplied by, s
@@ -45,22 +45,26 @@ class CarriedValues(NamedTuple):
 class Moved(NamedTuple):
     """What the compiled functions of the forward model need of a joint; one parameter vector."""
 
-    elements: Array  # elements, load: tables of Chain.tables
-    load: Array
+    elements: Array  # a vector's of Chain.tables; every further array here would cost time
+    gain: float
+    offset: float
     inertia: float  # of the load, added mass included, kg m² or kg
     # weight, angle: amplitude and angle of its gravity torque, added mass included, N m and
     # rad
     weight: float
     angle: float
+    kinks: int  # bit k: the torque at the input of element k has one where power changes direction
+    squares: bool  # whether a loss grows with the square of the load
     # terms without a slot; None for a joint that has none, which is compiled by itself: a
     # third faster
     carried: CarriedValues | None
+    vector: int  # which vector's of these
 
 
 # Steps of Newton's method, which ends earlier where it moves by rounding only.
 _ROUNDS = 40
 _EXACT = 4e-16
-# Lines T = slope qdd + intercept of the transmitted torques; scratch memory.
+# (n_elements, 2) lines T = slope qdd + intercept of the transmitted torques; scratch memory.
 Lines = Array
 
 
@@ -71,28 +75,32 @@ def moved(
     carried: CarriedValues | None,
     added_inertia: float,
     added_moment: float,
+    vector: int = 0,
 ) -> Moved:
-    """Gather what the forward model needs of one parameter vector, added mass included."""
+    """Gather what the forward model needs of one parameter vector, added mass included.
+
+    Parameters
+    ----------
+    elements, load
+        ``(n_elements, n_slots)`` and ``(n_slots,)``, a vector's of :meth:`Chain.tables`.
+    carried
+        Terms without a slot; of several vectors it is that of number ``vector``.
+    added_inertia, added_moment
+        Of a known mass on the load, kg m² (kg) and kg m.
+    """
     # one sine instead of a sine and a cosine
     sine = gravity_torque(load, added_moment, 1.0, 0.0)
     cosine = gravity_torque(load, added_moment, 0.0, 1.0)
     inertia = load[LOAD_INERTIA] + added_inertia
     weight, angle = math.hypot(sine, cosine), math.atan2(cosine, sine)
-    return Moved(elements, load, inertia, weight, angle, carried)
-
-
-def carried_by(carried: Any, vector: int) -> Any:
-    """Take the terms of one of several parameter vectors."""
-    return None if carried is None else carried._replace(values=carried.values[vector])
-
-
-@overload(carried_by)
-def _typed_carried_by(carried, vector):  # type: ignore[no-untyped-def]  # noqa: ARG001
-    if isinstance(carried, types.NoneType):
-        return lambda carried, vector: None  # noqa: ARG005
-    return lambda carried, vector: CarriedValues(
-        carried.values[vector], carried.places, carried.addresses, carried.stamps, carried.levels
-    )
+    kinks, squares = 0, False
+    for k in range(elements.shape[0]):
+        squares |= elements[k, LOAD_SQUARE] != 0.0
+        for slot in range(LOAD_DRIVE, LOAD_SQUARE):
+            if elements[k, slot] != 0.0:
+                kinks |= 1 << k
+    gain, offset = load[GAIN], load[OFFSET]
+    return Moved(elements, gain, offset, inertia, weight, angle, kinks, squares, carried, vector)
 
 
 @njit(cache=True, error_model="numpy")
@@ -108,12 +116,12 @@ def _level(stamps: Array, levels: Array, time: float) -> float:
 
 
 # without annotations: a compiled overload must look like what it stands for
-def _carried_torque(carried, k, to_input, q, qd, sign, time) -> Any:  # type: ignore[no-untyped-def]
+def _carried_torque(carried, vector, k, to_input, q, qd, sign, time) -> Any:  # type: ignore[no-untyped-def]
     """Torque of the terms without a slot of element k, or of the load."""
     total = 0.0
-    for t in range(carried.values.shape[0]):
+    for t in range(carried.places.shape[0]):
         if carried.places[t] == k:
-            value, shape = carried.values[t, 0], carried.values[t, 1]
+            value, shape = carried.values[vector, t, 0], carried.values[vector, t, 1]
             address = carried.addresses[t]
             value *= _level(carried.stamps, carried.levels[t], time)
             total += value * call(address, to_input * q, to_input * qd, sign, time, shape)
@@ -121,16 +129,17 @@ def _carried_torque(carried, k, to_input, q, qd, sign, time) -> Any:  # type: ig
 
 
 @overload(_carried_torque)
-def _typed_carried_torque(carried, k, to_input, q, qd, sign, time):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def _typed_carried_torque(carried, vector, k, to_input, q, qd, sign, time):  # type: ignore[no-untyped-def]  # noqa: ARG001
     if isinstance(carried, types.NoneType):
-        return lambda carried, k, to_input, q, qd, sign, time: 0.0  # noqa: ARG005
+        return lambda carried, vector, k, to_input, q, qd, sign, time: 0.0  # noqa: ARG005
     return _carried_torque
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) -> float:
     """Torque of the load at constant speed."""
-    own = _carried_torque(joint.carried, joint.elements.shape[0], 1.0, q, qd, sign, time)
+    place = joint.elements.shape[0]
+    own = _carried_torque(joint.carried, joint.vector, place, 1.0, q, qd, sign, time)
     return float(joint.weight * math.sin(q + joint.angle) + own)
 
 
@@ -138,67 +147,63 @@ def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) ->
 def motor_torque(
     joint: Moved, q: float, qd: float, qdd: float, sign: float, time: float, load_torque: float
 ) -> float:
-    """Carry the load's torque through every element to the motor."""
+    """Carry the load's torque through every element to the motor: N m or N there."""
     torque = load_torque
     to_input = 1.0
     for k in range(joint.elements.shape[0] - 1, -1, -1):
         to_input *= joint.elements[k, RATIO]
-        torque = element_input(
-            joint.elements[k], torque, sign, to_input * qd, to_input * qdd
-        ) + _carried_torque(joint.carried, k, to_input, q, qd, sign, time)
+        torque = element_torque(
+            joint.elements[k],
+            torque / joint.elements[k, RATIO],
+            sign,
+            to_input * qd,
+            to_input * qdd,
+        ) + _carried_torque(joint.carried, joint.vector, k, to_input, q, qd, sign, time)
     return torque
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _element_line(
-    elements: Array,
-    k: int,
-    slope: float,
-    intercept: float,
-    drives: bool,
-    sign: float,
-    speed: float,
-    to_input: float,
-    about: float,
-) -> tuple[float, float]:
-    """Carry the transmitted torque ``slope qdd + intercept`` to the input of element k.
+@njit(cache=True, error_model="numpy")
+def acceleration(
+    joint: Moved, q: float, qd: float, torque: float, time: float, sign: float, lines: Lines
+) -> tuple[float, int]:
+    """Acceleration for a motor torque, in closed form, and in which elements the motor side drives.
 
-    ``drives`` says which of mu_1 and mu_2 holds; ``to_input`` is the element's input
-    speed over the joint's. A loss with the square of the load is taken by its tangent at the
-    acceleration ``about``.
+    The motor torque rises with the acceleration, with one kink per load-dependent element.
+    Whether the solution lies above or below a kink is read off the torque at the kink, from the
+    load to the motor; then everything is one line. A loss with the square of the load is taken by
+    its tangent, and the line by Newton's method.
+
+    Parameters
+    ----------
+    joint
+        Of which one torque has one acceleration.
+    q, qd, time
+        Of the joint, rad or m, SI; s.
+    torque
+        True motor torque, N m or N.
+    sign
+        Direction of motion, or in which the joint at rest is about to break away.
+    lines
+        Scratch memory.
+
+    Returns
+    -------
+    qdd : float
+    pattern : int
+        Bit k is set where the motor side drives element k, of those with a kink.
     """
-    inertia = elements[k, INERTIA]
-    _, load_rise = rises(elements[k], speed)
-    drive, back = load_losses(elements[k], sign, speed, load_rise)
-    # sign |T| is T while the motor side drives and -T while the load does
-    factor, shift = 1.0 + drive if drives else 1.0 - back, 0.0
-    square = elements[k, LOAD_SQUARE] * sign
-    if square != 0.0:
-        torque = slope * about + intercept
-        factor, shift = factor + 2.0 * square * torque, -square * torque * torque
-    losses = element_torque(elements[k], 0.0, sign, speed, 0.0)
-    return slope * factor + inertia * to_input, intercept * factor + losses + shift
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def kinked(elements: Array, k: int) -> bool:
-    """Whether the torque at the input of element k has a kink where power changes direction."""
-    found = False
-    for slot in range(LOAD_DRIVE, LOAD_SQUARE):
-        found |= elements[k, slot] != 0.0
-    return found
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _squares(elements: Array) -> bool:
-    found = False
-    for k in range(elements.shape[0]):
-        found |= elements[k, LOAD_SQUARE] != 0.0
-    return found
+    found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, 0.0)
+    if joint.squares:
+        for _ in range(_ROUNDS):
+            about = found
+            found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, about)
+            if abs(found - about) <= _EXACT * abs(found):
+                break
+    return found, pattern
 
 
 @njit(cache=True, error_model="numpy")
-def frozen_acceleration(
+def held_acceleration(
     joint: Moved,
     q: float,
     qd: float,
@@ -208,23 +213,24 @@ def frozen_acceleration(
     pattern: int,
     lines: Lines,
 ) -> float:
-    """Acceleration while direction and pattern (bit k: element k drives) are held.
+    """Acceleration as of :func:`acceleration` while direction and power flow are held.
 
-    Leaves the lines of the transmitted torques in ``lines``, tangents where a loss grows with
-    the square of the load.
+    ``lines`` are left with those of the transmitted torques, tangents where a loss grows with the
+    square of the load.
     """
-    found = _held_acceleration(joint, q, qd, torque, time, sign, pattern, lines, 0.0)
-    if _squares(joint.elements):
+    found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
+    if joint.squares:
         for _ in range(_ROUNDS):
-            before = found
-            found = _held_acceleration(joint, q, qd, torque, time, sign, pattern, lines, before)
-            if abs(found - before) <= _EXACT * abs(found):
+            about = found
+            found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, about)
+            if abs(found - about) <= _EXACT * abs(found):
                 break
     return found
 
 
-@njit(cache=True, error_model="numpy")
-def _held_acceleration(
+# inlined, so that what is held and what is free are compiled each by themselves
+@njit(cache=True, error_model="numpy", inline="always")
+def _solved(
     joint: Moved,
     q: float,
     qd: float,
@@ -232,13 +238,16 @@ def _held_acceleration(
     time: float,
     sign: float,
     pattern: int,
+    free: bool,
     lines: Lines,
     about: float,
-) -> float:
-    """Take one step of Newton's method for :func:`frozen_acceleration` from ``about``."""
+) -> tuple[float, int]:
+    """Solve with losses by the square of the load linear around ``about``."""
     elements = joint.elements
-    slope, intercept = joint.inertia, _load_torque(joint, q, qd, sign, time)
-    to_input = 1.0
+    still = _load_torque(joint, q, qd, sign, time)
+    slope, intercept = joint.inertia, still
+    low, high = -math.inf, math.inf
+    flow, to_input = 0 if free else pattern, 1.0
     for k in range(elements.shape[0] - 1, -1, -1):
         ratio = elements[k, RATIO]
         to_input *= ratio
@@ -246,52 +255,7 @@ def _held_acceleration(
         intercept /= ratio
         lines[k, 0] = slope
         lines[k, 1] = intercept
-        drives = (pattern >> k) & 1 == 1
-        slope, intercept = _element_line(
-            elements, k, slope, intercept, drives, sign, to_input * qd, to_input, about
-        )
-        intercept += _carried_torque(joint.carried, k, to_input, q, qd, sign, time)
-    return (torque - intercept) / slope
-
-
-@njit(cache=True, error_model="numpy")
-def exact_acceleration(
-    joint: Moved, q: float, qd: float, torque: float, time: float, sign: float
-) -> tuple[float, int]:
-    """Acceleration and pattern, in closed form unless a loss grows with the square of the load.
-
-    The motor torque rises with the acceleration, with one kink per load-dependent
-    element. Whether the solution lies above or below a kink is read off the torque
-    at the kink, from the load to the motor; then everything is one line, or the tangent of one.
-    """
-    found, pattern = _free_acceleration(joint, q, qd, torque, time, sign, 0.0)
-    if _squares(joint.elements):
-        for _ in range(_ROUNDS):
-            before = found
-            found, pattern = _free_acceleration(joint, q, qd, torque, time, sign, before)
-            if abs(found - before) <= _EXACT * abs(found):
-                break
-    return found, pattern
-
-
-@njit(cache=True, error_model="numpy")
-def _free_acceleration(
-    joint: Moved, q: float, qd: float, torque: float, time: float, sign: float, about: float
-) -> tuple[float, int]:
-    """Take one step of Newton's method for :func:`exact_acceleration` from ``about``."""
-    elements = joint.elements
-    still = _load_torque(joint, q, qd, sign, time)
-    slope, intercept = joint.inertia, still
-    low, high = -math.inf, math.inf
-    pattern = 0
-    to_input = 1.0
-    for k in range(elements.shape[0] - 1, -1, -1):
-        ratio = elements[k, RATIO]
-        to_input *= ratio
-        slope /= ratio
-        intercept /= ratio
-        drives = False
-        if kinked(elements, k):
+        if free and (joint.kinks >> k) & 1 == 1:
             if slope == 0.0:
                 drives = intercept * sign > 0.0
             else:
@@ -303,18 +267,30 @@ def _free_acceleration(
                     else:
                         high = kink
                 drives = ((kink <= low) == (slope > 0.0)) == (sign > 0.0)
-        if drives:
-            pattern |= 1 << k
-        slope, intercept = _element_line(
-            elements, k, slope, intercept, drives, sign, to_input * qd, to_input, about
-        )
-        intercept += _carried_torque(joint.carried, k, to_input, q, qd, sign, time)
-    return (torque - intercept) / slope, pattern
+            if drives:
+                flow |= 1 << k
+        speed = to_input * qd
+        _, load_rise = rises(elements[k], speed)
+        drive, back = load_losses(elements[k], sign, speed, load_rise)
+        # sign |T| is T while the motor side drives and -T while the load does
+        factor, shift = 1.0 + drive if (flow >> k) & 1 == 1 else 1.0 - back, 0.0
+        square = elements[k, LOAD_SQUARE] * sign
+        if square != 0.0:
+            there = slope * about + intercept
+            factor, shift = factor + 2.0 * square * there, -square * there * there
+        losses = element_torque(elements[k], 0.0, sign, speed, 0.0)
+        slope = slope * factor + elements[k, INERTIA] * to_input
+        intercept = intercept * factor + losses + shift
+        intercept += _carried_torque(joint.carried, joint.vector, k, to_input, q, qd, sign, time)
+    return (torque - intercept) / slope, flow
 
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(joint: Moved, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest sticks."""
+    """Motor torques between which the joint at rest at ``q`` sticks: ``(low, high)``, N m or N.
+
+    They are those that a motion about to begin would take, either way.
+    """
     down, up = _load_torque(joint, q, 0.0, -1.0, time), _load_torque(joint, q, 0.0, 1.0, time)
     return (
         motor_torque(joint, q, 0.0, 0.0, -1.0, time, down),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from bayesfric.base.errors import nearest
@@ -24,33 +25,15 @@ class _Bearer:
 
     motion: Motion
     subscript: str
-    quantities: tuple[Quantity, ...]
+    choices: Mapping[str, Any]  # of every option that is not left out
+    quantities: tuple[Quantity, ...]  # rows of the table that these bring, in its order
     _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]  # options and their choices
 
-    def _set(
-        self, choices: Mapping[str, Any], quantities: tuple[Quantity, ...], **given: Any
-    ) -> None:
-        given["quantities"] = _chosen(self._options, choices, quantities)
+    def _set(self, choices: Mapping[str, Any], **given: Any) -> None:
+        rows = _brought(self._options, choices)
+        given |= {"quantities": rows, "choices": {q.option: choices[q.option] for q in rows}}
         for key, value in given.items():
             object.__setattr__(self, key, value)
-
-    @property
-    def choices(self) -> dict[str, Any]:
-        """What is chosen of every option that is not left out."""
-        found: dict[str, Any] = {}
-        for option in dict.fromkeys(q.option for q in self.quantities if q.option):
-            rows = [q for q in self.quantities if q.option == option]
-            if option in CYCLES:
-                found[option] = tuple(dict.fromkeys(q.choice for q in rows))
-            else:
-                known = self._options[option]
-                # all of the rows, and no row that is missing
-                found[option] = next(
-                    c for c in known
-                    if [q for q in QUANTITIES.values() if q.option == option and q.brought_by(c)]
-                    == rows
-                )  # fmt: skip
-        return found
 
     def has(self, *names: str) -> bool:
         """Whether it has one of these quantities."""
@@ -81,11 +64,10 @@ class Element(_Bearer):
         Whether the element's input turns or slides, ``rotary`` or ``linear``.
     subscript
         For the LaTeX symbols; the name if left out.
-    quantities
-        Rows of the table, where no choice says otherwise.
-    **choices
+    choices, **more
         Options of :data:`bayesfric.mechanism.quantities.CHOICES`: ``inertia=True``,
-        ``coulomb="by-direction"``, ``viscous=True``, ``load_loss="two"`` and so on.
+        ``coulomb="by-direction"``, ``viscous=True``, ``load_loss="two"`` and so on;
+        what is written out replaces what the mapping has.
 
     Raises
     ------
@@ -98,7 +80,7 @@ class Element(_Bearer):
     ratio: float
     motion: Motion
     subscript: str
-    quantities: tuple[Quantity, ...]
+    choices: Mapping[str, Any] = field(hash=False)
 
     def __init__(
         self,
@@ -107,10 +89,10 @@ class Element(_Bearer):
         *,
         motion: Motion = "rotary",
         subscript: str = "",
-        quantities: tuple[Quantity, ...] = (),
-        **choices: str | bool,
+        choices: Mapping[str, Any] = MappingProxyType({}),
+        **more: str | bool,
     ) -> None:
-        self._set(choices, quantities, name=name, ratio=ratio, motion=motion, subscript=subscript)
+        self._set({**choices, **more}, name=name, ratio=ratio, motion=motion, subscript=subscript)
 
     @property
     def load_loss(self) -> str:
@@ -132,9 +114,7 @@ class Load(_Bearer):
         Whether the load turns or slides, ``rotary`` or ``linear``.
     subscript
         For the LaTeX symbols.
-    quantities
-        Rows of the table, where no choice says otherwise.
-    **choices
+    choices, **more
         ``inertia``, ``first_moment``, ``gravity_angle``: whether the load has the term. Real
         arms do not hang at ``q = 0``: that is what ``gravity_angle`` is for.
 
@@ -149,7 +129,7 @@ class Load(_Bearer):
     gravity: float
     motion: Motion
     subscript: str
-    quantities: tuple[Quantity, ...]
+    choices: Mapping[str, Any] = field(hash=False)
 
     def __init__(
         self,
@@ -157,34 +137,28 @@ class Load(_Bearer):
         gravity: float = STANDARD_GRAVITY,
         motion: Motion = "rotary",
         subscript: str = "c",
-        quantities: tuple[Quantity, ...] = (),
-        **choices: str | bool,
+        choices: Mapping[str, Any] = MappingProxyType({}),
+        **more: str | bool,
     ) -> None:
-        self._set(choices, quantities, gravity=gravity, motion=motion, subscript=subscript)
+        self._set({**choices, **more}, gravity=gravity, motion=motion, subscript=subscript)
 
 
-def _chosen(
-    options: Mapping[str, Mapping[str | bool, str]],
-    choices: Mapping[str, Any],
-    given: tuple[Quantity, ...],
+def _brought(
+    options: Mapping[str, Mapping[str | bool, str]], choices: Mapping[str, Any]
 ) -> tuple[Quantity, ...]:
-    """Rows that choices bring and those given, in the order of the table; choices come first."""
+    """Rows that choices bring: those of the table, and behind them those of cycles."""
     repeated: list[Quantity] = []
     for option, choice in choices.items():
         if option in CYCLES:
             repeated += [q for cycles in choice for q in CYCLES[option](_cycles(option, cycles))]
-            continue
-        if option not in options:
+        elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
-        if choice not in (*options[option], False, "none"):
+        elif choice not in (*options[option], False, "none"):
             known = ", ".join(map(repr, options[option]))
             raise ValueError(f"{option} = {choice!r} is no choice; there is {known}")
-    table = [q for q in QUANTITIES.values() if q.option in options]
-    chosen = (
-        q for q in table if (q.brought_by(choices[q.option]) if q.option in choices else q in given)
-    )
-    kept = (q for q in given if q not in table and not (q.option in CYCLES and q.option in choices))
-    return tuple(dict.fromkeys((*chosen, *kept, *repeated)))
+    rows = (q for q in QUANTITIES.values() if q.option in choices)
+    chosen = (q for q in rows if q.brought_by(choices[q.option]))
+    return tuple(dict.fromkeys((*chosen, *repeated)))
 
 
 def _cycles(option: str, cycles: Any) -> int:

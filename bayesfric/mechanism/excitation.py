@@ -13,11 +13,6 @@ from scipy.signal import lfilter
 from bayesfric.recordings.arrays import Array
 
 
-def constant(time: ArrayLike, level: float) -> Array:
-    """Torque ``level`` at all times (s)."""
-    return np.full(np.shape(time), float(level))
-
-
 def square(time: ArrayLike, amplitude: float, frequency: float) -> Array:
     """Torque ``amplitude`` for half a period of ``frequency`` (Hz), then its negative.
 
@@ -100,17 +95,3 @@ def current_loop(torque: ArrayLike, period: float, lag: float) -> Array:
     kept = np.exp(-period / lag)
     actual = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -kept], command)
     return np.asarray(actual, dtype=np.float64)
-
-
-def quantise(q: ArrayLike, counts_per_turn: int) -> Array:
-    """Angle (rad) as an encoder of ``counts_per_turn`` shows it, rounded to its counts.
-
-    Raises
-    ------
-    ValueError
-        If ``counts_per_turn`` is less than 1.
-    """
-    if counts_per_turn < 1:
-        raise ValueError("counts_per_turn must be at least 1")
-    count = 2.0 * np.pi / counts_per_turn
-    return np.asarray(np.round(np.asarray(q, dtype=np.float64) / count) * count, dtype=np.float64)

@@ -213,7 +213,8 @@ def measure(
     ratio = chain.ratio if options.encoder_side == "motor" else 1.0
     position = motion.q * ratio
     if options.encoder_counts:
-        position = excitation.quantise(position, options.encoder_counts)
+        count = 2.0 * np.pi / options.encoder_counts
+        position = np.round(position / count) * count
     noise = options.torque_noise * rng.standard_normal(command.size)
     time = np.arange(command.size, dtype=np.float64) * period
     return {"time": time, "position": position, "torque": torque + noise}, motion

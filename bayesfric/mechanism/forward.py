@@ -17,8 +17,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesfric.mechanism.chain import Chain, Tables
-from bayesfric.mechanism.dynamics import CarriedValues, Moved, carried_by, moved
-from bayesfric.mechanism.integrate import RUNAWAY, integrate, integrate_segments
+from bayesfric.mechanism.dynamics import CarriedValues, Moved, moved
+from bayesfric.mechanism.integrate import (
+    ACCELERATION,
+    POSITION,
+    RUNAWAY,
+    SPEED,
+    STICKS,
+    integrate,
+    integrate_segments,
+)
 from bayesfric.mechanism.kernels import (
     GAIN,
     INERTIA,
@@ -31,8 +39,7 @@ from bayesfric.mechanism.kernels import (
     STRIBECK_LOAD_RATIO,
     STRIBECK_VELOCITY,
 )
-from bayesfric.mechanism.own_term import compiled
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.own_term import signal_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.inputs import Inputs
@@ -41,11 +48,6 @@ from bayesfric.recordings.measurement import Hold
 # Steps that a cubic torque is straight in, a sample.
 _FINER = 4
 _MAX_SUBSTEPS = 64
-
-
-def _against(state: State) -> float:
-    """Give what a torque from outside is multiplied by: the motor need not."""
-    return float(-1.0 + 0.0 * state.speed)
 
 
 class RunsAway(ValueError):
@@ -68,7 +70,9 @@ class Motion:
     sticking: NDArray[np.bool_]
     events: int  # located stops, breakaways and sign changes of transmitted torques
     reversals: int  # how often the joint moved off against the direction it had moved in before
-    step_error: float  # estimated discretisation error of q (rad or m), largest over the samples
+    # estimated discretisation error of q (rad or m), largest over the samples; NaN where the
+    # number of steps was given
+    step_error: float
     substeps: int  # integration steps per sample
     # steps with more events than the simulator follows; their rest was integrated without
     # locating any. Zero unless the steps are far too coarse
@@ -129,41 +133,27 @@ def simulate(
         that the motor's inertia does not outweigh it), or if the joint runs away
         beyond 1e6 rad or m.
     """
-    given = _torque(torque, period, hold)
+    given = _torque(torque, period, hold, substeps)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
     vector = np.asarray(values, dtype=np.float64)
     joint = _joint(chain, vector, inputs)
     samples = _acting(chain, vector[np.newaxis], given, period)[0]
-    if substeps is not None and substeps < 1:
-        raise ValueError("substeps must be at least 1")
-
     finer = _FINER if hold == "cubic" else 1
     fine = _finer(samples[np.newaxis], finer)[0]
 
     def run(each: int) -> Motion:
-        made = _motion(joint, fine, period / finer, begin, hold != "zero", (q0, qd0), each)
-        every = slice(None, None, finer)
-        return replace(
-            made,
-            **{name: getattr(made, name)[every] for name in ("time", "q", "qd", "qdd", "sticking")},
-            torque=given,
-            substeps=each * finer,
-        )
+        return _motion(joint, given, fine, finer, period, begin, hold != "zero", (q0, qd0), each)
 
     if substeps is not None:
-        each = -(-substeps // finer)
-        found, even = run(each), each % 2 == 0
-        other = run(each // 2 if even else 2 * each)
-        change = float(np.max(np.abs(found.q - other.q)))
-        return replace(found, step_error=change / 15.0 if even else change * 16.0 / 15.0)
-    coarse = run(2)
+        return run(-(-substeps // finer))
+    found = run(2)
     while True:
-        found = run(2 * coarse.substeps // finer)
+        coarse, found = found, run(2 * found.substeps // finer)
         change = float(np.max(np.abs(found.q - coarse.q)))
         if change < tolerance or found.substeps >= _MAX_SUBSTEPS:
+            # of fourth order: half the step leaves a sixteenth of the error
             return replace(found, step_error=change / 15.0)
-        coarse = found
 
 
 def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
@@ -177,44 +167,53 @@ def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
     ]
     if outside:
         raise ValueError(f"not finite or outside its support: {', '.join(outside)}")
-    elements, load, carried = chain.tables(vector[np.newaxis], inputs)
-    if load[0, GAIN] == 0.0 or np.any(elements[0, :, STRIBECK_VELOCITY] == 0.0):
+    (elements,), (load,), carried = chain.tables(vector[np.newaxis], inputs)
+    if load[GAIN] == 0.0 or np.any(elements[:, STRIBECK_VELOCITY] == 0.0):
         raise ValueError("gain and Stribeck velocities must be greater than zero")
-    terms = carried_by(carried_values(chain, carried, inputs), 0)
-    joint = moved(elements[0], load[0], terms, *inputs.load(chain.load.motion))
-    _check_slope(joint)
+    joint = moved(
+        elements, load, carried_values(chain, carried, inputs), *inputs.load(chain.load.motion)
+    )
+    low, high = _slope_bounds(elements[np.newaxis], np.array([joint.inertia]))
+    if high[0] <= 0.0:
+        raise ValueError("the chain has no inertia, so a torque does not determine its motion")
+    if low[0] <= 0.0:
+        raise ValueError(
+            "irreversible gearbox: its loss when the load drives is so large, against the inertia "
+            "on the motor side, that one torque allows more than one motion"
+        )
     return joint
 
 
 def _motion(
     joint: Moved,
     torque: Array,
+    fine: Array,
+    finer: int,
     period: float,
     begin: float,
     linear: bool,
     start: tuple[float, float],
-    substeps: int,
+    each: int,
 ) -> Motion:
-    """Integrate with a given number of steps per sample; its error is not known."""
-    q, qd, qdd = (np.empty(torque.size) for _ in range(3))
-    sticking = np.empty(torque.size, dtype=np.bool_)
-    counts = np.zeros(3, dtype=np.int64)
-    now = (float(period), float(begin), linear, float(start[0]), float(start[1]), substeps)
-    done = integrate(joint, torque, *now, q, qd, qdd, sticking, counts)
-    if done < torque.size:
-        at = f"{RUNAWAY:g} rad or m after {done * period:g} s"
+    """Integrate the ``fine`` torque in so many steps each; the error is not known."""
+    out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
+    now = (float(period) / finer, float(begin), linear, float(start[0]), float(start[1]), each)
+    done = integrate(joint, fine, *now, out, counts)
+    if done < fine.size:
+        at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
         raise RunsAway(f"the joint runs away: beyond {at}")
+    out = out[:, ::finer]
     return Motion(
         time=np.arange(torque.size, dtype=np.float64) * float(period),
-        q=q,
-        qd=qd,
-        qdd=qdd,
+        q=out[POSITION],
+        qd=out[SPEED],
+        qdd=out[ACCELERATION],
         torque=torque,
-        sticking=sticking,
+        sticking=out[STICKS] == 1.0,
         events=int(counts[0]),
         reversals=int(counts[1]),
         step_error=math.nan,
-        substeps=substeps,
+        substeps=each * finer,
         unresolved=int(counts[2]),
     )
 
@@ -264,7 +263,7 @@ def simulate_segments(
     vectors = np.asarray(values, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
         raise ValueError(f"values must have the shape (n, {len(chain.names)})")
-    samples = _torque(torque, period, hold)
+    samples = _torque(torque, period, hold, substeps)
     ranges = np.asarray(segments, dtype=np.int64)
     if ranges.ndim != 2 or ranges.shape[1] != 2 or np.any(ranges[:, 0] >= ranges[:, 1]):
         raise ValueError("segments must be (K, 2) ranges that are not empty")
@@ -276,8 +275,6 @@ def simulate_segments(
     )
     if not all(np.all(np.isfinite(x)) for x in (vectors, start, speed)):
         raise ValueError("values, q0 and qd0 must be finite")
-    if substeps < 1:
-        raise ValueError("substeps must be at least 1")
     tables = chain.tables(vectors, inputs)
     finer = _FINER if hold == "cubic" else 1
     q, qd = integrate_segments(
@@ -305,37 +302,21 @@ def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues
     A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
     Raises ``ValueError`` where the inputs do not hold the signal that one is multiplied by.
     """
-    felt = [k for k, c in enumerate(chain.carried) if c.row.column is not None]
-    pushed = inputs.load_torque
-    if not felt and pushed is None:
+    felt = chain.felt(inputs)
+    kept = [k for k, c in enumerate(felt) if c.row.column is not None]
+    if not kept:
         return None
-    terms = [chain.carried[k] for k in felt]
-    places, addresses = [c.place for c in terms], [c.address for c in terms]
-    signals: dict[int, tuple[str, float]] = {
-        k: (c.row.signal, c.row.zero) for k, c in enumerate(terms) if c.row.signal
-    }
-    if pushed is not None:
-        felt = [*felt, len(chain.carried)]
-        signals[len(places)] = ("load_torque", 0.0)
-        places, addresses = (
-            [*places, len(chain.elements)],
-            [*addresses, int(compiled(_against, shaped=False).address)],
-        )
-    found = {}
-    for k, (name, zero) in signals.items():
-        signal = getattr(inputs, name)
-        if signal is None:
-            raise ValueError(f"the inputs hold no {name}")
-        found[k] = (signal, zero)
+    terms = [felt[k] for k in kept]
+    signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
-    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one, _ in found.values())]))
-    levels = np.ones((len(places), stamps.size))
-    for k, (signal, zero) in found.items():
-        levels[k] = signal.at(stamps) - zero
+    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one in signals.values())]))
+    levels = np.ones((len(terms), stamps.size))
+    for k, signal in signals.items():
+        levels[k] = signal.at(stamps) - terms[k].row.zero
     return CarriedValues(
-        np.ascontiguousarray(values[:, felt]),
-        np.array(places, dtype=np.int64),
-        np.array(addresses, dtype=np.int64),
+        np.ascontiguousarray(values[:, kept]),
+        np.array([c.place for c in terms], dtype=np.int64),
+        np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
     )
@@ -371,7 +352,22 @@ def _finer(torque: Array, finer: int) -> Array:
 def possible(
     chain: Chain, vectors: Array, tables: Tables, added_inertia: float
 ) -> NDArray[np.bool_]:
-    """Which vectors lie in the support and have one motion for one torque."""
+    """Find which vectors lie in the support and have one motion for one torque.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    vectors, tables
+        ``(n, n_parameters)`` and :meth:`Chain.tables` of them.
+    added_inertia
+        Of a known mass on the load, kg m² or kg.
+
+    Returns
+    -------
+    ndarray
+        ``(n,)`` of bool.
+    """
     lower = np.array([p.lower for p in chain.parameters])
     upper = np.array([p.upper for p in chain.parameters])
     valid = np.all((vectors >= lower) & (vectors <= upper), axis=1)
@@ -381,7 +377,7 @@ def possible(
     return np.asarray(valid)
 
 
-def _torque(torque: ArrayLike, period: float, hold: str) -> Array:
+def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -> Array:
     samples = np.array(torque, dtype=np.float64)
     if samples.ndim != 1 or samples.size == 0:
         raise ValueError("torque must be a one-dimensional array of samples")
@@ -391,6 +387,8 @@ def _torque(torque: ArrayLike, period: float, hold: str) -> Array:
         raise ValueError("period must be a positive number of seconds")
     if hold not in get_args(Hold):
         raise ValueError("hold must be 'zero', 'linear' or 'cubic'")
+    if substeps is not None and substeps < 1:
+        raise ValueError("substeps must be at least 1")
     return samples
 
 
@@ -414,14 +412,3 @@ def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
         low = corners.min(axis=0) + element[:, INERTIA] * to_input
         high = corners.max(axis=0) + element[:, INERTIA] * to_input
     return low, high
-
-
-def _check_slope(joint: Moved) -> None:
-    low, high = _slope_bounds(joint.elements[np.newaxis], np.array([joint.inertia]))
-    if high[0] <= 0.0:
-        raise ValueError("the chain has no inertia, so a torque does not determine its motion")
-    if low[0] <= 0.0:
-        raise ValueError(
-            "irreversible gearbox: its loss when the load drives is so large, against the inertia "
-            "on the motor side, that one torque allows more than one motion"
-        )

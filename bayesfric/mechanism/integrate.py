@@ -13,18 +13,22 @@ from bayesfric.mechanism.dynamics import (
     CarriedValues,
     Lines,
     Moved,
+    acceleration,
     breakaway_torques,
-    carried_by,
-    exact_acceleration,
-    frozen_acceleration,
-    kinked,
+    held_acceleration,
     moved,
 )
-from bayesfric.mechanism.kernels import GAIN, OFFSET
 from bayesfric.recordings.arrays import Array
 
 RUNAWAY = 1e6  # rad or m
 _MAX_EVENTS = 64  # in one step
+Counts = NDArray[np.int64]
+
+
+# Rows of what is written of a motion.
+POSITION, SPEED, ACCELERATION, STICKS = 0, 1, 2, 3
+# What comes first within a step, where it is no element whose power flow turns.
+_REVERSAL, _NOTHING = -1, -2
 
 
 class At(NamedTuple):
@@ -48,12 +52,12 @@ def _step(joint: Moved, at: At, lines: Lines, h: float) -> tuple[float, float]:
     middle = torque + rate * half
     v2 = qd + half * qdd
     then = time + half
-    a2 = frozen_acceleration(joint, q + half * qd, v2, middle, then, sign, pattern, lines)
+    a2 = held_acceleration(joint, q + half * qd, v2, middle, then, sign, pattern, lines)
     v3 = qd + half * a2
-    a3 = frozen_acceleration(joint, q + half * v2, v3, middle, then, sign, pattern, lines)
+    a3 = held_acceleration(joint, q + half * v2, v3, middle, then, sign, pattern, lines)
     v4 = qd + h * a3
     end = torque + rate * h
-    a4 = frozen_acceleration(joint, q + h * v3, v4, end, time + h, sign, pattern, lines)
+    a4 = held_acceleration(joint, q + h * v3, v4, end, time + h, sign, pattern, lines)
     return (
         q + h * (qd + 2.0 * (v2 + v3) + v4) / 6.0,
         qd + h * (qdd + 2.0 * (a2 + a3) + a4) / 6.0,
@@ -75,7 +79,7 @@ def _agreement(joint: Moved, at: At, lines: Lines, h: float, which: int) -> floa
         q, qd = _step(joint, at, lines, h)
     if which < 0:
         return sign * qd
-    qdd = frozen_acceleration(joint, q, qd, torque + rate * h, time + h, sign, pattern, lines)
+    qdd = held_acceleration(joint, q, qd, torque + rate * h, time + h, sign, pattern, lines)
     return _transmitted(lines, which, qdd, sign, pattern)
 
 
@@ -137,6 +141,138 @@ def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
     return h * x if 0.0 < x < 1.0 else 0.0
 
 
+class _Going(NamedTuple):
+    """Where a joint is, and how it goes on."""
+
+    q: float
+    qd: float
+    qdd: float
+    sign: float  # direction of motion, zero while it sticks
+    before: float  # the last one
+    pattern: int
+    # motor torques between which it sticks, where it stands
+    low: float
+    high: float
+
+
+@njit(cache=True, error_model="numpy")
+def _at_rest(
+    joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
+) -> _Going:
+    """Have a joint that stands stick, or move off."""
+    low, high = breakaway_torques(joint, going.q, time)
+    sign = 1.0 if torque > high else (-1.0 if torque < low else 0.0)
+    going = _Going(going.q, 0.0, 0.0, sign, going.before, going.pattern, low, high)
+    return going if sign == 0.0 else _moves_off(joint, going, torque, time, lines, counts)
+
+
+@njit(cache=True, error_model="numpy")
+def _moves_off(
+    joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
+) -> _Going:
+    q, qd, _, sign, before, _, low, high = going
+    counts[1] += before * sign < 0.0
+    qdd, pattern = acceleration(joint, q, qd, torque, time, sign, lines)
+    return _Going(q, qd, qdd, sign, sign, pattern, low, high)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _first_event(
+    joint: Moved, at: At, lines: Lines, h: float, q1: float, qd1: float
+) -> tuple[float, int, float]:
+    """Find what comes first within a step of ``h`` that ends at ``q1`` and ``qd1``.
+
+    Gives when, what, and the acceleration at the end of a step in which nothing happens.
+    """
+    sign, pattern = at.sign, at.pattern
+    then = at.torque + at.rate * h
+    qdd1 = held_acceleration(joint, q1, qd1, then, at.time + h, sign, pattern, lines)
+    dip, which = 0.0, _NOTHING
+    if sign * qd1 <= 0.0:
+        which = _REVERSAL
+    else:
+        if at.qd != 0.0:  # from rest it moves off, whatever the rounding of qdd
+            dip = _dip(sign * at.qd, sign * at.qdd, sign * qd1, sign * qdd1, h)
+        for k in range(joint.elements.shape[0]):
+            bent = (joint.kinks >> k) & 1 == 1
+            if bent and _transmitted(lines, k, qdd1, sign, pattern) < 0.0:
+                which = k
+    if which == _NOTHING and dip == 0.0:
+        return h, _NOTHING, qdd1
+    ahead, first = h, _NOTHING
+    if dip > 0.0 and _agreement(joint, at, lines, dip, _REVERSAL) <= 0.0:
+        ahead, which = dip, _REVERSAL
+    if which == _REVERSAL:
+        ahead, first = _locate(joint, at, lines, ahead, _REVERSAL), _REVERSAL
+    for k in range(joint.elements.shape[0]):
+        if (joint.kinks >> k) & 1 == 1 and _agreement(joint, at, lines, ahead, k) < 0.0:
+            ahead, first = _locate(joint, at, lines, ahead, k), k
+    return ahead, first, qdd1
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _advance(
+    joint: Moved,
+    going: _Going,
+    start: float,
+    rate: float,
+    stamp: float,
+    span: tuple[float, float],
+    lines: Lines,
+    counts: Counts,
+) -> _Going:
+    """Move a joint over a ``span`` of s since a sample's ``stamp``; its torque is linear in it."""
+    now, end = span
+    events = 0
+    while now < end:
+        q, qd, qdd, sign, before, pattern, low, high = going
+        torque, time, h = start + rate * now, stamp + now, end - now
+        if sign == 0.0:
+            then = start + rate * end
+            if low <= torque <= high and low <= then <= high:
+                break
+            sign = 1.0 if torque > high or (torque >= low and then > high) else -1.0
+            if low <= torque <= high:
+                limit = high if sign > 0.0 else low
+                now = min(now + (limit - torque) / rate, end)
+                torque, time = start + rate * now, stamp + now
+            counts[0] += 1
+            off = _Going(q, qd, qdd, sign, before, pattern, low, high)
+            going = _moves_off(joint, off, torque, time, lines, counts)
+            continue
+        at = At(q, qd, qdd, torque, rate, time, sign, pattern)
+        q1, qd1 = _step(joint, at, lines, h)
+        ahead, first, qdd1 = _first_event(joint, at, lines, h, q1, qd1)
+        if first == _NOTHING:
+            return _Going(q1, qd1, qdd1, sign, before, pattern, low, high)
+        events += 1
+        counts[0] += 1
+        if events > _MAX_EVENTS:  # the rest of the step is not looked into
+            counts[2] += 1
+            q, qd, now = q1, qd1, end
+            if sign * qd > 0.0:
+                torque, time = start + rate * end, stamp + end
+                qdd, pattern = acceleration(joint, q, qd, torque, time, sign, lines)
+                return _Going(q, qd, qdd, sign, before, pattern, low, high)
+            first = _REVERSAL
+        elif ahead > 0.0:
+            q, qd = _step(joint, at, lines, ahead)
+            now = end if ahead == h else now + ahead
+        elif first == _REVERSAL:
+            # It was about to leave, by no more than rounding: it has not left.
+            low, high = breakaway_torques(joint, q, time)
+            return _Going(q, 0.0, 0.0, 0.0, before, pattern, low, high)
+        torque, time = start + rate * now, stamp + now
+        going = _Going(q, qd, qdd, sign, before, pattern, low, high)
+        if first == _REVERSAL:
+            going = _at_rest(joint, going, torque, time, lines, counts)
+        else:
+            pattern ^= 1 << first
+            qdd = held_acceleration(joint, q, qd, torque, time, sign, pattern, lines)
+            going = _Going(q, qd, qdd, sign, before, pattern, low, high)
+    return going
+
+
 @njit(cache=True, error_model="numpy")
 def integrate(
     joint: Moved,
@@ -147,145 +283,60 @@ def integrate(
     q: float,
     qd: float,
     substeps: int,
-    q_out: Array,
-    qd_out: Array,
-    qdd_out: Array,
-    sticking: NDArray[np.bool_],
-    counts: NDArray[np.int64],
+    out: Array,
+    counts: Counts,
 ) -> int:
     """Integrate and write the samples; returns how many there are before a runaway.
 
-    ``begin`` is the time of the first sample, for terms that depend on time; while the joint
-    sticks, these count as they were at the last sample.
-    ``counts`` are events, reversals and unresolved steps.
+    Parameters
+    ----------
+    joint
+        Whose torques allow one motion.
+    measured
+        ``(N,)`` motor torque every ``period`` (s), held or ``linear`` between samples.
+    begin
+        Time of the first sample, for terms that depend on time; while the joint
+        sticks, these count as they were at the last sample.
+    q, qd
+        At the first sample, rad or m, SI.
+    substeps
+        Steps a sample.
+    out
+        ``(4, N)``: position, speed, the acceleration right after a sample, and 1 where it sticks.
+    counts
+        Events, reversals and unresolved steps are added to these.
     """
-    elements, load = joint.elements, joint.load
-    n_elements = elements.shape[0]
-    lines = np.empty((n_elements, 2))
-    bent = np.empty(n_elements, dtype=np.int64)
-    n_bent = 0
-    for k in range(n_elements):
-        if kinked(elements, k):
-            bent[n_bent] = k
-            n_bent += 1
-
+    gain, offset = joint.gain, joint.offset
+    lines = np.empty((joint.elements.shape[0], 2))
+    before = 1.0 if qd > 0.0 else (-1.0 if qd < 0.0 else 0.0)
+    going = _Going(q, qd, 0.0, before, before, 0, 0.0, 0.0)
     samples = measured.shape[0]
-    before = 1.0 if qd > 0.0 else (-1.0 if qd < 0.0 else 0.0)  # last direction of motion
-    sign = before  # zero while sticking
-    pattern = 0
-    qdd = low = high = 0.0
     for i in range(samples):
-        start = load[GAIN] * measured[i] - load[OFFSET]
-        stamp = begin + i * period
-        if not (abs(q) <= RUNAWAY and math.isfinite(qd)):
+        start, stamp = gain * measured[i] - offset, begin + i * period
+        if not (abs(going.q) <= RUNAWAY and math.isfinite(going.qd)):
             return i
         # At a sample a held torque jumps, and direction and power flow are decided afresh; a
         # linear one goes on, and so do they unless the joint stands.
-        if qd == 0.0:
-            low, high = breakaway_torques(joint, q, stamp)
-            was, sign = sign, 1.0 if start > high else (-1.0 if start < low else 0.0)
-            if sign != 0.0:
-                if was == 0.0 and i > 0:
-                    counts[0] += 1
-                if before * sign < 0.0:
-                    counts[1] += 1
-                before = sign
-        if sign == 0.0:
-            qdd = 0.0
-        elif i == 0 or not linear or qd == 0.0:
-            qdd, pattern = exact_acceleration(joint, q, qd, start, stamp, sign)
-        q_out[i], qd_out[i], qdd_out[i], sticking[i] = q, qd, qdd, sign == 0.0
+        if going.qd == 0.0:
+            stuck = going.sign == 0.0
+            going = _at_rest(joint, going, start, stamp, lines, counts)
+            counts[0] += stuck and going.sign != 0.0 and i > 0
+        elif i == 0 or not linear:
+            at = going.q, going.qd, start, stamp, going.sign
+            qdd, pattern = acceleration(joint, *at, lines)
+            going = _Going(going.q, going.qd, qdd, going.sign, going.before, pattern, 0.0, 0.0)
+        out[POSITION, i], out[SPEED, i], out[ACCELERATION, i] = going.q, going.qd, going.qdd
+        out[STICKS, i] = going.sign == 0.0
         if i == samples - 1:
             break
         rate = 0.0
         if linear:
-            rate = (load[GAIN] * measured[i + 1] - load[OFFSET] - start) / period
+            rate = (gain * measured[i + 1] - offset - start) / period
         now = 0.0
         for step in range(1, substeps + 1):
             end = period * step / substeps
-            events = 0
-            while now < end:
-                torque, time = start + rate * now, stamp + now
-                h = end - now
-                if sign == 0.0:
-                    then = start + rate * end
-                    if low <= torque <= high and low <= then <= high:
-                        now = end
-                        continue
-                    sign = 1.0 if torque > high or (torque >= low and then > high) else -1.0
-                    if low <= torque <= high:
-                        limit = high if sign > 0.0 else low
-                        now = min(now + (limit - torque) / rate, end)
-                        torque, time = start + rate * now, stamp + now
-                    counts[0] += 1
-                    if before * sign < 0.0:
-                        counts[1] += 1
-                    before = sign
-                    qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
-                    continue
-
-                at = At(q, qd, qdd, torque, rate, time, sign, pattern)
-                q1, qd1 = _step(joint, at, lines, h)
-                then = torque + rate * h
-                qdd1 = frozen_acceleration(joint, q1, qd1, then, time + h, sign, pattern, lines)
-                dip = 0.0
-                which = -2
-                if sign * qd1 <= 0.0:
-                    which = -1
-                else:
-                    if qd != 0.0:  # from rest it moves off, whatever the rounding of qdd
-                        dip = _dip(sign * qd, sign * qdd, sign * qd1, sign * qdd1, h)
-                    for j in range(n_bent):
-                        if _transmitted(lines, bent[j], qdd1, sign, pattern) < 0.0:
-                            which = bent[j]
-                if which == -2 and dip == 0.0:
-                    q, qd, qdd, now = q1, qd1, qdd1, end
-                    continue
-
-                # Something happens within the step: find what comes first.
-                ahead = h
-                first = -2
-                if dip > 0.0 and _agreement(joint, at, lines, dip, -1) <= 0.0:
-                    ahead = dip
-                    which = -1
-                if which == -1:
-                    ahead = _locate(joint, at, lines, ahead, -1)
-                    first = -1
-                for j in range(n_bent):
-                    if _agreement(joint, at, lines, ahead, bent[j]) < 0.0:
-                        ahead = _locate(joint, at, lines, ahead, bent[j])
-                        first = bent[j]
-                if first == -2:
-                    q, qd, qdd, now = q1, qd1, qdd1, end
-                    continue
-                events += 1
-                counts[0] += 1
-                if events > _MAX_EVENTS:
-                    counts[2] += 1
-                    q, qd, now, first = q1, qd1, end, -1 if sign * qd1 <= 0.0 else -3
-                elif ahead > 0.0:
-                    q, qd = _step(joint, at, lines, ahead)
-                    now = end if ahead == h else now + ahead
-                elif first == -1:
-                    # It was about to leave, by no more than rounding: it has not left.
-                    now, qd, sign, qdd = end, 0.0, 0.0, 0.0
-                    low, high = breakaway_torques(joint, q, time)
-                    continue
-                torque, time = start + rate * now, stamp + now
-                if first >= 0:
-                    pattern ^= 1 << first
-                    qdd = frozen_acceleration(joint, q, qd, torque, time, sign, pattern, lines)
-                elif first == -3:
-                    qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
-                else:
-                    qd = qdd = 0.0
-                    low, high = breakaway_torques(joint, q, time)
-                    sign = 1.0 if torque > high else (-1.0 if torque < low else 0.0)
-                    if sign != 0.0:
-                        if before * sign < 0.0:
-                            counts[1] += 1
-                        before = sign
-                        qdd, pattern = exact_acceleration(joint, q, qd, torque, time, sign)
+            going = _advance(joint, going, start, rate, stamp, (now, end), lines, counts)
+            now = end
     return int(samples)
 
 
@@ -308,7 +359,8 @@ def integrate_segments(
 ) -> tuple[Array, Array]:
     """Integrate many parameter vectors, each anew at the start of every segment.
 
-    ``torque`` is ``(n, N)``, or ``(1, N)`` for one that acts on all. Gives positions and speeds.
+    ``torque`` is ``(n, N)``, or ``(1, N)`` for one that acts on all. Gives positions and speeds,
+    ``(n, N)``, as :func:`bayesfric.mechanism.forward.simulate_segments` does.
     """
     n, segments = elements.shape[0], starts.shape[0]
     q = np.full((n, torque.shape[1]), np.nan)
@@ -317,8 +369,9 @@ def integrate_segments(
         i, k = job // segments, job % segments
         if valid[i]:
             a, b = starts[k], ends[k]
-            done = integrate(
-                moved(elements[i], load[i], carried_by(carried, i), added[0], added[1]),
+            out = np.full((4, b - a), np.nan)
+            integrate(
+                moved(elements[i], load[i], carried, added[0], added[1], i),
                 torque[i if torque.shape[0] > 1 else 0, a:b],
                 period,
                 begin + a * period,
@@ -326,12 +379,8 @@ def integrate_segments(
                 q0[i, k],
                 qd0[i, k],
                 substeps,
-                q[i, a:b],
-                qd[i, a:b],
-                np.empty(b - a),
-                np.empty(b - a, dtype=np.bool_),
+                out,
                 np.zeros(3, dtype=np.int64),
             )
-            q[i, a + done : b] = np.nan
-            qd[i, a + done : b] = np.nan
+            q[i, a:b], qd[i, a:b] = out[POSITION], out[SPEED]
     return q, qd

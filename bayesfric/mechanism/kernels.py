@@ -105,7 +105,20 @@ def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[f
 def element_torque(
     element: Row, torque: float, sign: float, speed: float, acceleration: float
 ) -> float:
-    """Section 2.2 with eq. (2); ``torque`` is the output's, brought to the input side."""
+    """Torque at an element's input for one sample, section 2.2 with the friction law of eq. (2).
+
+    Parameters
+    ----------
+    element
+        Row of the table, :data:`ELEMENT_SLOTS`.
+    torque
+        At its output, brought to the input side, N m or N.
+    sign
+        Direction of motion, apart from ``speed`` because at rest it is the direction in which
+        the joint is about to break away.
+    speed, acceleration
+        Of its input, rad or m, SI.
+    """
     return risen_torque(element, torque, sign, speed, acceleration, rises(element, speed))
 
 
@@ -129,18 +142,6 @@ def risen_torque(
 
 
 @njit(cache=True, inline="always")
-def element_input(
-    element: Row, torque_out: float, sign: float, speed: float, acceleration: float
-) -> float:
-    """Torque at an element's input for one sample.
-
-    ``sign`` is the direction of motion, handed in apart from ``speed`` because at
-    rest it is the direction in which the joint is about to break away.
-    """
-    return element_torque(element, torque_out / element[RATIO], sign, speed, acceleration)
-
-
-@njit(cache=True, inline="always")
 def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float) -> float:
     """Gravity on the load, ``g ml sin(q + q_g)``, with the known added mass."""
     angle = load[GRAVITY_ANGLE]
@@ -152,7 +153,17 @@ def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float)
 def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples) -> Array:
     """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general.
 
-    Returns ``(n, N)``.
+    Parameters
+    ----------
+    elements, load, carried
+        Of :meth:`Chain.tables`.
+    samples
+        Of :meth:`Chain.samples`.
+
+    Returns
+    -------
+    ndarray
+        ``(n, N)``, N m or N: what a sensor of the motor's torque shows, gain and offset in it.
     """
     n = elements.shape[0]
     out = np.empty((n, samples.speed.shape[0]))

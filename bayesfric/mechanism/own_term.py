@@ -8,11 +8,10 @@ parameter shapes it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -22,7 +21,7 @@ from numba.extending import intrinsic
 
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.inputs import Inputs, Signal
 
 _SIGNATURE = types.float64(*[types.float64] * 5)
 
@@ -54,10 +53,10 @@ class Term:
     Raises
     ------
     ValueError
-        If the name is none, or taken, or the column depends on what a term of one's own
-        cannot: acceleration and transmitted torque.
+        If the name is none, or taken.
     TypeError
-        If the column cannot be compiled.
+        If the column cannot be compiled, as where it depends on what a term of one's own
+        cannot: acceleration and transmitted torque.
     """
 
     name: str
@@ -97,11 +96,18 @@ class Term:
         )
 
 
+# What pushes the load from outside, the motor need not give.
+PUSH = Quantity(
+    "load_torque", ("N m", "N"), "", "measured torque on the load", signal="load_torque",
+    column=lambda m: -1.0 + 0.0 * m.speed, slots=(),
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class CarriedTerm:
     """A term of a chain that the kernels do not write out."""
 
-    index: int  # of its parameter among the chain's
+    index: int  # of its parameter among the chain's; -1 for what counts once, without one
     # index of its element; the load's is the number of elements, and one more is outside of all
     place: int
     reach: float  # speed of the element's input over the joint's
@@ -111,12 +117,22 @@ class CarriedTerm:
     @property
     def address(self) -> int:
         """Of the compiled column."""
-        return _address(self.row)
+        assert self.row.column is not None
+        return int(compiled(self.row.column, shaped=bool(self.row.shape)).address)
 
 
-def _address(row: Quantity) -> int:
-    assert row.column is not None
-    return int(compiled(row.column, shaped=bool(row.shape)).address)
+def signal_of(row: Quantity, inputs: Inputs) -> Signal:
+    """Give the signal that a term is, or is multiplied by.
+
+    Raises
+    ------
+    ValueError
+        If the inputs have no such signal.
+    """
+    signal: Signal | None = getattr(inputs, row.signal)
+    if signal is None:
+        raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
+    return signal
 
 
 def along(
@@ -133,23 +149,17 @@ def along(
     ValueError
         If the inputs have no such signal.
     """
-    factor: Any = 1.0
-    if row.signal:
-        signal = getattr(inputs, row.signal)
-        if signal is None:
-            raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
-        factor = np.asarray(signal.at(time)) - row.zero
-        if row.column is None:
-            return np.asarray(factor)
+    factor: Any = signal_of(row, inputs).at(time) - row.zero if row.signal else 1.0
+    if row.column is None:
+        return np.asarray(factor)
     position, speed = reach * position, reach * speed
-    shape = QUANTITIES[row.shape].start if row.shape else None
-    assert row.column is not None  # else it was a signal
-    if row.option:  # of the table, in operations that take arrays: nothing to compile for one look
+    if row.option or row.signal:
+        # of the table, in operations that take arrays: nothing to compile for one look
         at = State(position, speed, 0.0, np.sign(speed), time, 0.0, 0.0)
-        found = row.column(at) if shape is None else row.column(at, shape)
-        return np.asarray(factor * found)
-    found = _along(_address(row), position, speed, np.sign(speed), time, shape or 0.0)
-    return np.asarray(factor * found)
+        shape = (QUANTITIES[row.shape].start,) if row.shape else ()
+        return np.asarray(factor * row.column(at, *shape))
+    address = int(compiled(row.column, shaped=False).address)
+    return np.asarray(_along(address, position, speed, np.sign(speed), time))
 
 
 @lru_cache(maxsize=16)
@@ -161,52 +171,47 @@ def written_out(function: Callable[[float, float, float, float, float], float]) 
     return cfunc(_SIGNATURE, cache=True)(function)
 
 
+class _Motion(NamedTuple):
+    """The part of a :class:`State` that a carried term may depend on.
+
+    Inertia, load losses and gravity are terms that every element or load can have.
+    """
+
+    position: float
+    speed: float
+    direction: float
+    time: float
+
+
 @lru_cache(maxsize=256)
 def compiled(column: Column, *, shaped: bool) -> Any:
     """Compile a column to a function of position, speed, direction, time and what shapes it.
 
     Raises
     ------
-    ValueError
-        If it depends on acceleration, transmitted torque or gravity.
     TypeError
-        If it cannot be compiled.
+        If it cannot be compiled, as where it depends on more than these.
     """
     if hasattr(column, "address"):  # see written_out
         return column
     inner: Any = njit(column)
 
     def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:
-        return float(inner(State(position, speed, 0.0, direction, time, 0.0, 0.0)))
+        return float(inner(_Motion(position, speed, direction, time)))
 
     def of_state_and_shape(
         position: float, speed: float, direction: float, time: float, shape: float
     ) -> float:
-        return float(inner(State(position, speed, 0.0, direction, time, 0.0, 0.0), shape))
+        return float(inner(_Motion(position, speed, direction, time), shape))
 
     try:
-        found = cfunc(_SIGNATURE)(of_state_and_shape if shaped else of_state)
-        if not shaped:  # those are rows of the table
-            for field in ("acceleration", "transmitted", "gravity"):
-                _refuse_dependence(inner, field)
+        return cfunc(_SIGNATURE)(of_state_and_shape if shaped else of_state)
     except NumbaError as error:
         reason = str(error).strip().splitlines()[-1]
         raise TypeError(
             f"the column cannot be compiled ({reason}): use numbers, numpy and math functions of "
             "position, speed, direction and time"
         ) from None
-    return found
-
-
-def _refuse_dependence(inner: Callable[[State], float], field: str) -> None:
-    for position, speed, time in np.random.default_rng(1).normal(size=(5, 3)).tolist():
-        state = State(position, speed, 0.0, math.copysign(1.0, speed), time, 0.0, 0.0)
-        still, moved = inner(state._replace(**{field: 0.0})), inner(state._replace(**{field: 1.0}))
-        if still != moved:
-            raise ValueError(
-                f"a term of one's own cannot depend on {field}: inertia, load loss and gravity "
-                "are terms that every element or load can have"
-            )
 
 
 def _call(typing_context, address, position, speed, direction, time, shape):  # type: ignore[no-untyped-def]  # noqa: ARG001
@@ -225,10 +230,8 @@ call: Any = intrinsic(_call)
 
 
 @njit(cache=True)
-def _along(
-    address: int, position: Array, speed: Array, direction: Array, time: Array, shape: float
-) -> Array:
+def _along(address: int, position: Array, speed: Array, direction: Array, time: Array) -> Array:
     out = np.empty(position.shape[0])
     for i in range(position.shape[0]):
-        out[i] = call(address, position[i], speed[i], direction[i], time[i], shape)
+        out[i] = call(address, position[i], speed[i], direction[i], time[i], 0.0)
     return out

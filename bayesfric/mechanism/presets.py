@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from bayesfric.mechanism.chain import Chain
@@ -16,46 +15,15 @@ class Preset:
     name: str  # as written in a configuration
     meaning: str  # one line for people
     when: str  # what kind of joint to choose it for
-    chain: Callable[[], Chain]  # makes the chain
+    elements: tuple[Element, ...]
+    load: Load
     values: dict[str, float]  # parameter values for simulation, with their source in source
     source: str  # where the values come from
+    offset: bool = False
 
-
-def rabbit_knee() -> Chain:
-    """Build the knee of the biped robot Rabbit, eqs. (3) to (9)."""
-    return Chain(
-        elements=(
-            Element("motor", inertia=True, coulomb="by-direction", viscous=True, subscript="m"),
-            Element("gearbox", ratio=50.0, load_loss="two"),
-            Element("joint", coulomb="by-direction", viscous=True, subscript="c"),
-        ),
-        load=Load(inertia=True, first_moment=True),
-        made_from="rabbit-knee",
-    )
-
-
-def motor_axis() -> Chain:
-    """Build a plain axis: inertia, Coulomb and viscous friction, torque offset."""
-    return Chain(
-        elements=(
-            Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
-        ),
-        load=Load(),
-        offset=True,
-        made_from="motor-axis",
-    )
-
-
-def servo_pendulum() -> Chain:
-    """Build a servo that swings a pendulum, everything referred to its output shaft."""
-    return Chain(
-        elements=(
-            Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
-            Element("gearbox", load_loss="one"),
-        ),
-        load=Load(first_moment=True, gravity_angle=True),
-        made_from="servo-pendulum",
-    )
+    def chain(self) -> Chain:
+        """Make the chain."""
+        return Chain(self.elements, self.load, self.offset, made_from=self.name)
 
 
 def _mu(alpha_drive: float, alpha_back: float) -> dict[str, float]:
@@ -73,7 +41,13 @@ PRESETS: dict[str, Preset] = {
             "rabbit-knee",
             "motor, gearbox that passes torque differently when driving and back-driven, leg",
             "a leg or an arm behind a gearbox of high ratio that loses more the more it carries",
-            rabbit_knee,
+            # eqs. (3) to (9)
+            (
+                Element("motor", inertia=True, coulomb="by-direction", viscous=True, subscript="m"),
+                Element("gearbox", ratio=50.0, load_loss="two"),
+                Element("joint", coulomb="by-direction", viscous=True, subscript="c"),
+            ),
+            Load(inertia=True, first_moment=True),
             {
                 "motor.inertia": 3.56e-4,
                 "motor.viscous": 4.0e-3,
@@ -92,15 +66,21 @@ PRESETS: dict[str, Preset] = {
             "motor-axis",
             "one axis with inertia, Coulomb and viscous friction and a torque offset",
             "a motor, a wheel or a stage that gravity does not pull",
-            motor_axis,
+            (Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),),
+            Load(),
             {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02},
             "values of a small rotary stage, made up for simulation",
+            offset=True,
         ),
         Preset(
             "servo-pendulum",
             "a geared servo that swings a pendulum, all referred to its output shaft",
             "a pendulum or an arm that gravity pulls, with torque and position of the joint",
-            servo_pendulum,
+            (
+                Element("motor", inertia=True, coulomb="symmetric", viscous=True, subscript="m"),
+                Element("gearbox", load_loss="one"),
+            ),
+            Load(first_moment=True, gravity_angle=True),
             {
                 "motor.inertia": 2.0e-3,
                 "motor.viscous": 0.02,

@@ -143,7 +143,7 @@ class Quantity:
     role: Literal["own", "loss", "form"] = "own"
     column: Column | None = None
     shape: str = ""
-    signal: Literal["", "torque_rate", "temperature"] = ""
+    signal: Literal["", "torque_rate", "temperature", "load_torque"] = ""
     zero: float = 0.0
     power: int | None = None
     slots: tuple[str, ...] | None = None

@@ -8,7 +8,7 @@ load, or a known parameter behind the gearbox, takes the freedom away.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,28 +26,15 @@ class Scaling:
     ----------
     element
         The element with two load losses.
-    behind
-        Names of the parameters that are multiplied by the factor.
-    drive, back
-        Names of its two load losses, whose alphas are multiplied by the factor.
-    added
-        Known amounts that come on top of parameters behind it, in the order of ``behind``:
-        where every recording has the same added mass, load and mass are scaled as one.
+    rules
+        Of every parameter that takes part the shift and the power with which ``value + shift`` is
+        multiplied by ``factor**power``. The shift of what is behind the element is the known
+        amount that comes on top of it; those of the losses make alphas of them, eq. (6).
     """
 
     chain: Chain
     element: str
-    behind: tuple[str, ...]
-    added: tuple[float, ...] = ()
-
-    @property
-    def divided(self) -> dict[str, int]:
-        """What else the losses of the element hold, and the power of the factor that divides it."""
-        return {
-            p.name: p.row.scaled_by
-            for p in self.chain.parameters
-            if p.owner == self.element and p.row.scaled_by
-        }
+    rules: Mapping[str, tuple[float, int]]
 
     @property
     def drive(self) -> str:
@@ -60,16 +47,34 @@ class Scaling:
         return f"{self.element}.load_back"
 
     @property
+    def behind(self) -> tuple[str, ...]:
+        """Names of the parameters behind the element, which are multiplied by the factor."""
+        return tuple(name for name, (_, power) in self.rules.items() if power == 1)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Everything that changes along the scaling."""
-        return (*self.behind, self.drive, self.back, *self.divided)
+        return tuple(self.rules)
+
+    def factor_to(self, values: ArrayLike, name: str, value: float) -> float:
+        """Factor at which a parameter that takes part reaches a value; zero or infinite for none.
+
+        ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; what counts as zero
+        there reaches no other value, and has a factor of NaN.
+        """
+        shift, power = self.rules[name]
+        now = np.asarray(values, dtype=np.float64)[self.chain.names.index(name)] + shift
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.float64(value + shift) / now
+            return float(np.maximum(share, 0.0) ** (1.0 / power)) if now else math.nan
 
     def bounds(
         self, values: ArrayLike, limits: Mapping[str, tuple[float, float]] | None = None
     ) -> tuple[float, float]:
         """Smallest and largest factor that a passive gearbox allows.
 
-        ``1/alpha_2 <= k <= 1/alpha_1``, from ``alpha_1 <= 1 <= alpha_2``.
+        ``1/alpha_2 <= k <= 1/alpha_1``, from ``alpha_1 <= 1 <= alpha_2``; load and known mass
+        together do not shrink below the known mass.
 
         Parameters
         ----------
@@ -79,27 +84,13 @@ class Scaling:
             Lower and upper limits of parameters, which ``values`` keeps; those of scaled
             ones narrow the factor further.
         """
-        at = np.asarray(values, dtype=np.float64)
-        names = self.chain.names
-        drive, back = (float(at[names.index(name)]) for name in (self.drive, self.back))
-        low, high = max(1.0 - back, 0.0), 1.0 + drive
-        limits = limits or {}
-        for name, known in self.parts():
-            # load and known mass together cannot shrink below the known mass
-            least, most = limits.get(name, (0.0 if known > 0.0 else -math.inf, math.inf))
-            whole = float(at[names.index(name)]) + known
-            if whole > 0.0:
-                low, high = max(low, (least + known) / whole), min(high, (most + known) / whole)
-        if self.drive in limits:
-            # mu_1 falls as the factor grows: 1 + mu_1 = (1 + mu_1 at k = 1) / k
-            least, most = limits[self.drive]
-            low = max(low, (1.0 + drive) / (1.0 + most))
-            high = min(high, (1.0 + drive) / (1.0 + least))
-        if self.back in limits and back < 1.0:
-            # and mu_2 grows: 1 - mu_2 = (1 - mu_2 at k = 1) / k
-            least, most = limits[self.back]
-            low = max(low, (1.0 - back) / (1.0 - least))
-            high = min(high, (1.0 - back) / (1.0 - most) if most < 1.0 else math.inf)
+        low, high = 0.0, math.inf
+        for name, (shift, _) in self.rules.items():
+            least = 0.0 if shift else -math.inf
+            ends = (limits or {}).get(name, (least, math.inf))
+            reached = [self.factor_to(values, name, end) for end in ends]
+            # with max() and min() this way round, what is not a number bounds nothing
+            low, high = max(low, min(reached)), min(high, max(reached))
         return low, high
 
     def scaled(self, values: ArrayLike, factor: ArrayLike) -> Array:
@@ -119,38 +110,24 @@ class Scaling:
         """
         k = np.asarray(factor, dtype=np.float64)
         out = np.tile(np.asarray(values, dtype=np.float64), (*k.shape, 1))
-        for name, known in self.parts():
+        for name, (shift, power) in self.rules.items():
             column = self.chain.names.index(name)
-            out[..., column] = (out[..., column] + known) * k - known
-        drive, back = (self.chain.names.index(name) for name in (self.drive, self.back))
-        # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
-        out[..., drive] = (1.0 + out[..., drive]) / k - 1.0
-        out[..., back] = 1.0 - (1.0 - out[..., back]) / k
-        for name, power in self.divided.items():
-            out[..., self.chain.names.index(name)] /= k**power
+            out[..., column] = (out[..., column] + shift) * k**power - shift
         return out if k.shape else out.reshape(-1)
 
     def tangent(self, values: ArrayLike) -> Array:
         """Differentiate :meth:`scaled` by the factor's logarithm at one, ``(n_parameters,)``."""
         at = np.asarray(values, dtype=np.float64)
         out = np.zeros_like(at)
-        names = self.chain.names
-        for name, known in self.parts():
-            out[names.index(name)] = at[names.index(name)] + known
-        out[names.index(self.drive)] = -1.0 - at[names.index(self.drive)]
-        out[names.index(self.back)] = 1.0 - at[names.index(self.back)]
-        for name, power in self.divided.items():
-            out[names.index(name)] = -power * at[names.index(name)]
+        for name, (shift, power) in self.rules.items():
+            column = self.chain.names.index(name)
+            out[column] = power * (at[column] + shift)
         return out
 
     def middle(self, values: ArrayLike) -> float:
         """Factor in the (geometric) middle of its bounds; one where there is no lower bound."""
         low, high = self.bounds(values)
         return math.sqrt(low * high) if 0.0 < low < high else 1.0
-
-    def parts(self) -> Iterator[tuple[str, float]]:
-        """List the names behind the element, with what is known to come on top of each."""
-        return zip(self.behind, self.added or (0.0,) * len(self.behind), strict=True)
 
 
 def scalings(
@@ -177,13 +154,20 @@ def scalings(
         if element.load_loss != "two":
             continue
         owners = {e.name for e in chain.elements[i + 1 :]} | {"load"}
-        behind = tuple(
-            p.name
+        # ratios, angles and speeds do not grow with the torque behind the gearbox
+        rules: dict[str, tuple[float, int]] = {
+            p.name: (known.get(p.name, 0.0), 1)
             for p in chain.parameters
-            # ratios, angles and speeds do not grow with the torque behind the gearbox
             if p.owner in owners and p.row.role == "own"
-        )
-        if behind:
-            added = tuple(known.get(name, 0.0) for name in behind) if known else ()
-            found.append(Scaling(chain, element.name, behind, added))
+        }
+        if rules:
+            # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
+            rules |= {f"{element.name}.load_drive": (1.0, -1)}
+            rules |= {f"{element.name}.load_back": (-1.0, -1)}
+            rules |= {
+                p.name: (0.0, -p.row.scaled_by)
+                for p in chain.parameters
+                if p.owner == element.name and p.row.scaled_by
+            }
+            found.append(Scaling(chain, element.name, rules))
     return tuple(found)

@@ -46,11 +46,6 @@ def test_it_is_found_within_a_tenth(late):
     assert by_totals(bf.Model(AXIS, bench(late, 4))) * RATE == pytest.approx(late, rel=0.1)
 
 
-def test_nothing_need_be_trimmed_for_it():
-    late = by_totals(bf.Model(AXIS, bench(2.0, 4), processing={"trim": 0.0}))
-    assert late * RATE == pytest.approx(2.0, rel=0.1)
-
-
 @pytest.mark.parametrize("late", [0.3, 2.0])
 def test_every_estimate_finds_it_and_what_it_would_have_moved(late):
     model = bf.Model(LATE, bench(late, 5))
@@ -123,11 +118,3 @@ def test_a_fixed_one_is_taken_and_no_parameter_any_more():
 def test_one_that_is_longer_than_the_ends_is_refused():
     with pytest.raises(BadInput, match="correct the time stamps, or raise trim"):
         bf.Model(LATE, bench(0.0, 5), priors={"drive.delay": 1.0})
-
-
-def test_a_simulated_recording_is_late_by_its_true_delay():
-    frame = LATE.simulate(
-        VALUES | {"drive.delay": 0.0015}, rate=1000, excitation="multisine", amplitude=3.0, seed=2
-    )
-    late = by_totals(bf.Model(AXIS, recording_of(frame, name="one")))
-    assert late == pytest.approx(0.0015, rel=0.1)

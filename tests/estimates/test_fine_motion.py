@@ -83,12 +83,6 @@ def test_below_the_low_pass_it_is_the_encoders(bench):
     assert np.std(both[1] - both[0]) < 1e-2 * np.std(both[0])
 
 
-def test_nothing_that_is_compared_is_low_passed(bench):
-    (fine,) = bench[0].observations
-    np.testing.assert_array_equal(fine.measured, fine.filter.apply(fine.compared))
-    assert fine.settings["motion"] == "refined"
-
-
 @pytest.mark.parametrize(
     "processing",
     [

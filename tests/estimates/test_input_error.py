@@ -264,12 +264,6 @@ def test_an_open_scale_keeps_to_the_bounds_it_was_given(knee):
     assert np.isinf(value.sd)
 
 
-def test_the_seed_makes_the_estimate(knee):
-    o = knee(sigma=0.01)
-    first, second = (input_error(KNEE.chain(), [o], Knowledge(), FEW) for _ in range(2))
-    assert first == second
-
-
 def test_what_cannot_be_estimated_is_refused(make_observation):
     chain = AXIS.chain()
     o = make_observation(chain, AXIS.values)

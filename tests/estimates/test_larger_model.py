@@ -68,11 +68,6 @@ def test_a_term_has_to_help_with_what_it_has_not_seen(recorded, quarters, worth)
     assert 2.0 * o.measured.size * math.log(gain) > math.log(o.measured.size)
 
 
-def test_the_same_model_is_no_better(recorded):
-    one = candidate(LARGE, recorded((0, 1, 2, 3), 0.02))
-    assert not better(one, one)
-
-
 def stated(rms, **values):
     """Make a candidate of values and sds by quantity of the motor, and what it leaves."""
     found = tuple(

@@ -64,16 +64,6 @@ def test_exact_recovery_from_twenty_per_cent_off(preset, known):
         assert found[name].determined, name
 
 
-def test_segments_or_none_give_the_same_answer_without_noise():
-    chain, values, torque, q = simulated("rabbit-knee")
-    knowledge = Knowledge(fixed={"load.first_moment": values["load.first_moment"]})
-    parts, begin = [prepare(q, torque)], start(chain, values, 0.01)
-    for segment in (1.0, 1e5):
-        found = fitted(chain, begin, parts, knowledge, substeps=1, segment=segment)
-        for name in set(chain.names) - set(knowledge.fixed):
-            assert found[name].value == pytest.approx(values[name], rel=1e-6), (segment, name)
-
-
 def test_what_a_scaling_leaves_open_has_no_sd():
     chain, values, torque, q = simulated("rabbit-knee")
     begin = start(chain, values, 0.1)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.shooting import (
+    Elimination,
     Shooting,
     choose_substeps,
     resolution,
@@ -97,7 +98,7 @@ def test_eliminating_states_is_fitting_them(knee):
     """Projected columns are the residuals of the states' own least squares, segment by segment."""
     shooting, states = knee
     found = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    out = shooting.eliminate(found.states, found.parameters)
+    out = Elimination(shooting, found.states, found.parameters)
     for k in range(4):
         rows = shooting.segment_of == k
         fitted, *_ = np.linalg.lstsq(found.states[rows], found.parameters[rows], rcond=None)
@@ -119,7 +120,7 @@ def test_a_joint_that_sticks_has_no_initial_speed_to_fit():
     assert np.allclose(found.states[:, 0], 1.0, atol=1e-9)
     # a speed v carries the joint no farther than v²/2a, a = 9 rad/s² and more
     assert np.abs(found.states[:, 1]).max() < 1e-5 / 18.0
-    out = shooting.eliminate(found.states, np.ones((200, 1)))
+    out = Elimination(shooting, found.states, np.ones((200, 1)))
     assert out.lost == 1
     assert np.abs(out.projected).max() < 1e-12
 

@@ -58,21 +58,6 @@ def knee(make_observation, *, sigma=0.01, masses=(0.0,), factor=4, n=1000):
     return chain, observations, form, VariableProjection(form, observations)
 
 
-def test_thetas_are_those_printed_below_eq_13():
-    chain = KNEE.chain()
-    theta1, theta2 = torque_form(chain).thetas(chain.vector(KNEE.values))
-    v, n = KNEE.values, 50.0
-    l1 = (1 / 0.7432 + 1 / 1.408) / 2
-    l2 = (1 / 0.7432 - 1 / 1.408) / 2
-    c1, c2 = v["joint.coulomb_positive"], v["joint.coulomb_negative"]
-    m1, m2 = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
-    # gravity carries the g that the printed theta5 and theta10 lack
-    leg = [0.206 / n**2, 3.12 / n**2, (c1 + c2) / (2 * n), (c1 - c2) / (2 * n), 9.80665 * 0.42 / n]
-    motor = [3.56e-4, 4.0e-3, (m1 + m2) / 2, (m1 - m2) / 2, 0.0]
-    np.testing.assert_allclose(theta1, np.add(motor, np.multiply(l1, leg)), rtol=1e-12)
-    np.testing.assert_allclose(theta2, np.multiply(l2, leg), rtol=1e-12)
-
-
 @pytest.mark.parametrize("case", CASES)
 def test_the_form_makes_the_torque_of_the_kernels(case, make_observation):
     chain, values = CASES[case]
@@ -100,26 +85,6 @@ def test_parameters_make_the_thetas_they_came_from(case):
     np.testing.assert_allclose(again[1], theta2, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["load.first_moment", "joint.viscous", "gearbox.load_drive"])
-def test_one_known_parameter_gives_all_of_table_3(name):
-    chain = KNEE.chain()
-    truth = chain.vector(KNEE.values)
-    form = torque_form(chain)
-    found = form.parameters(*form.thetas(truth), {name: KNEE.values[name]})
-    np.testing.assert_allclose(found, truth, rtol=1e-12)
-
-
-def test_theta1_is_the_least_squares_solution_beside_theta2(make_observation):
-    chain, (o,), form, projection = knee(make_observation)
-    theta2 = 1.3 * form.thetas(chain.vector(KNEE.values))[1]
-    psi = columns(chain, o, form.names1)
-    folded = o.filter.apply(np.sign(o.qd) * np.abs(theta2 @ psi))
-    expected = np.linalg.lstsq(o.filter.apply(psi).T, o.measured - folded, rcond=None)[0]
-    np.testing.assert_allclose(projection.theta1(theta2), expected, rtol=1e-9)
-    residual = o.measured - folded - o.filter.apply(psi).T @ expected
-    assert projection.criterion(theta2) == pytest.approx(residual @ residual, rel=1e-12)
-
-
 def test_dependent_columns_leave_the_fit_what_it_was(make_observation):
     """One direction of motion: sign and one are one column, eq. (18) has no inverse."""
     chain, (o,), form, _ = knee(make_observation)
@@ -134,18 +99,6 @@ def test_dependent_columns_leave_the_fit_what_it_was(make_observation):
 def gradient_of(projection, theta2):
     """Of the criterion; zero where eq. (19) is solved."""
     return 2.0 * projection.jacobian(theta2).T @ projection.residual(theta2)
-
-
-def test_gradient_is_that_of_finite_differences(make_observation):
-    chain, _, form, projection = knee(make_observation, masses=(0.0, 2.0))
-    theta2 = 1.2 * form.thetas(chain.vector(KNEE.values))[1]
-    gradient = gradient_of(projection, theta2)
-    for j in range(theta2.size):
-        # so short that no sample changes sign: the criterion is then a parabola
-        step = np.zeros(theta2.size)
-        step[j] = 1e-7 * theta2[j]
-        slope = projection.criterion(theta2 + step) - projection.criterion(theta2 - step)
-        assert gradient[j] == pytest.approx(slope / (2 * step[j]), rel=1e-4), form.names2[j]
 
 
 def test_gradient_is_eq_15_with_eq_17(make_observation):
@@ -186,32 +139,9 @@ def test_the_minimum_solves_eq_19_and_is_reached_from_afar(make_observation):
     assert projection.criterion(minimum.theta2) <= projection.criterion(truth)
 
 
-def test_a_known_mass_tells_the_lambdas_and_so_everything(make_observation):
-    """The 'tests not described here': the added column's coefficients are lambda_1, lambda_2."""
-    chain, _, form, projection = knee(make_observation, sigma=0.0, masses=(0.0, 2.0))
-    truth = chain.vector(KNEE.values)
-    assert form.names1[-1] == form.names2[-1] == "added_load"
-    start = form.thetas(truth)[1]
-    minimum = projection.minimise([1.3 * start, 0.5 * start])
-    lambdas = (minimum.theta1[-1], minimum.theta2[-1])
-    np.testing.assert_allclose(lambdas, form.lambdas(truth), rtol=1e-6)
-    found = form.parameters(minimum.theta1, minimum.theta2)
-    np.testing.assert_allclose(found, truth, rtol=1e-6)
-
-
 def test_the_same_mass_everywhere_is_but_more_leg(make_observation):
     _, _, form, _ = knee(make_observation, masses=(2.0, 2.0))
     assert "added_load" not in form.names2
-
-
-def test_a_linear_chain_needs_no_search(make_observation):
-    axis = PRESETS["motor-axis"]
-    chain = axis.chain()
-    o = make_observation(chain, axis.values, sigma=0.01)
-    minimum = VariableProjection(torque_form(chain), [o]).minimise([np.zeros(0)])
-    x = np.stack([o.qdd, o.qd, np.sign(o.qd), np.ones_like(o.q)], axis=1)
-    expected = np.linalg.lstsq(x, o.measured, rcond=None)[0]
-    np.testing.assert_allclose(minimum.theta1, expected, rtol=1e-9)
 
 
 def test_other_chains_do_not_have_the_form(make_observation):

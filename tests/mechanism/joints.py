@@ -68,8 +68,12 @@ def carried_to_motor(elements, torque, sign, speed, acceleration) -> float:
     to_input = 1.0
     for element in elements[::-1]:
         to_input *= element[kernels.RATIO]
-        torque = kernels.element_input(
-            element, torque, sign, to_input * speed, to_input * acceleration
+        torque = kernels.element_torque(
+            element,
+            torque / element[kernels.RATIO],
+            sign,
+            to_input * speed,
+            to_input * acceleration,
         )
     return torque
 

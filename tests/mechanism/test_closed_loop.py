@@ -10,7 +10,6 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
-from bayesfric.recordings.inputs import Inputs
 
 PERIOD = 0.004
 N = 500
@@ -120,14 +119,3 @@ def test_a_vector_without_a_motion_is_no_number():
     values = CHAIN.vector(SERVO.values | {"motor.inertia": -1.0})
     q, _ = played(CHAIN, values, of(np.zeros(N)))
     assert np.isnan(q).all()
-
-
-def test_a_known_mass_is_felt():
-    heavy = Inputs(0.5, 0.2)
-    q, _ = played(PLAIN, PLAIN.vector({"motor.inertia": 0.02, "motor.viscous": 0.3}),
-                  of(np.zeros(N)), q0=0.5, inputs=heavy)  # fmt: skip
-    wanted = simulate(
-        PLAIN, PLAIN.vector({"motor.inertia": 0.02, "motor.viscous": 0.3}), np.zeros(N), PERIOD,
-        q0=0.5, inputs=heavy,
-    )  # fmt: skip
-    assert np.abs(q - wanted.q).max() < 1e-7

@@ -22,12 +22,6 @@ def torque(time):
     return 2.0 * np.sin(2 * np.pi * 1.1 * time) + 1.2 * np.sin(2 * np.pi * 3.3 * time + 1.0)
 
 
-def test_it_is_one_for_the_whole_joint_with_unit_and_both_signs():
-    (p,) = [p for p in AXIS.parameters if p.name == "drive.delay"]
-    assert (p.unit, p.symbol, p.lower) == ("s", r"\delta", -np.inf)
-    assert "drive.delay" not in replace(AXIS, delay=False).names
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.0013, -0.0021, 0.02])
 def test_the_motion_is_that_of_the_torque_of_before(delay):
     late = simulate(AXIS, AXIS.vector(VALUES | {"drive.delay": delay}), torque(TIME), PERIOD, qd0=1)

@@ -106,24 +106,3 @@ def test_an_efficiency_counts_what_grows_with_the_torque(loss):
     assert back == pytest.approx(6.0 * lowers / weight, rel=1e-9)
     # one total there is not: what is felt of the inertia depends on the weight
     assert not [name for name in found if name.startswith("total")]
-
-
-def test_an_efficiency_says_which_losses_it_leaves_out():
-    """Constant loss of the motor is none of the gearbox's, that of what stands behind is."""
-    elements = (
-        Element("motor", coulomb="symmetric", viscous=True),
-        Element("gearbox", 50.0, load_loss="one"),
-        Element("joint", coulomb="symmetric"),
-    )
-    meanings, drives = [], []
-    for n in (2, 3):
-        chain = Joint(elements[:n], Load(first_moment=True))
-        for motor in (0.0, 1.0):
-            known = {"motor.coulomb": motor, "motor.viscous": 0.1, "gearbox.load": 0.1}
-            known |= {"joint.coulomb": 2.0, "load.first_moment": 1.0}
-            x = chain.vector({name: known[name] for name in chain.names})
-            found = {d.name: d for d in derive(chain, x[None], 10.0)}
-            drives.append(found["gearbox.efficiency_drive"].values[0])
-            meanings.append(found["gearbox.efficiency_drive"].meaning)
-    assert drives[0] == drives[1] > drives[2] == drives[3]
-    assert meanings[0] == meanings[1] != meanings[2] == meanings[3]

@@ -33,13 +33,6 @@ def test_every_excitation_moves_a_joint(name):
     assert 0.0 < np.abs(columns["torque"]).max() < 3.0 * Simulation().amplitude
 
 
-def test_signals_add():
-    total = excitation.constant(TIME, 0.1) + excitation.sine(TIME, 0.5, 2.0, 0.3)
-    np.testing.assert_allclose(
-        total, 0.1 + 0.5 * np.sin(4 * np.pi * TIME + 0.3), rtol=0, atol=1e-14
-    )
-
-
 @pytest.mark.parametrize("seed", [None, 7])
 def test_multisine_has_the_lines_asked_for(seed):
     hertz = np.array([1.0, 2.0, 3.0, 5.0])
@@ -58,13 +51,6 @@ def test_schroeder_phases_keep_the_peak_low():
     assert np.abs(excitation.multisine(TIME, 1.0, hertz, seed=1)).max() > schroeder
 
 
-def test_random_phases_repeat_with_the_seed():
-    args = (TIME, 1.0, [1.0, 2.0])
-    first = excitation.multisine(*args, seed=3)
-    np.testing.assert_array_equal(first, excitation.multisine(*args, seed=3))
-    assert np.any(first != excitation.multisine(*args, seed=4))
-
-
 def test_chirp_turns_as_often_as_its_mean_frequency_says():
     torque = excitation.chirp(TIME, 1.0, 1.0, 9.0)
     assert np.sum((torque[:-2] < 0) & (torque[1:-1] >= 0)) == 4 * 5 - 1
@@ -81,13 +67,3 @@ def test_current_loop_is_exact_for_a_held_command():
     np.testing.assert_array_equal(excitation.current_loop(command, period, 0.0), command)
     with pytest.raises(ValueError, match="lag"):
         excitation.current_loop(command, period, -1.0)
-
-
-def test_quantise_rounds_to_counts():
-    q = np.linspace(-3.0, 3.0, 1001)
-    count = 2 * np.pi / 4096
-    shown = excitation.quantise(q, 4096)
-    assert np.abs(shown - q).max() <= count / 2 * (1 + 1e-12)
-    np.testing.assert_allclose(shown / count, np.round(shown / count), atol=1e-10)
-    with pytest.raises(ValueError, match="counts"):
-        excitation.quantise(q, 0)

@@ -16,7 +16,6 @@ from bayesfric.estimates.torque_form import torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.mechanism import kernels
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
@@ -29,7 +28,6 @@ from bayesfric.mechanism.quantities import (
     LOAD_CHOICES,
     OPTION_MEANINGS,
     QUANTITIES,
-    SHAPES,
     TOTALS,
     Quantity,
     State,
@@ -227,10 +225,7 @@ def test_every_other_form_takes_it(case):
     assert len(scalings(chain)) == sum(e.load_loss == "two" for e in chain.elements)
 
 
-def test_totals_are_what_the_motor_feels_at_steady_speed():
-    """Each total by its own column: the motor's torque per value, at constant speed."""
-    for total in TOTALS.values():
-        assert total.units
+def test_every_power_of_speed_has_a_total():
     # what does not grow with a power of speed is a total of its own
     own = [q for q in QUANTITIES.values() if q.role == "own" and q.power is not None]
     filled = {kind for q in own for kind, _ in q.fills}
@@ -257,23 +252,18 @@ def test_a_ripple_of_what_slides_is_told_in_metres():
     assert sine.row.column(state) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_every_row_is_known_to_the_kernels_or_has_a_column():
-    known = {*kernels.ELEMENT_SLOTS, *kernels.LOAD_SLOTS}
-    for q in QUANTITIES.values():
-        # what has no slot has a column, or is a signal of the recording
-        carried = q.role == "own" and (q.column is not None or bool(q.signal))
-        assert set(q.slots or (q.name,)) <= known or carried or q.name in SHAPES
-
-
 @pytest.mark.parametrize("role", ["form", "loss", "own"])
-def test_what_nothing_knows_is_refused(role):
+def test_what_nothing_knows_is_refused(role, monkeypatch):
     """Dropped, it would count as zero."""
     column = None if role == "own" else lambda m: m.speed
-    strange = Quantity("strange", ("", ""), "s_{{{}}}", "nobody knows", role=role, column=column)
+    row = Quantity("strange", ("", ""), "", "", option="strange", role=role, column=column)
+    monkeypatch.setitem(QUANTITIES, "strange", row)
+    for options in (CHOICES, LOAD_CHOICES):
+        monkeypatch.setitem(options, "strange", {True: ""})
     with pytest.raises(KeyError, match="strange"):
-        Joint((Element("motor", inertia=True, quantities=(strange,)),), Load())
+        Joint((Element("motor", inertia=True, strange=True),), Load())
     with pytest.raises(KeyError, match="strange"):
-        Joint((Element("motor", inertia=True),), Load(quantities=(strange,)))
+        Joint((Element("motor", inertia=True),), Load(strange=True))
 
 
 def test_two_quantities_of_one_name_are_refused():
@@ -287,8 +277,8 @@ def test_two_quantities_of_one_name_are_refused():
     [
         (("cogging", lambda m: m.speed), ValueError, "element.quantity"),
         (("motor.viscous", lambda m: m.speed), ValueError, "another name"),
-        (("motor.own", lambda m: m.acceleration), ValueError, "acceleration"),
-        (("motor.own", lambda m: m.transmitted), ValueError, "transmitted"),
+        (("motor.own", lambda m: m.acceleration), TypeError, "position, speed, direction"),
+        (("motor.own", lambda m: m.transmitted), TypeError, "position, speed, direction"),
         (("motor.own", lambda m: [m.nothing]), TypeError, "cannot be compiled"),
     ],
 )

@@ -79,20 +79,6 @@ def test_table_3_leaves_the_factor_between_0_71_and_1_35():
     assert (round(low, 2), round(high, 2)) == (0.71, 1.35)
 
 
-@given(seed=st.integers(0, 2**32 - 1), factor=st.floats(0.5, 2.0))
-@settings(max_examples=40, deadline=None)
-def test_scalings_are_a_group_and_the_middle_stays_the_middle(seed, factor):
-    chain = KNEE.chain()
-    values = random_values(chain, np.random.default_rng(seed))
-    (scaling,) = scalings(chain)
-    there = scaling.scaled(values, factor)
-    np.testing.assert_allclose(scaling.scaled(there, 1.0 / factor), values, rtol=1e-9, atol=1e-12)
-    middle = scaling.middle(values)
-    low, high = scaling.bounds(values)
-    assert middle**2 == pytest.approx(low * high, rel=1e-12)
-    assert scaling.middle(scaling.scaled(values, middle)) == pytest.approx(1.0, rel=1e-9)
-
-
 def test_motor_offset_and_angle_do_not_take_part():
     (scaling,) = scalings(FULL)
     behind = {"bearing.coulomb", "bearing.quadratic", "load.inertia", "load.first_moment"}

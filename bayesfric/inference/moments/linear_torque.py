@@ -94,7 +94,7 @@ class LinearTorque:
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
-        form = torque_form(chain, times_gain=True, any_shape=True)
+        form = torque_form(chain, any_shape=True)
         if form is None:
             raise ValueError("the chain's torque is not of the form of eq. (13)")
         self.chain = chain
@@ -366,7 +366,7 @@ def linear_torque(
         or with a known mass at an unknown angle.
     """
     values = np.empty((0, len(chain.names))) if draws is None else draws
-    if torque_form(chain, times_gain=True, any_shape=True) is None:
+    if torque_form(chain, any_shape=True) is None:
         return None
     if "load.gravity_angle" in chain.names and any(o.inputs.known_load for o in observations):
         return None
