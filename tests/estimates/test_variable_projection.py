@@ -155,3 +155,39 @@ def test_other_chains_do_not_have_the_form(make_observation):
     loaded = make_observation(chain, servo.values, added_mass=0.1, radius=0.1)
     assert torque_form(chain, [loaded]) is None
     assert torque_form(chain) is not None
+
+
+def test_thetas_are_those_printed_below_eq_13():
+    chain = KNEE.chain()
+    theta1, theta2 = torque_form(chain).thetas(chain.vector(KNEE.values))
+    v, n = KNEE.values, 50.0
+    l1 = (1 / 0.7432 + 1 / 1.408) / 2
+    l2 = (1 / 0.7432 - 1 / 1.408) / 2
+    c1, c2 = v["joint.coulomb_positive"], v["joint.coulomb_negative"]
+    m1, m2 = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
+    # gravity carries the g that the printed theta5 and theta10 lack
+    leg = [0.206 / n**2, 3.12 / n**2, (c1 + c2) / (2 * n), (c1 - c2) / (2 * n), 9.80665 * 0.42 / n]
+    motor = [3.56e-4, 4.0e-3, (m1 + m2) / 2, (m1 - m2) / 2, 0.0]
+    np.testing.assert_allclose(theta1, np.add(motor, np.multiply(l1, leg)), rtol=1e-12)
+    np.testing.assert_allclose(theta2, np.multiply(l2, leg), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["load.first_moment", "joint.viscous", "gearbox.load_drive"])
+def test_one_known_parameter_gives_all_of_table_3(name):
+    chain = KNEE.chain()
+    truth = chain.vector(KNEE.values)
+    form = torque_form(chain)
+    found = form.parameters(*form.thetas(truth), {name: KNEE.values[name]})
+    np.testing.assert_allclose(found, truth, rtol=1e-12)
+
+
+def test_gradient_is_that_of_finite_differences(make_observation):
+    chain, _, form, projection = knee(make_observation, masses=(0.0, 2.0))
+    theta2 = 1.2 * form.thetas(chain.vector(KNEE.values))[1]
+    gradient = gradient_of(projection, theta2)
+    for j in range(theta2.size):
+        # so short that no sample changes sign: the criterion is then a parabola
+        step = np.zeros(theta2.size)
+        step[j] = 1e-7 * theta2[j]
+        slope = projection.criterion(theta2 + step) - projection.criterion(theta2 - step)
+        assert gradient[j] == pytest.approx(slope / (2 * step[j]), rel=1e-4), form.names2[j]

@@ -292,3 +292,87 @@ def test_segments_hold_a_torque_alike():
         axis(), [[1.0]], torque, 0.01, [[0, 200]], [0.0], [0.0], hold="cubic", substeps=8
     )[0]
     np.testing.assert_array_equal(whole[0], one.q)
+
+
+@pytest.mark.parametrize("hold", ["linear", "zero"])
+def test_free_mass_moves_exactly(hold):
+    # BAM's integrator gives 1.5 a t²: its speed is updated before the position uses it
+    motion = simulate(axis(), [0.5], np.full(1001, 0.25), 1e-3, hold=hold, substeps=3)
+    np.testing.assert_allclose(motion.q, 0.25 * motion.time**2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(motion.qd, 0.5 * motion.time, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(motion.qdd, 0.5)
+
+
+def test_stribeck_raises_the_breakaway_torque():
+    chain = axis(coulomb="symmetric", stribeck=True)
+    values = chain.vector(
+        {
+            "motor.inertia": 0.01,
+            "motor.coulomb": 0.2,
+            "motor.stribeck_ratio": 0.5,
+            "motor.stribeck_velocity": 0.1,
+        }
+    )
+    time = np.arange(1001) * 1e-3
+    motion = simulate(chain, values, 0.4 * time, 1e-3)
+    np.testing.assert_array_equal(motion.sticking, 0.4 * time <= 0.2 * 1.5 + 1e-15)
+
+
+def losses(elements, load_torque, qd, qdd):
+    """Return the power each element turns into heat, by section 2.2 written out once more."""
+    torque, to_input, power = load_torque, 1.0, []
+    for e in elements[::-1]:
+        to_input = to_input * e[kernels.RATIO]
+        v = to_input * qd
+        s = np.sign(v)
+        torque = torque / e[kernels.RATIO]
+        mu = np.where(torque * s > 0, e[kernels.LOAD_DRIVE], e[kernels.LOAD_BACK])
+        constant = np.where(s > 0, e[kernels.COULOMB_POSITIVE], e[kernels.COULOMB_NEGATIVE])
+        rise = 1 + e[kernels.STRIBECK_RATIO] * np.exp(-((v / e[kernels.STRIBECK_VELOCITY]) ** 2))
+        loss = (constant + mu * np.abs(torque)) * rise * s
+        loss = loss + e[kernels.VISCOUS] * v + e[kernels.QUADRATIC] * v * np.abs(v)
+        power.append(loss * v)
+        torque = torque + e[kernels.INERTIA] * to_input * qdd + loss
+    return np.array(power)
+
+
+@pytest.mark.parametrize("name", ["everything", *sorted(PRESETS)])
+def test_energy_is_balanced(name):
+    preset = PRESETS.get(name)
+    chain = preset.chain() if preset else everything()
+    vector = chain.vector(preset.values if preset else EVERYTHING)
+    period, mass, radius = 1e-4, 1.2, 0.3
+    amplitude = {"everything": 0.6, "servo-pendulum": 4.0}.get(name, 1.0)
+    motion = simulate(
+        chain,
+        vector,
+        signal(period, 2.0, amplitude),
+        period,
+        substeps=2,
+        q0=0.5,
+        inputs=Inputs(mass, radius),
+    )
+    assert motion.reversals >= 3
+    elements, load = (table[0] for table in chain.tables(vector[np.newaxis])[:2])
+    inertia = load[kernels.LOAD_INERTIA] + mass * radius**2
+    weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + mass * radius)
+    angle = motion.q + load[kernels.GRAVITY_ANGLE]
+    dissipated = losses(
+        elements, inertia * motion.qdd + weight * np.sin(angle), motion.qd, motion.qdd
+    )
+    assert np.all(dissipated >= 0)
+
+    total = inertia
+    to_input = 1.0
+    for e in elements[::-1]:
+        to_input *= e[kernels.RATIO]
+        total += e[kernels.INERTIA] * to_input**2
+    energy = 0.5 * total * motion.qd**2 - weight * np.cos(angle)
+    true_torque = load[kernels.GAIN] * motion.torque - load[kernels.OFFSET]
+    power = true_torque * to_input * motion.qd - dissipated.sum(axis=0)
+    work = np.trapezoid(power, dx=period)
+    # the trapezoid rule's error falls with the square of the step
+    error = abs(work - np.trapezoid(power[::2], dx=2 * period))
+    throughput = np.trapezoid(np.abs(true_torque * to_input * motion.qd), dx=period)
+    assert abs(energy[-1] - energy[0] - work) <= error + 1e-9 * throughput
+    assert error < 1e-5 * throughput
