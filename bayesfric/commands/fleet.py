@@ -8,7 +8,6 @@ from bayesfric.base.errors import Interrupted
 from bayesfric.base.progress import Shown, silent
 from bayesfric.commands.unfinished import asked_to_stop
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
-from bayesfric.fleet.fleet_population import sure
 from bayesfric.population.population import Interval
 from bayesfric.report.words import filled
 
@@ -40,7 +39,7 @@ def fleet(
 
 def fleet_text(found: FleetRun) -> list[str]:
     """Say what came of it."""
-    return filled("fleet.txt.j2", found=found, sure=sure, span=_span).splitlines()
+    return filled("fleet.txt.j2", found=found, span=_span).splitlines()
 
 
 def _span(one: Interval) -> str:

@@ -84,8 +84,6 @@ class Fleet:
         A unit a row: a data frame, a mapping of columns, or a CSV or Parquet file.
     name
         What units are called, such as ``"{serial}-{day}"``; the column ``unit`` if left out.
-    joint, over
-        Columns: which joint several units are of, and what to look for a trend over.
     runs, cluster
         The tables of a ``FLEET.toml``, as dicts of the same keys.
 
@@ -101,8 +99,6 @@ class Fleet:
         units: Any,
         *,
         name: str | None = None,
-        joint: str | None = None,
-        over: str | None = None,
         runs: Mapping[str, Any] | None = None,
         cluster: Mapping[str, Any] | None = None,
     ) -> None:
@@ -120,8 +116,6 @@ class Fleet:
             Path("Fleet"),
             made,
             rows,
-            joint,
-            over,
             _options(RunOptions, runs or {}, "runs"),
             _options(ClusterOptions, cluster or {}, "cluster"),
         ).checked()
@@ -217,7 +211,7 @@ def _text(plan: Plan) -> str:
     from bayesfric.problem.config_text import document_text
 
     told = plan.runs.model_dump()
-    units = {"count": len(plan.units), "joint": plan.joint, "over": plan.over}
+    units = {"count": len(plan.units)}
     return document_text({"template": plan.template.document, "units": units, "runs": told})
 
 
@@ -274,7 +268,7 @@ class _Course:
         self._tell(Progress("population"))
         self.results.write()
         plan, records = self.plan, self.results.records
-        found = fleet_population(folder / UNITS, plan.units, joint=plan.joint, over=plan.over)
+        found = fleet_population(folder / UNITS, [unit.name for unit in plan.units])
         page = fleet_page(folder, plan.units, records, found, draw(folder, found))
         texts = found.texts() | {"fleet.html": page}
         write_beside({folder / name: text for name, text in texts.items()}, replace=True)

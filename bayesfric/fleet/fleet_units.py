@@ -194,30 +194,6 @@ def units_of(
     return list(units.values())
 
 
-def places_of(units: Sequence[Unit], column: str) -> tuple[dict[str, float], str]:
-    """Give a column's numbers by unit, dates in days since the first, and their unit.
-
-    Raises
-    ------
-    BadInput
-        Naming the unit whose cell is neither.
-    """
-    import pandas as pd
-
-    told = {one.name: value for one in units if (value := one.values[column]) is not None}
-    if not any(isinstance(value, str) for value in told.values()):
-        return {name: float(value) for name, value in told.items()}, column
-    # dates alone have no zone, and none is guessed for them: all are taken alike
-    stamps = pd.to_datetime(pd.Series(told, dtype=str), format="ISO8601", errors="coerce", utc=True)
-    if (wrong := stamps.isna()).any():
-        name = str(wrong.idxmax())
-        where = f"units.over: column {column!r}, unit {name!r}"
-        mend = "write numbers, or dates such as 2026-05-31"
-        raise BadInput(where, f"{str(told[name])[:40]!r} is neither", mend)
-    days = (stamps - stamps.min()) / pd.Timedelta(days=1)
-    return dict(zip(told, days.tolist(), strict=True)), "day"
-
-
 def _typed(cells: Sequence[str]) -> Sequence[Value]:
     """Take a column for numbers, or true and false, where all its cells are."""
     full = [cell for cell in cells if cell]

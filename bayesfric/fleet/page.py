@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from bayesfric.base.version import __version__
 from bayesfric.estimates.point_estimate import HALF
-from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity, sure
+from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.fleet.fleet_units import Unit
 from bayesfric.fleet.results import COLUMNS, FAILED, Record
 from bayesfric.report.figures import style
@@ -39,13 +38,24 @@ class Line:
 
 
 def draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
-    """Write the figures into ``figures/``, and give them for the page."""
+    """Write the figure into ``figures/``, if there is one, and give it for the page."""
+    quantities = shown(found)
+    if not quantities:
+        return []
     (folder / "figures").mkdir(exist_ok=True)
-    made = []
-    for figure, stem, title, caption, words in fleet_figures(found):
-        save(figure, folder / "figures", stem)
-        made.append(page_figure(folder, stem, title, caption, f"{title}. {words}"))
-    return made
+    save(_distribution(quantities), folder / "figures", "distribution")
+    title = "Each quantity over the units"
+    caption = (
+        "Units by rank, each with its own 90 % interval, the population’s mean (line) and its "
+        "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not."
+    )
+    means = [
+        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
+        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}. "
+        for one in quantities
+    ]
+    words = f"{title}. {''.join(means)}".rstrip()
+    return [page_figure(folder, "distribution", title, caption, words)]
 
 
 def fleet_page(
@@ -71,7 +81,6 @@ def fleet_page(
         "failed": [one for one in lines if one.record["outcome"] == FAILED],
         "outliers": [one for one in lines if (one.probability or 0.0) >= OUTLIER],
         "figures": figures,
-        "sure": sure,
         "version": __version__,
     }
     return render("fleet.html.j2", **told)
@@ -95,8 +104,6 @@ def _lines(
 _ACROSS, _PANELS, _HIGH = 2, 8, 1.5
 # More points than this are a picture inside the drawing.
 _VECTOR = 300
-# Share of the population between the lines.
-_CENTRAL, _REACH = "90 %", HALF
 
 
 def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:
@@ -105,106 +112,40 @@ def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:
     return (told or list(found.quantities))[:_PANELS]
 
 
-def fleet_figures(found: FleetPopulation) -> Iterator[tuple[Figure, str, str, str, str]]:
-    """Draw what there is to draw: figures with stem, title, caption and the same in words."""
-    quantities = shown(found)
-    if not quantities:
-        return
-    ranks = []
-    for one in quantities:
-        order = sorted(one.units, key=lambda name: one.units[name].value)
-        ranks.append({name: float(rank) for rank, name in enumerate(order, start=1)})
-    means = (
-        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
-        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}"
-        for one in quantities
-    )
-    yield (
-        _panels(quantities, ranks, "units by rank", trend=False),
-        "distribution",
-        "Each quantity over the units",
-        "Units by rank, each with its own 90 % interval, the population’s mean (line) and its "
-        "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not.",
-        f"{'. '.join(means)}.",
-    )
-    if len(set(found.over.values())) < 2:
-        return
-    per = "days since the first" if found.per == "day" else found.per
-    places = [{n: found.over[n] for n in one.units if n in found.over} for one in quantities]
-    trends = (
-        f"{one.name}: trend {s.median:.3g} from {s.low:.3g} to {s.high:.3g} "
-        f"{one.told.unit} per {found.per}"
-        for one in quantities
-        if (s := one.levels.slope) is not None
-    )
-    yield (
-        _panels(quantities, places, style.shortened(per), trend=True),
-        "control-chart",
-        "Each quantity over time",
-        "Units with their own 90 % intervals, the population’s mean (line) and its central 90 % "
-        "(dashed), and the trend (dotted), outliers apart.",
-        f"{'. '.join(trends)}.",
-    )
-
-
-def _panels(
-    quantities: Sequence[FleetQuantity],
-    places: Sequence[Mapping[str, float]],
-    label: str,
-    *,
-    trend: bool,
-) -> Figure:
+def _distribution(quantities: Sequence[FleetQuantity]) -> Figure:
+    """Draw each quantity over the units by rank, a panel each."""
     rows = math.ceil(len(quantities) / _ACROSS)
     with style.paper_figure(style.PAGE, rows * _HIGH + 0.3) as figure:
         axes = style.panel_grid(figure, len(quantities), _ACROSS)
         handles: list[Artist] = []
-        for ax, one, place in zip(axes, quantities, places, strict=True):
-            drawn = _panel(ax, one, place, trend=trend)
+        for ax, one in zip(axes, quantities, strict=True):
+            drawn = _panel(ax, one)
             handles = drawn if len(drawn) > len(handles) else handles
         for ax in axes[-_ACROSS:]:
-            ax.set_xlabel(label)
+            ax.set_xlabel("units by rank")
         style.legend_above(figure, handles)
     return figure
 
 
-def _panel(
-    ax: Axes, one: FleetQuantity, places: Mapping[str, float], *, trend: bool
-) -> list[Artist]:
-    names = list(places)
-    x = np.array([places[name] for name in names])
+def _panel(ax: Axes, one: FleetQuantity) -> list[Artist]:
+    names = sorted(one.units, key=lambda name: one.units[name].value)
+    x = np.arange(1.0, len(names) + 1.0)
     ends = np.array([(told.low, told.high) for told in (one.units[name].told for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
     y = np.array([one.units[name].value for name in names]) / scale
     out = np.array([one.outlying[name] >= OUTLIER for name in names])
     many = len(names) > _VECTOR
-    bars = [[(a, low), (a, high)] for a, (low, high) in zip(x, ends / scale, strict=True)]
-    ax.add_collection(LineCollection(bars, colors="#b4b4b4", linewidths=0.5, rasterized=many))
-    dots: dict[str, Any] = {
-        "color": style.POSTERIOR,
-        "ms": 1.8,
-        "rasterized": many,
-        "label": "unit",
-    }
-    drawn: list[Artist] = list(ax.plot(x[~out], y[~out], "o", **dots))
+    low, high = (ends / scale).T
+    ax.vlines(x, low, high, colors="#b4b4b4", linewidths=0.5, rasterized=many)
+    dots: dict[str, Any] = {"ms": 1.8, "rasterized": many, "label": "unit"}
+    drawn: list[Artist] = list(ax.plot(x[~out], y[~out], "o", color=style.POSTERIOR, **dots))
     mean, spread = one.pool.mean.median / scale, one.pool.spread.median / scale
     drawn.append(ax.axhline(mean, color=style.MEASURED, label="population mean"))
-    for k, end in enumerate((mean - _REACH * spread, mean + _REACH * spread)):
+    for end in (mean - HALF * spread, mean + HALF * spread):
         line = ax.axhline(end, color=style.MEASURED, ls=style.DASHED, lw=0.7)
-        if k == 0:
-            line.set_label(f"{_CENTRAL} of the population")
-            drawn.append(line)
-    if trend and (slope := one.levels.slope) is not None:
-        middle = float(np.mean(x[~out])) if (~out).any() else 0.0
-        reach = np.array([x.min(), x.max()])
-        rise = mean + slope.median / scale * (reach - middle)
-        dotted: dict[str, Any] = {
-            "color": style.PALETTE[3],
-            "ls": style.DOTTED,
-            "lw": 1.4,
-            "label": "trend",
-        }
-        drawn += ax.plot(reach, rise, **dotted)
+    line.set_label("90 % of the population")
+    drawn.append(line)
     if out.any():
         drawn += ax.plot(x[out], y[out], "D", color=style.PALETTE[2], ms=3.2, label="outlier")
     ax.margins(x=0.02, y=0.06)

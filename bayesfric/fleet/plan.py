@@ -10,14 +10,13 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from bayesfric.base.errors import BadInput, Unfit, nearest
+from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.base.options import Options
 from bayesfric.fleet.fleet_units import (
     LONGEST_TEXT,
     PLACEHOLDER,
     Unit,
     find_units,
-    places_of,
     put_in,
     read_units,
 )
@@ -44,16 +43,6 @@ class UnitsOptions(Options):
         examples=["{robot}-{day}"],
         description="What units are called, such as '{serial}-{day}'; the column 'unit', or all "
         "parts of the glob, if left out.",
-    )
-    joint: str | None = Field(
-        None,
-        examples=["robot"],
-        description="Column that several units of the same joint share: days of one joint.",
-    )
-    over: str | None = Field(
-        None,
-        examples=["day"],
-        description="Column of numbers or dates to look for a trend over: day, mileage.",
     )
 
     @model_validator(mode="after")
@@ -145,8 +134,6 @@ class Plan:
     path: Path
     template: Template
     units: Sequence[Unit]
-    joint: str | None = None
-    over: str | None = None
     runs: RunOptions = field(default_factory=RunOptions)
     cluster: ClusterOptions = field(default_factory=ClusterOptions)
 
@@ -158,15 +145,7 @@ class Plan:
         BadInput
             Naming the column or key.
         """
-        columns = list(self.units[0].text)
-        for key in ("joint", "over"):
-            name = getattr(self, key)
-            if name is not None and name not in columns:
-                what = f"there is no column {name!r}"
-                raise BadInput(f"{self.path}: units.{key}", what, nearest(name, columns))
-        if self.over is not None:
-            places_of(self.units, self.over)
-        for name in columns:
+        for name in self.units[0].text:
             same = name == "unit" and all(one.text[name] == one.name for one in self.units)
             if name in COLUMNS and not same:
                 what = f"a column cannot be called {name!r}, which results are"
@@ -207,5 +186,4 @@ def read_plan(path: Path) -> Plan:
         assert options.glob is not None
         start = os.path.relpath(folder.absolute(), template.path.parent)
         units = find_units(options.glob, folder, options.name, start)
-    plan = Plan(path, template, units, options.joint, options.over, tables.runs, tables.cluster)
-    return plan.checked()
+    return Plan(path, template, units, tables.runs, tables.cluster).checked()

@@ -93,7 +93,7 @@ def make(folder: Path, kind: str, count: int) -> dict[str, Any]:
         rows.append(f"{name},logs/{name}.csv,0")
     (folder / "units.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     (folder / "unit.toml").write_text(f"{MECHANISM[kind]}{RECORDING}", encoding="utf-8")
-    plan = 'template = "unit.toml"\n\n[units]\ntable = "units.csv"\nover = "hours"\n'
+    plan = 'template = "unit.toml"\n\n[units]\ntable = "units.csv"\n'
     (folder / "fleet.toml").write_text(plan, encoding="utf-8")
     return {"values": truth, "worn": sorted(worn)}
 
@@ -233,7 +233,7 @@ def main() -> None:
         "population": {
             one["name"]: {
                 "true": POPULATION[given.kind].get(one["name"]),
-                **{key: one[key] for key in ("mean", "spread", "trend", "units")},
+                **{key: one[key] for key in ("mean", "spread", "units")},
             }
             for one in found["quantities"]
         },

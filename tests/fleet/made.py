@@ -24,8 +24,6 @@ template = "unit.toml"
 
 [units]
 table = "units.csv"
-joint = "joint"
-over = "km"
 """
 
 

@@ -176,7 +176,7 @@ def test_a_cluster_of_its_own_gives_the_table_that_local_workers_give(tmp_path, 
 
 
 def made(folder):
-    return bf.Fleet(folder / "unit.toml", folder / "units.csv", joint="joint", over="km")
+    return bf.Fleet(folder / "unit.toml", folder / "units.csv")
 
 
 def test_a_scheduler_that_does_not_answer_is_said_and_the_fleet_can_go_on(tmp_path):

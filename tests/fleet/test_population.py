@@ -2,11 +2,8 @@
 
 import json
 
-import pandas as pd
 import pytest
 
-from bayesfric.base.errors import BadInput
-from bayesfric.fleet.fleet_units import places_of, units_of
 from tests.report.made_fleet import WORN, write_fleet
 from tests.report.made_summaries import LEG
 
@@ -36,23 +33,3 @@ def test_what_is_written_is_json_and_tells_every_quantity(found):
     assert told["outliers"][0]["unit"] == WORN
     lines = texts["population.csv"].splitlines()
     assert len(lines) == 1 + len(found.quantities)
-    one = told["quantities"][0]
-    assert one["trend"]["per"] == "day"
-    assert one["between_joints"]["low"] < one["between_joints"]["high"]
-
-
-def test_dates_are_days_since_the_first():
-    rows = [["a", "2026-05-03"], ["b", "2026-05-01T12:00:00"], ["c", "2026-06-01"]]
-    units = units_of(pd.DataFrame(rows, columns=["unit", "day"]), None, "units.csv")
-    assert places_of(units, "day") == ({"a": 1.5, "b": 0.0, "c": 30.5}, "day")
-    units = units_of(
-        pd.DataFrame([["a", "1.5"], ["b", "2"]], columns=["unit", "km"]), None, "units.csv"
-    )
-    assert places_of(units, "km") == ({"a": 1.5, "b": 2.0}, "km")
-    units = units_of(
-        pd.DataFrame([["a", "2026-05-03"], ["b", "May"]], columns=["unit", "day"]),
-        None,
-        "units.csv",
-    )
-    with pytest.raises(BadInput, match="unit 'b': 'May' is neither"):
-        places_of(units, "day")

@@ -97,7 +97,6 @@ def test_the_template_is_filled(tmp_path):
     [
         ('"{seed}"', '"{sead}"', ("sampling.seed", "{sead}", "did you mean 'seed'?")),
         ("min_ess = 300", "min_es = 300", ("unit.toml: sampling.min_es", "unknown key")),
-        ('over = "km"', 'over = "kn"', ("units.over", "use one of")),
         ('table = "units.csv"', "", ("units", "got neither")),
         ('table = "units.csv"', 'tabel = "units.csv"', ("units.tabel", "unknown key")),
         ('"unit.toml"', '"unix.toml"', ("unix.toml", "there is no such file")),

@@ -129,7 +129,6 @@ def test_without_dask_one_line_says_what_to_install(tmp_path, monkeypatch):
         ({"cluster": {"memory_limit": "much"}}, "memory_limit = 'much': is no size"),
         ({"cluster": {"worker": 2}}, "Fleet: cluster.worker: unknown key"),
         ({"runs": {"draws": "all"}}, "Fleet: runs.draws"),
-        ({"over": "file"}, "is neither"),
     ],
 )
 def test_options_in_python_are_checked_as_those_of_a_file(tmp_path, options, said):

@@ -199,8 +199,8 @@ def fleet(folder, *, plan=FLEET, template=TEMPLATE, units=UNITS):
 
 def test_a_fleet_is_refused_that_has_no_recordings(process, tmp_path):
     """What the others would end with, were they not refused before."""
-    fleet(tmp_path, units=UNITS.replace("km", "way"))
-    process.refused(tmp_path, "fleet", "fleet.toml", parts=["no column 'km'"])
+    fleet(tmp_path, units=UNITS.replace("seed", "sead"))
+    process.refused(tmp_path, "fleet", "fleet.toml", parts=["asks for {seed}"])
 
 
 @pytest.mark.parametrize(
