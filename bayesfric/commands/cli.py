@@ -47,7 +47,7 @@ Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and
 Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
 RunOption = Annotated[Path | None, Option("-o", "--output", help="run directory to make")]
 
-FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, ros2-control, csv, npz, c or python"
+FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, ros2-control, csv, c or python"
 DEMO = "The demo recording is simulated, from Table 3 of the paper."
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
 
@@ -324,7 +324,7 @@ def export(
     into: Annotated[
         Path | None, Option(metavar="MODEL", help="mujoco: model whose joint is changed")
     ] = None,
-    draws: Annotated[int | None, Option(help="csv, npz: how many draws")] = None,
+    draws: Annotated[int | None, Option(help="csv: how many draws")] = None,
     force: Annotated[bool, Option("--force", help="keep an old export aside")] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -77,25 +76,6 @@ class FleetPopulation:
                 if p >= OUTLIER
             ],
         }
-
-    def texts(self) -> dict[str, str]:
-        """Write ``population.json`` and ``.csv``, by name."""
-        made = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        return {"population.json": f"{made}\n", "population.csv": self._csv()}
-
-    def _csv(self) -> str:
-        import pandas as pd
-
-        lines = []
-        for one in self.quantities:
-            told = one.as_json()
-            line = {key: told[key] for key in ("name", "unit", "units", "level")}
-            for key in ("mean", "spread"):
-                line |= {key: told[key]["median"]}
-                line |= {f"{key}_{end}": told[key][end] for end in ("low", "high")}
-            lines.append(line | {"outliers": len(told["outlying"])})
-        columns = list(lines[0]) if lines else ["name"]
-        return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
 
 
 def fleet_population(folder: Path, units: Iterable[str]) -> FleetPopulation:

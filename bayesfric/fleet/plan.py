@@ -31,7 +31,7 @@ class UnitsOptions(Options):
     table: str | None = Field(
         None,
         examples=["units.csv"],
-        description="CSV or Parquet, a unit a row, a column a name.",
+        description="CSV, a unit a row, a column a name.",
     )
     glob: str | None = Field(
         None,

@@ -61,15 +61,6 @@ def test_the_winning_excitation_is_a_file_that_can_be_played(axis):
     np.testing.assert_array_equal(read.torque, torque)
 
 
-def test_the_same_bytes_twice(axis):
-    ended = [
-        axis.run("identify", "c.toml", "--advise", "motor.inertia", "-o", f"{n}.csv") for n in "ab"
-    ]
-    assert (axis.folder / "a.csv").read_bytes() == (axis.folder / "b.csv").read_bytes()
-    assert ended[0].out == ended[1].out.replace("b.csv", "a.csv")
-    has(ended[0].out, "motor.inertia (", "Best: ", "Limits kept at ", "data alone")
-
-
 @pytest.mark.parametrize("named", [True, False])
 def test_a_file_that_is_there_is_not_lost(axis, named):
     """Where nobody named it, the answer is printed: only the file is at stake."""

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 import bayesfric
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET, configuration
-from bayesfric.commands.keys import key_tables, schema_of
+from bayesfric.commands.keys import schema_of
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Tables, parse_config
@@ -80,17 +80,13 @@ def models_in(annotation):
         yield from models_in(inner)
 
 
-@pytest.mark.parametrize(
-    ("kind", "model", "ending"), [("configuration", Tables, []), ("fleet", FleetTables, ["fleet"])]
-)
-def test_all_keys_are_printed(bench, kind, model, ending):
+@pytest.mark.parametrize(("model", "ending"), [(Tables, []), (FleetTables, ["fleet"])])
+def test_all_keys_are_printed(bench, model, ending):
     printed = bench.run("init", *ending, "--all-keys")
     assert (printed.code, printed.err) == (0, "")
-    tables = [{key.name for key in table.keys} for table in key_tables(kind)]
     for one in models_in(model):
-        assert set(one.model_fields) in tables, one
         for name in one.model_fields:
-            assert f"| `{name}` |" in printed.out
+            assert f"|`{name}`|" in printed.out
 
 
 @pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda path: path.stem)
@@ -201,7 +197,6 @@ def test_the_plan_of_a_fleet_works_as_it_is(bench, validators):
     # every example can be uncommented, but for what the glob excludes
     full = tomllib.loads(re.sub(r"^# (\w+ = .*)$", r"\1", text.replace("# table", "#"), flags=re.M))
     validators["fleet"].validate(full)
-    assert full["units"]["over"] == "day"
 
 
 @pytest.mark.slow

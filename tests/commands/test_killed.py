@@ -1,7 +1,4 @@
-"""After SIGKILL the next command clears what is left, and comes to the same bytes.
-
-``python -m tests.commands.test_killed FOLDER KILLS`` kills every command that often.
-"""
+"""After SIGKILL the next command clears what is left, and comes to the same bytes."""
 
 import json
 import random
@@ -137,13 +134,3 @@ def inputs(tmp_path_factory):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_killed_three_times(inputs, tmp_path, name):
     killed(inputs, tmp_path, name, 3, random.Random(name))
-
-
-if __name__ == "__main__":
-    place, count = Path(sys.argv[1]), int(sys.argv[2])
-    ready = place / "inputs"
-    ready.mkdir(parents=True)
-    made(ready)
-    ended(started(ready, "fit", "few.toml", "-o", "done"))
-    for command in sys.argv[3:] or COMMANDS:
-        print(command, killed(ready, place, command, count, random.Random(command)), flush=True)

@@ -89,15 +89,3 @@ def test_other_summaries(runs, text, said):
 def test_a_page_that_cannot_be_replaced(runs):
     (runs.folder / "knee" / "report.html").mkdir()
     has(runs.refused("report", "knee"), "report.html", "is a folder")
-
-
-@pytest.mark.slow
-def test_the_page_of_the_demo(bench):
-    assert bench.run("demo", "-o", "demo").code == 0
-    page = bench.folder / "demo" / "report.html"
-    first = page.read_bytes()
-    assert len(first) < 3_000_000
-    assert first.count(b"<figure") == 9
-    assert b"known added mass" in first
-    assert bench.run("report", "demo").code == 0
-    assert page.read_bytes() == first

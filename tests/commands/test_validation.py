@@ -108,20 +108,6 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
     )
 
 
-def test_check_shows_what_is_held_out(three):
-    ended = three.run("check", "c.toml", "--verbose")
-    assert ended.code == 0
-    has(ended.out, "whole recording held out", "last 20 % held out")
-
-
-def test_no_validation_no_entry(three):
-    three.config(JOINT + recorded("one") + PROCESSING + SHORT)
-    summary, _, out, _ = fitted(three)
-    assert "validation" not in summary
-    assert "Held out" not in out
-    assert not list((three.folder / "run" / "figures").glob("validation*"))
-
-
 @pytest.mark.parametrize(
     ("text", "parts"),
     [

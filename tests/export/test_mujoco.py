@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 
 import bayesfric as bf
@@ -18,7 +19,6 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.mechanism.presets import PRESETS
 
 from .made import (
-    check_announced_motion,
     check_announced_torque,
     found,
     made,
@@ -67,17 +67,6 @@ def test_what_mujoco_can_carry_moves_as_the_fitted_joint(name):
 
 
 @pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
-def test_what_it_cannot_is_wrong_by_what_was_announced(name):
-    done = found(name)
-    exported = bf.export(done, "mujoco")
-    check_announced_motion(
-        done,
-        exported,
-        lambda torque, period, start: moved(exported.main, torque, period, start=start),
-    )
-
-
-@pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
 def test_the_torque_it_takes_is_wrong_by_what_was_announced(name):
     """Recorded motion through MuJoCo's own inverse dynamics."""
     done = found(name)
@@ -113,7 +102,8 @@ def test_draws_as_models_spread_as_the_posterior_predictive():
     done = made(preset.chain(), values, 0.4, spread=0.05, draws=draws)
     torque, period = swung(0.4, 1.0)
     model = mujoco.MjModel.from_xml_string(bf.export(done, "mujoco").main)
-    table = np.load(io.BytesIO(bf.export(done, "npz", draws=draws).main))
+    table = pd.read_csv(io.BytesIO(bf.export(done, "csv", draws=draws).main))
+    table = table.rename(columns=lambda name: name.partition(" [")[0])
     data, paths = mujoco.MjData(model), []
     (x, _, z), mass = model.body_ipos[1].copy(), model.body_mass[1]
     body = model.body_inertia[1, 1] + mass * (x**2 + z**2)
@@ -239,7 +229,6 @@ def test_a_sliding_joint_behind_a_spindle_moves_as_the_fitted_one():
     }
     done = made(joint, values, 0.5)
     exported = bf.export(done, "mujoco")
-    assert exported.record["position_unit"] == "m"
     torque, period = swung(0.5, SECONDS)
     motion = simulate(joint, middle(done), torque, period, hold="zero").q
     assert np.ptp(motion) > 0.1

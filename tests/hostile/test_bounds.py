@@ -271,13 +271,6 @@ def test_tables_of_units_have_bounds(process, tmp_path, changed, parts):
     process.refused(tmp_path, "fleet", "fleet.toml", parts=parts)
 
 
-def test_units_that_a_few_bytes_repeat(process, tmp_path):
-    table = pa.table({"unit": pa.array(["a"] * 2**16), "file": pa.array(["u.csv"] * 2**16)})
-    parquet(tmp_path / "units.parquet", table, 961)
-    fleet(tmp_path, plan=FLEET.replace("units.csv", "units.parquet"))
-    process.refused(tmp_path, "fleet", "fleet.toml", parts=["62980096 rows, more than 100000"])
-
-
 @pytest.mark.parametrize("size", ["1e400 GiB", "1e308 GiB", "nan", "inf GiB", "-1 GiB", "1 B", ""])
 def test_a_limit_of_memory_is_one(process, tmp_path, size):
     fleet(tmp_path, plan=f'{FLEET}\n[cluster]\nmemory_limit = "{size}"\n')
