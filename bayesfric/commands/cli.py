@@ -171,7 +171,7 @@ def identify(
         str | None, Option(metavar="NAME", help="rank what to record next to know this")
     ] = None,
     output: Annotated[
-        Path | None, Option("-o", "--output", help="CSV of the best; advice-NAME.csv if left out")
+        Path | None, Option("-o", "--output", help="CSV to write, the torque to play")
     ] = None,
     force: Annotated[bool, Option("--force", help="replace that CSV")] = False,
     as_json: AsJson = False,
@@ -179,23 +179,16 @@ def identify(
     """Tell what these recordings can and cannot determine, and what would help."""
     from bayesfric.commands import identify as command
 
-    if advise is None:
-        if output or force:
-            key = "--output" if output else "--force"
-            raise BadInput(key, "is for the excitation of --advise", "add --advise NAME")
-        model = _model(config)
-        with _progress() as progress:
-            found = model.identification(progress=progress)
-        text = command.identify_text(found, model)
-        _print(command.identify_record(found, model), as_json, text)
-        return
+    if advise is None and (output or force):
+        key = "--output" if output else "--force"
+        raise BadInput(key, "is for the excitation of --advise", "add --advise NAME")
     model = _model(config)
-    path = command.advice_file(advise, output, force=force)
-    with _progress() as progress:
-        ranked = model.advise(advise, progress=progress)
-    written = command.write_advice(ranked, path, model, force=force)
-    record = command.advice_record(ranked, model, path if written else None)
-    _print(record, as_json, command.advice_text(ranked, model, path, written=written))
+    with _progress() as show:
+        if advise is None:
+            record, text = command.identify(model, progress=show)
+        else:
+            record, text = command.advise(model, advise, output, force=force, progress=show)
+    _print(record, as_json, text)
 
 
 @app.command()
@@ -207,22 +200,10 @@ def explain(
     as_json: AsJson = False,
 ) -> None:
     """Tell what else explains the torque, judged by recordings simulated from the model."""
-    from bayesfric.commands import explain as command
+    from bayesfric.commands.explain import explain as run
 
-    model = _model(config)
-    if output is None:
-        with _progress() as progress:
-            found = model.explain(progress=progress)
-        record, text = command.explain_record(found, model), command.explain_text(found, model)
-    else:
-        from bayesfric.base.written import write_beside
-
-        command.refuse_other_place(output, model)
-        with _progress() as progress:
-            better, taken, left = model.completed(progress=progress)
-        write_beside({output: better.config.text})
-        record = command.completed_record(better, taken, left, output)
-        text = command.explain_text(left, better, taken, output)
+    with _progress() as progress:
+        record, text = run(_model(config), output, progress=progress)
     _print(record, as_json, text)
 
 
