@@ -154,6 +154,11 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     names = {k: n for k, n in form.names.items() if options.into is None or n not in AROUND}
     carries = names.values()
     kept, folded = carried(at, carries, motions, chain)
+    law = kept["static_friction"]
+    # what held the joint at rest is less than what would have broken it loose
+    held = max((rest.held for rest in found.summary.fit.rests), default=0.0)
+    kept["static_friction"] = np.maximum(law, held * kept["gain"])
+    limit = bool(kept["static_friction"][0] > law[0])
     lost = lost_terms(chain, at, told.middle, carries, form.keeps) + folded
     if form.whole:
         lost = law_lost(chain, told.middle)
@@ -165,7 +170,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         "format": form.name,
         "meaning": form.meaning,
         "joint": options.joint,
-        "numbers": _rows(found, names, numbers, draws, at, told),
+        "numbers": _rows(found, names, numbers, draws, at, told, limit=limit),
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in at.reference.items()},
         "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
@@ -227,8 +232,13 @@ def _rows(
     draws: Mapping[str, Array],
     middle: AtJoint,
     told: Vectors,
+    *,
+    limit: bool,
 ) -> list[dict[str, Any]]:
-    """Tabulate the numbers as the simulator calls them, with intervals and what made them."""
+    """Tabulate the numbers as the simulator calls them, with intervals and what made them.
+
+    ``limit`` is whether static friction is only known to be at least that, by rests.
+    """
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     unusable = found.summary.sampler.status == "unusable"
     rows = []
@@ -237,11 +247,13 @@ def _rows(
         if not made_from and number != "gain":
             continue  # the joint has none
         value, spread = numbers[number], draws[number]
-        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable
+        at_least = limit and number == "static_friction"
+        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable or at_least
         rows.append(
             {
                 "attribute": attribute,
                 "value": value,
+                "at_least": at_least,
                 "interval": None if fixed else np.percentile(spread, ends).tolist(),
                 "unit": NUMBERS[number].unit(found.joint),
                 "meaning": NUMBERS[number].meaning,

@@ -169,12 +169,6 @@ def test_what_cannot_be_read_is_one_line(bench, arguments, parts):
     has(bench.refused(*words), *parts)
 
 
-def test_json_holds_what_is_left_open(bench):
-    pd.DataFrame({"q": Q, "tau": TAU}).to_csv(bench.folder / "log.csv", index=False)
-    told = bench.told("init", "--from", bench.folder / "log.csv")
-    assert told["open"] == {"position.unit": "?", "torque.unit": "?", "rate": "? kHz"}
-
-
 def test_columns_without_names_are_counted(bench):
     np.savetxt(bench.folder / "log.csv", np.column_stack([T, Q, TAU]), delimiter=",")
     text, out = written(bench, bench.folder / "log.csv")

@@ -153,15 +153,6 @@ def test_a_template_does_not_say_that_recordings_are_simulated(bench):
     assert may_be_simulated(SimpleNamespace(config=config, recordings=()))
 
 
-def test_a_template_stays_one_with_another_preset(bench):
-    """Tables of elements that the other has not are empty, and say nothing."""
-    text = bench.run("init", "rabbit-knee").out
-    told = parse_config(
-        text.replace('preset = "rabbit-knee"', 'preset = "motor-axis"', 1), bench.folder / "c.toml"
-    )
-    assert told.tables.mechanism.joint().names == PRESETS["motor-axis"].chain().names
-
-
 def test_init_writes_what_it_prints_and_replaces_a_file_only_where_asked(bench):
     printed = bench.run("init", "motor-axis").out
     found = bench.told("init", "motor-axis", "-o", "new.toml")
@@ -241,11 +232,6 @@ def test_check_names_the_added_mass(bench):
 
 
 # -- all commands
-
-
-def test_version(bench):
-    ended = bench.run("--version")
-    assert (ended.code, ended.out, ended.err) == (0, VERSION + "\n", "")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
