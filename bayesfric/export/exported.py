@@ -18,6 +18,7 @@ from bayesfric.export.at_joint import (
     AtJoint,
     Moved,
     at_joint,
+    moving,
     simulated_torque,
     torque_along,
     without_load_losses,
@@ -174,7 +175,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in at.reference.items()},
         "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
-        "notes": _notes(found, form, options, numbers, at, told),
+        "notes": _notes(found, form, options, numbers, at, told, motions),
         "error": _wrong(found, form, told.middle, numbers, motions),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
         "draws": len(told.draws),
@@ -199,9 +200,10 @@ def _notes(
     numbers: Mapping[str, float],
     middle: AtJoint,
     told: Vectors,
+    motions: Sequence[Moved],
 ) -> list[str]:
     """Say what to know of the format, and of the run, beside the numbers."""
-    chain, seen = found.joint, found.model.observations
+    chain = found.joint
     rotary = chain.load.motion == "rotary"
     placeholder = None
     if form.notes & {"body", "mujoco"} and options.into is None:
@@ -209,18 +211,18 @@ def _notes(
         # what a rotor's inertia is added to has one
         if not numbers["link_inertia"]:
             placeholder = pendulum(whole, rotary)
-    positions = [o.q[o.filter.centres] for o in seen]
+    position, speed, _ = moving(motions)
     text = filled(
         "notes.txt.j2",
         **{**vars(options), "words": form.notes, "numbers": numbers, "told": told},
         summary=found.summary,
         rotary=rotary,
         gravity=chain.load.gravity,
-        known_load=any(o.inputs.known_load for o in seen),
+        known_load=any(m.inputs.known_load for m in motions),
         own_term=unwritten(chain) is not None,
         placeholder=placeholder,
-        speed=max(float(np.abs(o.qd[o.filter.centres]).max()) for o in seen),
-        position=[min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)],
+        speed=float(np.abs(speed).max()),
+        position=[float(position.min()), float(position.max())],
     )
     return [line for line in text.splitlines() if line]
 
