@@ -10,7 +10,6 @@ import shlex
 import sys
 import warnings
 from contextlib import ExitStack, suppress
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -140,28 +139,18 @@ def check(config: ConfigFile, verbose: Verbose = False, as_json: AsJson = False)
     _print(found.as_json(), as_json, found.text(verbose=verbose).splitlines())
 
 
-if TYPE_CHECKING:
-    MethodChoice = str
-    _ALL = "all"
-else:
-    MethodChoice = StrEnum("MethodChoice", {name: name for name in (*METHODS, "all")})
-    _ALL = MethodChoice("all")
-
-
 @app.command()
 def estimate(
     config: ConfigFile,
-    method: Annotated[MethodChoice, Option(help="which of the paper's methods")] = _ALL,
+    method: Annotated[str, Option(help=f"{', '.join(METHODS)}, or all of the paper's")] = "all",
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
-    from bayesfric.commands.estimate import estimate_record, estimate_text
+    from bayesfric.commands.estimate import estimate as run
 
-    model = _model(config)
-    wanted = [name for name in METHODS if method in ("all", name)]
     with _progress() as progress:
-        found = model.estimates(wanted, progress=progress)
-    _print(estimate_record(found, model), as_json, estimate_text(found, model))
+        record, lines = run(_model(config), method, progress=progress)
+    _print(record, as_json, lines)
 
 
 @app.command()

@@ -71,7 +71,7 @@ def test_a_recording_that_changed_since_is_warned_of(there, folder):
     file = folder / "project" / "small.csv"
     whole = file.read_text()
     file.write_text(whole[: whole.rstrip().rindex("\n") + 1])
-    has(there.run("check", "run/config.toml").out, "small: changed since the run was made")
+    has(there.run("check", "run/config.toml").out, "changed since the run was made")
     file.write_text(whole)
 
 

@@ -1,7 +1,5 @@
 """Numbers that the sampling is sure of and nobody should be: found, demoted, and said first."""
 
-import importlib
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -19,26 +17,14 @@ from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.summary.doubts import _accelerates, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary
-from bayesfric.results.verdict import verdict
 from tests.axis import AXIS, VALUES, swing
 from tests.commands.bench import SMALL
-from tests.conftest import REPOSITORY
 
 MISSING = {
     **{"kind": "missing", "what": "delay", "shape": "", "share": 0.034, "p": 1 / 61, "rivals": []},
     **{"parameters": ["motor.inertia", "offset"], "moves": {"motor.inertia": 3.1, "offset": -2.2}},
     **{"hint": "mechanism.delay = true", "physical": True, "recording": "", "span": None},
 }
-
-
-@pytest.fixture(scope="module")
-def closed_loop():
-    folder = REPOSITORY / "studies" / "closed_loop"
-    sys.path.insert(0, str(folder))
-    try:
-        yield importlib.import_module("closed_loop")
-    finally:
-        sys.path.remove(str(folder))
 
 
 @pytest.fixture
@@ -72,16 +58,6 @@ def verdicts(summary):
         for name, row in summary["parameters"].items()
         if not name.startswith("noise.")
     }
-
-
-def test_a_joint_in_closed_loop_keeps_its_inertia(closed_loop, fitted):
-    """0.1.0: inertia 0.003 for 7.7, reliable, data, no warning (studies/closed_loop)."""
-    one = closed_loop.recorded(3)
-    summary, _ = fitted(one.time, one.position, one.torque, checked=False)
-    assert summary["sampler"]["status"] == "reliable"
-    for name, true in one.truth.items():
-        row = summary["parameters"][name]
-        assert abs(row["median"] - true) < 4.0 * row["sd"], name
 
 
 @pytest.mark.usefixtures("unexplained")
@@ -196,21 +172,6 @@ def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
         off = PRESETS["servo-pendulum"].values[name] - row["reported"]["value"]
         assert abs(off) < 3.0 * row["reported"]["sd"]
         assert row["reported"]["sd"] > row["sd"]
-
-
-@pytest.mark.parametrize(
-    ("told", "outcome"),
-    [
-        ({}, "good"),
-        ({"asked": None}, "unchecked"),
-        ({"lacking": True}, "usable"),
-        ({"lacking": True, "doubts": 1}, "doubtful"),
-        ({"doubts": 1, "converged": False}, "not converged"),
-    ],
-)
-def test_the_worst_of_what_is_known_is_the_outcome(told, outcome):
-    plain = {"converged": True, "doubts": 0, "doubtful": 0, "asked": 30, "explained": 0.99}
-    assert verdict(**(plain | told)).outcome == outcome
 
 
 @pytest.mark.parametrize("severity", ["doubt", "note"])

@@ -25,9 +25,7 @@ from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, Inputs
 
-from ..mechanism.joints import EVERYTHING, everything
 from .made import found, made, numbers, preset
-from .test_law import unusual
 
 
 def wave(n=300):
@@ -114,26 +112,6 @@ def test_an_open_scale_changes_no_export():
     drive, back = (values[f"gearbox.load_{x}"] for x in ("drive", "back"))
     assert rows["link_inertia"] == pytest.approx(values["load.inertia"])
     assert rows["gain"] == pytest.approx(50.0 / (1.0 + 0.5 * (drive - back)))
-
-
-@pytest.mark.parametrize("case", ["everything", "unusual"])
-def test_what_has_no_number_is_told_term_by_term(case):
-    joint, values = (everything(), EVERYTHING) if case == "everything" else unusual()
-    vector = joint.vector(values)
-    there = [Moved(m.q, m.qd, m.qdd, m.time, AT_ROOM) for m in wave()]
-    at = at_joint(joint, vector[None], there)
-    names = {name for one in lost_terms(joint, at, vector, ()) for name in one["parameters"]}
-    carries = {
-        "inertia", "viscous", "coulomb", "quadratic", "first_moment", "gravity_angle", "spring",
-        "spring_cubic", "offset", "gain",
-    }  # fmt: skip
-    # what shapes another is told with it
-    shapes = {"stribeck_velocity", "stribeck_exponent", "power_exponent", "warming_time"}
-    silent = [
-        p.name for p in joint.parameters
-        if p.name not in names and p.quantity not in carries | shapes
-    ]  # fmt: skip
-    assert silent == []
 
 
 CASES = [
