@@ -103,36 +103,6 @@ def test_places(runs, arguments, parts):
     assert "--force" not in message
 
 
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("{", ["is not valid JSON"]),  # of others :mod:`tests.commands.test_report` tells
-        ('{"parameters": {"a": {"mean": NaN}}}', ["is not valid JSON", "NaN"]),
-        ('{"parameters": {}}', ["holds no result"]),
-    ],
-)
-def test_files_that_hold_something_else(runs, text, parts):
-    write(runs.folder / "knee", text)
-    has(runs.refused("compare", "knee"), "knee", *parts)
-
-
-def test_units_that_differ(runs):
-    run = loaded()
-    run["derived"]["gearbox.lambda_ratio"]["unit"] = "rad"
-    for table in ("input-error", "output-error"):
-        run["estimates"][table]["parameters"]["gearbox.lambda_ratio"]["unit"] = "rad"
-    write(runs.folder / "a" / "run", json.dumps(run))
-    message = runs.refused("compare", "knee", "a/run")
-    has(message, "run: gearbox.lambda_ratio", "'rad'", "'no unit'", "in knee")
-
-
-def test_nothing_in_common(runs):
-    run = old()
-    row = run["parameters"]["motor.inertia"]
-    write(runs.folder / "b" / "run", json.dumps({"parameters": {"axis.inertia": row}}))
-    has(runs.refused("compare", "knee", "b/run"), "run: has no quantity in common")
-
-
 def page_of(runs):
     return read_page((runs.folder / "out" / "report.html").read_text(encoding="utf-8"))
 

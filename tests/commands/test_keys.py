@@ -3,7 +3,6 @@
 import json
 import re
 import tomllib
-from contextlib import nullcontext
 from importlib.resources import files
 from pathlib import Path
 from typing import get_args
@@ -122,24 +121,6 @@ def test_what_is_refused_the_schema_refuses(case, validators, tmp_path):
     if case in REFUSED:
         with pytest.raises(BadInput):
             parse_config(text, tmp_path / "c.toml")
-
-
-@pytest.mark.parametrize(
-    ("key", "suits"),
-    [
-        ('start = "2 s"', True),
-        ("start = -1.0", False),
-        ('where = { episode = 3, robot = "a" }', True),
-        ('load_torque = { column = "l", unit = "N m" }', True),
-        ("valid = 0.5", False),
-        ('format = "csw"', False),
-    ],
-)
-def test_keys_of_recordings(key, suits, validators):
-    text = CONFIG.replace('file = "run.csv"', f'file = "run.csv"\n{key}')
-    assert validators["configuration"].is_valid(tomllib.loads(text)) == suits
-    with nullcontext() if suits else pytest.raises(BadInput):
-        parse_config(text, REPOSITORY / "c.toml")
 
 
 def test_dotted_and_quoted_names_of_priors_and_references_suit(validators):
