@@ -191,7 +191,7 @@ def test_a_compromise_of_data_and_a_prior_that_they_contradict_is_doubted():
     q, qd, qdd = swing(time, [(0.31, 0.9), (0.73, 0.5), (1.9, 0.1)])
     torque = AXIS.torque(VALUES, q, qd, qdd)
     torque += 0.2 * np.random.default_rng(8).standard_normal(time.size)
-    prior = {"load.first_moment": {"distribution": "norm", "loc": 0.3, "scale": 0.01}}
+    prior = {"load.first_moment": {"distribution": "norm", "loc": 0.15, "scale": 0.01}}
     model = bf.Model(AXIS, bf.Recording.from_arrays(time, q, torque), priors=prior,
                      self_check={"recordings": 0}, sampling={"min_ess": 400})  # fmt: skip
     summary = model.fit(seed=1).summary
