@@ -66,12 +66,6 @@ def test_every_estimate_finds_it(model, method):
     assert row["sd_robust"] < 0.01
 
 
-def test_identification_says_that_it_can_be_told(model):
-    row = model.identify().loc["motor.cogging"]
-    assert row["status"] == "identified"
-    assert row["data_sd"] < 0.01
-
-
 def test_the_posterior_holds_it(run):
     posterior, _ = run
     row = bf.summary(posterior).parameters["motor.cogging"]

@@ -10,7 +10,6 @@ import shlex
 import sys
 import warnings
 from contextlib import ExitStack, suppress
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,7 +46,7 @@ Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and
 Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
 RunOption = Annotated[Path | None, Option("-o", "--output", help="run directory to make")]
 
-FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, ros2-control, csv, npz, c or python"
+FORMATS = "mujoco, urdf, sdf, drake, pinocchio, isaac, bam, ros2-control, csv, c or python"
 DEMO = "The demo recording is simulated, from Table 3 of the paper."
 BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
 
@@ -140,28 +139,18 @@ def check(config: ConfigFile, verbose: Verbose = False, as_json: AsJson = False)
     _print(found.as_json(), as_json, found.text(verbose=verbose).splitlines())
 
 
-if TYPE_CHECKING:
-    MethodChoice = str
-    _ALL = "all"
-else:
-    MethodChoice = StrEnum("MethodChoice", {name: name for name in (*METHODS, "all")})
-    _ALL = MethodChoice("all")
-
-
 @app.command()
 def estimate(
     config: ConfigFile,
-    method: Annotated[MethodChoice, Option(help="which of the paper's methods")] = _ALL,
+    method: Annotated[str, Option(help=f"{', '.join(METHODS)}, or all of the paper's")] = "all",
     as_json: AsJson = False,
 ) -> None:
     """Point estimates by the paper's methods, with standard deviations."""
-    from bayesfric.commands.estimate import estimate_record, estimate_text
+    from bayesfric.commands.estimate import estimate as run
 
-    model = _model(config)
-    wanted = [name for name in METHODS if method in ("all", name)]
     with _progress() as progress:
-        found = model.estimates(wanted, progress=progress)
-    _print(estimate_record(found, model), as_json, estimate_text(found, model))
+        record, lines = run(_model(config), method, progress=progress)
+    _print(record, as_json, lines)
 
 
 @app.command()
@@ -171,7 +160,7 @@ def identify(
         str | None, Option(metavar="NAME", help="rank what to record next to know this")
     ] = None,
     output: Annotated[
-        Path | None, Option("-o", "--output", help="CSV of the best; advice-NAME.csv if left out")
+        Path | None, Option("-o", "--output", help="CSV to write, the torque to play")
     ] = None,
     force: Annotated[bool, Option("--force", help="replace that CSV")] = False,
     as_json: AsJson = False,
@@ -179,23 +168,16 @@ def identify(
     """Tell what these recordings can and cannot determine, and what would help."""
     from bayesfric.commands import identify as command
 
-    if advise is None:
-        if output or force:
-            key = "--output" if output else "--force"
-            raise BadInput(key, "is for the excitation of --advise", "add --advise NAME")
-        model = _model(config)
-        with _progress() as progress:
-            found = model.identification(progress=progress)
-        text = command.identify_text(found, model)
-        _print(command.identify_record(found, model), as_json, text)
-        return
+    if advise is None and (output or force):
+        key = "--output" if output else "--force"
+        raise BadInput(key, "is for the excitation of --advise", "add --advise NAME")
     model = _model(config)
-    path = command.advice_file(advise, output, force=force)
-    with _progress() as progress:
-        ranked = model.advise(advise, progress=progress)
-    written = command.write_advice(ranked, path, model, force=force)
-    record = command.advice_record(ranked, model, path if written else None)
-    _print(record, as_json, command.advice_text(ranked, model, path, written=written))
+    with _progress() as show:
+        if advise is None:
+            record, text = command.identify(model, progress=show)
+        else:
+            record, text = command.advise(model, advise, output, force=force, progress=show)
+    _print(record, as_json, text)
 
 
 @app.command()
@@ -207,22 +189,10 @@ def explain(
     as_json: AsJson = False,
 ) -> None:
     """Tell what else explains the torque, judged by recordings simulated from the model."""
-    from bayesfric.commands import explain as command
+    from bayesfric.commands.explain import explain as run
 
-    model = _model(config)
-    if output is None:
-        with _progress() as progress:
-            found = model.explain(progress=progress)
-        record, text = command.explain_record(found, model), command.explain_text(found, model)
-    else:
-        from bayesfric.base.written import write_beside
-
-        command.refuse_other_place(output, model)
-        with _progress() as progress:
-            better, taken, left = model.completed(progress=progress)
-        write_beside({output: better.config.text})
-        record = command.completed_record(better, taken, left, output)
-        text = command.explain_text(left, better, taken, output)
+    with _progress() as progress:
+        record, text = run(_model(config), output, progress=progress)
     _print(record, as_json, text)
 
 
@@ -324,7 +294,7 @@ def export(
     into: Annotated[
         Path | None, Option(metavar="MODEL", help="mujoco: model whose joint is changed")
     ] = None,
-    draws: Annotated[int | None, Option(help="csv, npz: how many draws")] = None,
+    draws: Annotated[int | None, Option(help="csv: how many draws")] = None,
     force: Annotated[bool, Option("--force", help="keep an old export aside")] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from bayesfric.base.progress import Shown, silent
 from bayesfric.estimates.methods import ESTIMATORS
-from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.fit.model import Model
 from bayesfric.report.summary.summary import estimate_summary
 
@@ -16,30 +17,30 @@ from bayesfric.report.summary.summary import estimate_summary
 _TOO_SMALL = 2.0
 
 
-def estimate_record(found: Sequence[Estimate], model: Model) -> dict[str, Any]:
-    """Put estimates into the form of ``summary.json``."""
-    return {
-        "config": str(model.config.path),
-        "estimates": {estimate.method: estimate_summary(estimate) for estimate in found},
-        "references": model.references(),
-    }
-
-
-def estimate_text(found: Sequence[Estimate], model: Model) -> Iterator[str]:
-    """Word estimates for a person, line by line."""
+def estimate(
+    model: Model, method: str = "all", *, progress: Shown = silent
+) -> tuple[dict[str, Any], list[str]]:
+    """Estimate by a method, or ``all``; give what ``--json`` prints, and words line by line."""
+    methods: Sequence[Any] = METHODS if method == "all" else [method]
+    found = model.estimates(methods, progress=progress)
     references = model.references()
-    for estimate in found:
-        yield ESTIMATORS[estimate.method].title
-        yield (
-            f"  {estimate.n_outputs} residuals, rms {estimate.residual_rms:.4g} "
-            f"{estimate.residual_unit}. {estimate.assumption}."
-        )
-        yield f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}"
-        for v in estimate.values:
-            yield f"  {_row(v, references.get(v.name), estimate.converged)}"
-        for note in estimate.notes:
-            yield f"  {note}"
-        yield ""
+    record = {
+        "config": str(model.config.path),
+        "estimates": {one.method: estimate_summary(one) for one in found},
+        "references": references,
+    }
+    lines = []
+    for one in found:
+        lines += [
+            ESTIMATORS[one.method].title,
+            f"  {one.n_outputs} residuals, rms {one.residual_rms:.4g} {one.residual_unit}. "
+            f"{one.assumption}.",
+            f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}",
+            *(f"  {_row(v, references.get(v.name), one.converged)}" for v in one.values),
+            *(f"  {note}" for note in one.notes),
+            "",
+        ]
+    return record, lines
 
 
 def _row(v: Any, reference: dict[str, Any] | None, converged: bool) -> str:

@@ -7,26 +7,37 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Shown, silent
+from bayesfric.base.written import write_beside
 from bayesfric.diagnostics.before_a_fit import little_explained
-from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.fit.model import Model
 from bayesfric.report.terminal import wrapped
 from bayesfric.report.words import clause, doubt_text, filled, line_of
 
 
-def explain_record(found: Explanation, model: Model) -> dict[str, Any]:
-    """Put a ranking into the form that ``--json`` prints."""
-    return {"config": str(model.config.path), **found.as_json()}
+def explain(
+    model: Model, output: Path | None = None, *, progress: Shown = silent
+) -> tuple[dict[str, Any], list[str]]:
+    """Give what ``--json`` prints, and words: what is found, and what this motion does not tell.
 
+    ``output`` is a file to write beside the configuration, with what explains the torque put in.
 
-def explain_text(
-    found: Explanation, model: Model, taken: Sequence[Finding] = (), path: Path | None = None
-) -> list[str]:
-    """Word a ranking: what was put in, what is found, and what this motion does not tell.
-
-    ``path`` is the file that ``model`` was written to, with what was ``taken``.
+    Raises
+    ------
+    BadInput
+        Before anything is computed, if that is no TOML, lies elsewhere, where names of files mean
+        something else, or is there.
     """
+    told: dict[str, Any] = {}
+    taken: Sequence[Finding] = ()
+    if output is None:
+        found = model.explain(progress=progress)
+    else:
+        _refuse_other_place(output, model.config.path.parent)
+        model, taken, found = model.completed(progress=progress)
+        write_beside({output: model.config.text})
+        told = {"taken": [one.as_dict() for one in taken], "written": str(output)}
     text = filled(
         "explain.txt.j2",
         found=found,
@@ -34,10 +45,11 @@ def explain_text(
         lines=[_line(one) for one in found.findings],
         taken=[f"Put in: {_line(one)}" for one in taken],
         untold=", ".join(clause(kind) for kind in found.untold),
-        path=path,
+        path=output,
         names=model.chain.names,
     )
-    return [part for line in text.splitlines() for part in wrapped(line, indent=3)]
+    lines = [part for line in text.splitlines() for part in wrapped(line, indent=3)]
+    return {"config": str(model.config.path), **found.as_json(), **told}, lines
 
 
 def _line(one: Finding) -> str:
@@ -49,15 +61,7 @@ def _line(one: Finding) -> str:
     return line_of(one.kind, told) + more + (f"; looks like {rivals}" if rivals else "")
 
 
-def refuse_other_place(path: Path, given: Model) -> None:
-    """Refuse, before anything is computed, a file that cannot be the configuration's neighbour.
-
-    Raises
-    ------
-    BadInput
-        If it is no TOML, lies elsewhere, where names of files mean something else, or is there.
-    """
-    folder = given.config.path.parent
+def _refuse_other_place(path: Path, folder: Path) -> None:
     if path.suffix != ".toml":
         raise BadInput(str(path), "is not named .toml", "name a configuration: BETTER.toml")
     if path.resolve().parent != folder.resolve():
@@ -65,11 +69,3 @@ def refuse_other_place(path: Path, given: Model) -> None:
         raise BadInput(str(path), what, f"write it to {folder / path.name}")
     if path.exists():
         raise BadInput(str(path), "is there already", "name another file")
-
-
-def completed_record(
-    found: Model, taken: Sequence[Finding], left: Explanation, path: Path
-) -> dict[str, Any]:
-    """Put what was put in, and what is left, into the form that ``--json`` prints."""
-    told = {"taken": [one.as_dict() for one in taken], "written": str(path)}
-    return explain_record(left, found) | told

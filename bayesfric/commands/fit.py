@@ -34,9 +34,9 @@ def fit(
 
     ``found`` takes the numbers as soon as they are there, before figures and pages are made.
     ``resume`` goes on with an interrupted run; the result is that of one never interrupted.
-    ``force`` keeps what stands there, and an interrupted run's checkpoint, under other names and
-    starts afresh. Nothing is written of what cannot be used; where the disk is full or gone, and
-    on Ctrl-C or SIGTERM, what was sampled is kept.
+    ``force`` keeps what stands there under another name, and starts afresh. Nothing is written of
+    what cannot be used; where the disk is full or gone, and on Ctrl-C or SIGTERM, what was sampled
+    is kept.
     """
     # who resumes has an old run kept, if --force came with the first command
     check_free(folder, force=force or resume)

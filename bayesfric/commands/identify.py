@@ -12,97 +12,81 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base.errors import BadInput
+from bayesfric.base.progress import Shown, silent
 from bayesfric.base.written import write_beside
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.fit.model import Model
-from bayesfric.identifiability.identification import Identification
 from bayesfric.identifiability.next_recording import ASSUMPTION, Ranking
 from bayesfric.report.words import doubt_text, filled
 
 
-def identify_record(found: Identification, model: Model) -> dict[str, Any]:
-    """Put an identification into the form that ``--json`` prints; what is infinite is ``None``."""
-    return {"config": str(model.config.path), **found.as_json(), "doubts": _doubts(model)}
-
-
-def identify_text(found: Identification, model: Model) -> list[str]:
-    """Word an identification for a person: first what cannot be told, then the tables."""
-    unit = "rad" if model.chain.load.motion == "rotary" else "m"
-    doubted = _warnings(model)
-    told = filled("identify.txt.j2", found=found, unit=unit, doubted=bool(doubted), inf=np.inf)
-    return [*doubted, *told.splitlines()]
-
-
-def _doubts(model: Model) -> list[dict[str, Any]]:
-    """Doubt a mechanism before anything is said of its parameters, as ``check`` does."""
-    return little_explained(model.chain, model.observations)
-
-
-def _warnings(model: Model) -> list[str]:
-    """Word these doubts, a line between them and what follows."""
-    told = [f"WARNING: {doubt_text(one)}" for one in _doubts(model)]
-    return [*told, ""] if told else []
-
-
-def advice_file(name: str, output: Path | None, *, force: bool) -> Path:
-    """Settle where the winning excitation goes, before anything is computed.
-
-    It is a CSV that is not there already, or is replaced by ``force``. One that nobody named may be
-    there: of a second answer nothing is lost but the file.
-    """
-    path = output or Path(f"advice-{name}.csv")
-    if path.suffix.lower() != ".csv":
-        raise BadInput(str(path), "is not named .csv", "name the excitation something.csv")
-    if output and path.exists() and not force:
-        raise BadInput(
-            str(path), "exists already", "name another file with -o, or replace it with --force"
-        )
-    return path
-
-
-def write_advice(found: Ranking, path: Path, model: Model, *, force: bool) -> bool:
-    """Write the winning excitation, and tell whether there was any that is worth it.
-
-    Columns are time and torque, their units in the second line. A file that is there stays, but for
-    ``force``.
-    """
-    if not found.worth or (path.exists() and not force):
-        return False
-    table = io.StringIO()
-    np.savetxt(
-        table,
-        found.advices[0].candidate.rows,
-        fmt=["%.10g", "%.6g"],
-        delimiter=",",
-        header=f"time,torque\ns,{_torque_unit(model)}",
-        comments="",
+def identify(model: Model, *, progress: Shown = silent) -> tuple[dict[str, Any], list[str]]:
+    """Give what ``--json`` prints, infinite as ``None``; and words, what cannot be told first."""
+    found = model.identification(progress=progress)
+    doubts, warned = _doubts(model)
+    told = filled(
+        "identify.txt.j2", found=found, inf=np.inf, unit=_position_unit(model), doubted=bool(warned)
     )
-    write_beside({path: table.getvalue()}, replace=force)
-    return True
+    return _record(model, found.as_json(), doubts=doubts), [*warned, *told.splitlines()]
 
 
-def advice_record(found: Ranking, model: Model, written: Path | None) -> dict[str, Any]:
-    """Put a ranking into the form that ``--json`` prints; what is infinite is ``None``."""
-    file = str(written) if written else None
-    return {"config": str(model.config.path), **found.as_json(), "written": file} | {
-        "doubts": _doubts(model)
-    }
+def advise(
+    model: Model,
+    name: str,
+    path: Path | None = None,
+    *,
+    force: bool = False,
+    progress: Shown = silent,
+) -> tuple[dict[str, Any], list[str]]:
+    """Say what to record next to know a quantity, and write the torque to play where asked.
 
-
-def advice_text(found: Ranking, model: Model, path: Path, *, written: bool) -> list[str]:
-    """Word a ranking for a person: what to do first, then the table."""
+    ``path`` is a CSV that is not there already, or is replaced by ``force``; columns are time and
+    torque, their units in the second line.
+    """
+    if path and path.suffix.lower() != ".csv":
+        raise BadInput(str(path), "is not named .csv", "name the excitation something.csv")
+    if path and path.exists() and not force:
+        mend = "name another file with -o, or replace it with --force"
+        raise BadInput(str(path), "exists already", mend)
+    unit = "N m" if model.chain.motor_motion == "rotary" else "N"
+    found = model.advise(name, progress=progress)
+    written = path if found.worth else None
+    if written:
+        write_beside({written: _excitation(found, unit)}, replace=force)
+    doubts, warned = _doubts(model)
     told = filled(
         "advise.txt.j2",
         found=found,
         assumption=ASSUMPTION,
         inf=np.inf,
-        path=path,
         written=written,
-        torque_unit=_torque_unit(model),
-        position_unit="rad" if model.chain.load.motion == "rotary" else "m",
+        torque_unit=unit,
+        position_unit=_position_unit(model),
     )
-    return [*_warnings(model), *told.splitlines()]
+    file = str(written) if written else None
+    return _record(model, found.as_json(), written=file, doubts=doubts), [
+        *warned,
+        *told.splitlines(),
+    ]
 
 
-def _torque_unit(model: Model) -> str:
-    return "N m" if model.chain.motor_motion == "rotary" else "N"
+def _record(model: Model, found: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"config": str(model.config.path), **found, **more}
+
+
+def _doubts(model: Model) -> tuple[list[dict[str, Any]], list[str]]:
+    """Doubt a mechanism before anything is said of its parameters, as ``check`` does."""
+    doubts = little_explained(model.chain, model.observations)
+    warned = [f"WARNING: {doubt_text(one)}" for one in doubts]
+    return doubts, [*warned, ""] if warned else []
+
+
+def _excitation(found: Ranking, unit: str) -> str:
+    table = io.StringIO()
+    rows, header = found.advices[0].candidate.rows, f"time,torque\ns,{unit}"
+    np.savetxt(table, rows, fmt=["%.10g", "%.6g"], delimiter=",", header=header, comments="")
+    return table.getvalue()
+
+
+def _position_unit(model: Model) -> str:
+    return "rad" if model.chain.load.motion == "rotary" else "m"

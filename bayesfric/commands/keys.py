@@ -1,10 +1,9 @@
-"""``bayesfric init --all-keys``: every key of a configuration, out of its schema."""
+"""``bayesfric init --all-keys`` and ``--schema``: every key, out of the models that check it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 from pydantic import BaseModel
@@ -19,96 +18,17 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Tables
 from bayesfric.recordings.units import UNIT_KEYWORD
 
-Models = Mapping[str, Mapping[str, Any]]  # of a schema, by name
+Field = Mapping[str, Any]  # of a schema
+Models = Mapping[str, Field]  # of a schema, by name
 
 _WORDS = {
     "number": "number",
-    "integer": "whole number",
+    "integer": "integer",
     "string": "text",
-    "boolean": "true or false",
+    "boolean": "true/false",
     "object": "table",
 }
-_BOUNDS = {
-    "exclusiveMinimum": "more than",
-    "minimum": "at least",
-    "exclusiveMaximum": "less than",
-    "maximum": "at most",
-}
-_TITLES: dict[Kind, str] = {
-    "configuration": "a configuration",
-    "fleet": "FLEET.toml, the plan of a fleet",
-}
-
-
-@dataclass(frozen=True)
-class Key:
-    """One key: what may be written, and what it means."""
-
-    name: str
-    type: str
-    default: str  # as TOML; "required", or empty where what is left out is found or not there
-    unit: str
-    meaning: str
-
-
-@dataclass(frozen=True)
-class KeyTable:
-    """The keys of a table; several places where they are the same."""
-
-    places: tuple[str, ...]  # as their headings in the file
-    keys: tuple[Key, ...]
-
-
-def key_tables(kind: Kind) -> list[KeyTable]:
-    """List every key that a kind of file may hold, table by table.
-
-    Parameters
-    ----------
-    kind
-        ``configuration``, or ``fleet`` for ``FLEET.toml``.
-
-    Returns
-    -------
-    list of KeyTable
-        The whole file first; a table that may stand at several places is there once.
-    """
-    schema = schema_of(kind)
-    models = schema["$defs"]
-    places: dict[str, list[str]] = {}
-    waiting = [("", schema)]
-    while waiting:
-        place, found = waiting.pop(0)
-        for name, field in found["properties"].items():
-            for model, ending, several in _tables_in(field, models):
-                path = f"{place}.{name}{ending}".lstrip(".")
-                if model not in places:
-                    waiting.append((path, models[model]))
-                heading = f"[[{path}]]" if several else f"[{path}]"
-                places.setdefault(model, []).append(heading)
-    top = KeyTable(("the file",), tuple(_keys(schema, models)))
-    rest = (KeyTable(tuple(at), tuple(_keys(models[n], models))) for n, at in places.items())
-    return [top, *rest]
-
-
-def keys_text(kind: Kind) -> str:
-    """Write every key of a kind of file as Markdown."""
-    command = "init fleet --all-keys" if kind == "fleet" else "init --all-keys"
-    lines = [
-        f"# Every key of {_TITLES[kind]}",
-        "",
-        f"Out of the models that check it, by `bayesfric {command}`. Where no default stands, what "
-        "is left out is chosen, or is not there. Numbers are in the unit of their row; where text "
-        "may stand for a number, it brings its own, as in `'1 kHz'`.",
-    ]
-    for table in key_tables(kind):
-        heading = ", ".join(f"`{place}`" if place[0] == "[" else place for place in table.places)
-        lines += ["", f"## {heading}", "", "| key | type | default | unit | meaning |"]
-        lines += ["|---|---|---|---|---|"]
-        for key in table.keys:
-            default = key.default if key.default in ("", "required") else f"`{key.default}`"
-            cells = (f"`{key.name}`", key.type, default, key.unit, key.meaning)
-            lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return "\n".join([*lines, ""])
+_BOUNDS = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
 
 
 def reference_text(asked: str | None, *, schema: bool, option: str) -> str:
@@ -120,7 +40,7 @@ def reference_text(asked: str | None, *, schema: bool, option: str) -> str:
         Where a preset was named: keys are the same for all.
     """
     if asked not in (None, FLEET):
-        mend = f"leave it out, or say {FLEET} for the keys of {_TITLES['fleet']}"
+        mend = f"leave it out, or say {FLEET} for the keys of FLEET.toml"
         raise BadInput(str(asked), f"{option} is the same for every preset", mend)
     kind: Kind = "fleet" if asked == FLEET else "configuration"
     if not schema:
@@ -128,14 +48,55 @@ def reference_text(asked: str | None, *, schema: bool, option: str) -> str:
     return json.dumps(schema_of(kind), indent=1, ensure_ascii=False) + "\n"
 
 
-def _tables_in(field: Mapping[str, Any], models: Models) -> Iterator[tuple[str, str, bool]]:
+def keys_text(kind: Kind) -> str:
+    """Write every key of a kind of file as Markdown, once where several tables have the same."""
+    schema = schema_of(kind)
+    models = schema["$defs"]
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for places, model in _tables(schema, models):
+        for name, field in model["properties"].items():
+            told = (_type(field, models), _unit(field), _default(name, field, model))
+            meaning = field.get("description", "").removesuffix(":")
+            row = (f"`{name}`", ", ".join(filter(None, told)), meaning)
+            rows[row] = rows.get(row, []) + places
+    lines = [f"## {_KINDS[kind][2]}"]
+    for at in dict.fromkeys(map(tuple, rows.values())):
+        heading = ", ".join(f"`{place}`" if place[0] == "[" else place for place in at)
+        keys = [row for row, places in rows.items() if tuple(places) == at]
+        lines += ["", f"### {heading}", "", *table_text(("key", "type", "meaning"), keys)]
+    return "\n".join([*lines, ""])
+
+
+def table_text(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Write a table as Markdown, line by line."""
+    cells = [[" ".join(cell.split()).replace("|", "\\|") for cell in row] for row in rows]
+    lines = [f"|{'|'.join(row)}|" for row in [list(head), *cells]]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:]]
+
+
+def _tables(schema: Field, models: Models) -> list[tuple[list[str], Field]]:
+    """Find the tables of a file, the whole first, with the headings of all places of each."""
+    places: dict[str, list[str]] = {}
+    waiting = [("", schema)]
+    while waiting:
+        place, found = waiting.pop(0)
+        for name, field in found["properties"].items():
+            for model, ending, several in _tables_in(field, models):
+                path = f"{place}.{name}{ending}".lstrip(".")
+                if model not in places:
+                    waiting.append((path, models[model]))
+                places.setdefault(model, []).append(f"[[{path}]]" if several else f"[{path}]")
+    return [(["the file"], schema), *((at, models[name]) for name, at in places.items())]
+
+
+def _tables_in(field: Field, models: Models) -> Iterator[tuple[str, str, bool]]:
     """Name the tables a key may hold: model, what follows the key in its path, whether several."""
     if "$ref" in field:
-        name = _name(field)
-        if "properties" in models[name]:
+        name, found = _referred(field, models)
+        if "properties" in found:
             yield name, "", False
         else:
-            yield from _tables_in(models[name], models)
+            yield from _tables_in(found, models)
     for one in field.get("anyOf", ()):
         yield from _tables_in(one, models)
     if field.get("type") == "array":
@@ -144,52 +105,54 @@ def _tables_in(field: Mapping[str, Any], models: Models) -> Iterator[tuple[str, 
         yield from ((model, f".NAME{end}", s) for model, end, s in _tables_in(more, models))
 
 
-def _name(field: Mapping[str, Any]) -> str:
-    return str(field["$ref"]).rpartition("/")[2]
+def _referred(field: Field, models: Models) -> tuple[str, Field]:
+    name = field["$ref"].rpartition("/")[2]
+    return name, models[name]
 
 
-def _keys(model: Mapping[str, Any], models: Models) -> Iterator[Key]:
-    required = model.get("required", ())
-    for name, field in model["properties"].items():
-        default = "required" if name in required else ""
-        if "default" in field:
-            default = json.dumps(field["default"], ensure_ascii=False)
-        meaning = field.get("description", "").removesuffix(":")
-        yield Key(name, _type(field, models), default, _unit(field), meaning)
+def _default(name: str, field: Field, model: Field) -> str:
+    if name in model.get("required", ()):
+        return "required"
+    return f"= `{json.dumps(field['default'], ensure_ascii=False)}`" if "default" in field else ""
 
 
-def _unit(field: Mapping[str, Any]) -> str:
+def _unit(field: Field) -> str:
     """Look up the unit of a key's numbers, in a list too."""
     if UNIT_KEYWORD in field:
         return str(field[UNIT_KEYWORD])
     return _unit(field["items"]) if "items" in field else ""
 
 
-def _type(field: Mapping[str, Any], models: Models) -> str:
+def _type(field: Field, models: Models) -> str:
     """Say in words what may be written."""
     if "$ref" in field:
-        found = models[_name(field)]
+        _, found = _referred(field, models)
         return "table" if "properties" in found else _type(found, models)
     if "anyOf" in field:
         return " or ".join(dict.fromkeys(_type(one, models) for one in field["anyOf"]))
     if "enum" in field or "const" in field:
         choices = field.get("enum") or [field["const"]]
-        return " or ".join(f"`{json.dumps(one)}`" for one in choices)
+        return "/".join(f"`{json.dumps(one)}`" for one in choices)
     if field["type"] == "array":
         least, most = field.get("minItems"), field.get("maxItems")
-        number = f"{least}: " if least else f"at most {most}: " if most else ""
+        number = f"{least}: " if least else f"≤{most}: " if most else ""
         return f"list of {number}{_type(field['items'], models)}"
     word = _WORDS[field["type"]]
     if isinstance(more := field.get("additionalProperties"), dict):
         return f"{word} of {_type(more, models)}"
-    bounds = [f"{text} {field[key]:.10g}" for key, text in _BOUNDS.items() if key in field]
-    return " ".join([word, " and ".join(bounds)]).strip()
+    bounds = [f"{sign}{field[key]:.10g}" for key, sign in _BOUNDS.items() if key in field]
+    return " ".join([word, ", ".join(bounds)]).strip()
 
 
 Kind = Literal["configuration", "fleet"]
-_KINDS: dict[Kind, tuple[type[BaseModel], str]] = {
-    "configuration": (Tables, "A configuration of bayesfric."),
-    "fleet": (FleetTables, "A fleet of bayesfric: one template, and the units it is filled for."),
+# Model, what its schema is called, and what the file is.
+_KINDS: dict[Kind, tuple[type[BaseModel], str, str]] = {
+    "configuration": (Tables, "A configuration of bayesfric.", "A configuration"),
+    "fleet": (
+        FleetTables,
+        "A fleet of bayesfric: one template, and the units it is filled for.",
+        "FLEET.toml",
+    ),
 }
 
 
@@ -221,19 +184,10 @@ def schema_of(kind: Kind) -> dict[str, Any]:
     """Make the JSON schema (draft 7) of a kind of file.
 
     It holds for what the file says; what only the mechanism or the recordings can tell, such as the
-    names of parameters, ``bayesfric check`` does.
-
-    Parameters
-    ----------
-    kind
-        ``configuration``, or ``fleet`` for ``FLEET.toml``.
-
-    Returns
-    -------
-    dict
-        With ``x-unit`` beside the meaning of numbers that have a unit.
+    names of parameters, ``bayesfric check`` does. ``x-unit`` stands beside the meaning of numbers
+    that have a unit.
     """
-    model, meaning = _KINDS[kind]
+    model, meaning, _ = _KINDS[kind]
     made = model.model_json_schema(schema_generator=_Toml)
     if kind == "configuration":
         _describe_names(made)

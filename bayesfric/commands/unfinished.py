@@ -46,14 +46,14 @@ class Unfinished:
     """The checkpoints of a run; made by :func:`unfinished`."""
 
     place: Path
-    afresh: bool  # whether what is there is to be kept under another name
+    afresh: bool  # whether what is there is to be removed first
     samplings: list[Checkpoint] = field(default_factory=list)
     asked: Asked = field(default_factory=Asked)
 
     def sampling(self, model: Model, name: str, settings: Sampling) -> Checkpoint:
         """Give the checkpoint of one sampling; bad input if there is one of something else."""
         if self.afresh:
-            _set_aside(self.place)
+            _clear(self.place)
             self.afresh = False
         # what its steps depend on
         tables = json.loads(model.config.tables.model_dump_json())
@@ -86,7 +86,7 @@ class Unfinished:
 def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinished]:
     """Work on a run directory that is to be made, alone, so that the work can be gone on with.
 
-    ``resume`` goes on with the checkpoint that is there, ``force`` keeps it under another name.
+    ``resume`` goes on with the checkpoint that is there, ``force`` removes it before it samples.
     Ctrl-C and SIGTERM end in :class:`Interrupted`, after everything sampled was saved.
     """
     target = Path(os.path.abspath(folder))  # noqa: PTH100  (links stay)
@@ -137,21 +137,10 @@ def unfinished(folder: Path, *, resume: bool, force: bool) -> Iterator[Unfinishe
 
 
 def _clear(place: Path) -> None:
-    """Remove what a killed process left that nobody can go on with."""
+    """Remove all but the lock: what nobody is to go on with."""
     for path in place.iterdir():
         if path.name != LOCK and path.is_file():
             path.unlink()
-
-
-def _set_aside(place: Path) -> None:
-    """Move the files of a checkpoint into a folder of their own."""
-    k = 1
-    while (old := place.with_name(f"{place.name}.old{k}")).exists():
-        k += 1
-    old.mkdir()
-    for path in list(place.iterdir()):
-        if path.name != LOCK:
-            path.rename(old / path.name)
 
 
 @contextmanager

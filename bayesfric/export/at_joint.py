@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import Motion
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.observation import Observation
@@ -114,6 +114,11 @@ def torque_along(chain: Joint, values: Array, motions: Sequence[Moved]) -> Array
         for m in motions
     ]
     return np.concatenate(parts, axis=1)
+
+
+def moving(motions: Sequence[Moved]) -> Array:
+    """Position, speed and acceleration along all motions, ``(3, M)``."""
+    return np.concatenate([(m.q, m.qd, m.qdd) for m in motions], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +221,8 @@ def _transmitted(chain: Joint, values: Array, k: int, motions: Sequence[Moved]) 
     behind = chain.elements[k + 1 :]
     owners = {e.name for e in behind} | {"load"}
     shaft = Element("output", motion=behind[0].motion if behind else chain.load.motion)
-    rest = Joint(
-        elements=(shaft, *behind),
-        load=chain.load,
-        terms=tuple(term for term in chain.terms if term.owner in owners),
-    )
+    terms = tuple(term for term in chain.terms if term.owner in owners)
+    rest = Joint(elements=(shaft, *behind), load=chain.load, terms=terms)
     columns = [chain.names.index(name) for name in rest.names]
     return torque_along(rest, values[:, columns], motions) * rest.ratio
 
@@ -238,7 +240,7 @@ def _fitted(
     rest = [k for k, p in enumerate(chain.parameters) if not places(p)]
     if not rest:
         return {}
-    speed = np.concatenate([m.qd for m in motions])
+    _, speed, _ = moving(motions)
     basis = np.stack([np.sign(speed), speed], axis=1)
     whole = torque_along(chain, values, motions)
     found = {}
@@ -251,34 +253,26 @@ def _fitted(
     return found
 
 
-def simulator_joint(motion: Motion, gravity: float) -> Joint:
-    """Give the mechanism that a simulator's numbers describe."""
-    turns = motion == "rotary"
-    element = Element(
-        "joint", motion=motion, inertia=True, coulomb="symmetric", viscous=True, quadratic=True
+def simulated_torque(chain: Joint, numbers: Mapping[str, float], motions: Sequence[Moved]) -> Array:
+    """Measured motor torque of a simulator's joint along all motions, ``(M,)``, N m or N.
+
+    ``numbers`` are those of :data:`NUMBERS`; a rise of friction at standstill has no say. Known
+    masses and torques on the load of ``chain`` are on that of the simulator, too.
+    """
+    motion, turns = chain.load.motion, chain.load.motion == "rotary"
+    losses: dict[str, Any] = {"coulomb": "symmetric", "viscous": True, "quadratic": True}
+    weight: dict[str, Any] = {
+        "first_moment": turns,
+        "gravity_angle": turns,
+        "gravity": chain.load.gravity,
+    }
+    plain = Joint(
+        elements=(Element("joint", motion=motion, inertia=True, **losses),),
+        load=Load(motion=motion, inertia=True, spring="stiffening", **weight),
+        offset=True,
+        gain=True,
     )
-    load = Load(
-        gravity=gravity,
-        motion=motion,
-        inertia=True,
-        spring="stiffening",
-        first_moment=turns,
-        gravity_angle=turns,
-    )
-    return Joint(elements=(element,), load=load, offset=True, gain=True)
-
-
-_NAMES: Mapping[str, str] = {
-    "joint.inertia": "armature",
-    "joint.viscous": "damping",
-    "joint.coulomb": "friction",
-    "joint.quadratic": "quadratic",
-    **{f"load.{quantity}": number for quantity, number in _LOAD_PLACES.items()},
-    "offset": "torque_offset",
-    "drive.gain": "gain",
-}
-
-
-def simulator_vectors(joint: Joint, numbers: Mapping[str, Array]) -> Array:
-    """Put numbers ``(n,)`` into parameter vectors of :func:`simulator_joint`, ``(n, d)``."""
-    return np.stack([numbers[_NAMES[name]] for name in joint.names], axis=1)
+    own = {"offset": "torque_offset", "gain": "gain"} | {k: x for k, (x, _) in _PLACES.items()}
+    places_of = {"load": _LOAD_PLACES}
+    vector = [numbers[places_of.get(p.owner, own)[p.quantity]] for p in plain.parameters]
+    return np.asarray(torque_along(plain, np.array([vector]), motions)[0])

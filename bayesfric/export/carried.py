@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, places
+from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, moving, places
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import Quantity
@@ -42,7 +42,7 @@ def lost_terms(
         kind = _kind(p, carries)
         if not kind or p.quantity in keeps:
             continue
-        said: Lost = {"value": value[p.name], "unit": p.unit, "meaning": p.meaning}
+        said = _said(p, value[p.name])
         names = [p.name]
         if kind == "fitted":
             for number, x in zip(("friction", "damping"), at.fitted[p.name], strict=True):
@@ -79,16 +79,14 @@ def _kind(p: Parameter, carries: Collection[str]) -> str:
 def law_lost(chain: Joint, vector: Array) -> list[Lost]:
     """List what a law that is written out leaves out: what hangs on the recording."""
     return [
-        {
-            "kind": "left out",
-            "parameters": [p.name],
-            "value": x,
-            "unit": p.unit,
-            "meaning": p.meaning,
-        }
+        {"kind": "left out", "parameters": [p.name], **_said(p, x)}
         for p, x in zip(chain.parameters, vector.tolist(), strict=True)
         if left_out(p.row) or _of_recording(p)
     ]
+
+
+def _said(p: Parameter, value: float) -> Lost:
+    return {"value": value, "unit": p.unit, "meaning": p.meaning}
 
 
 def left_out(row: Quantity) -> bool:
@@ -120,11 +118,10 @@ def carried(
     """
     values = dict(at.values)
     lost = []
-    speed = np.abs(np.concatenate([m.qd for m in motions]))
-    place = np.concatenate([m.q for m in motions])
+    place, speed, _ = moving(motions)
     folds: dict[str, tuple[str, Callable[[], float]]] = {
         "armature": ("link_inertia", lambda: 1.0),
-        "quadratic": ("damping", lambda: _slope(speed, speed**2)),
+        "quadratic": ("damping", lambda: _slope(speed, speed * abs(speed))),
         "stiffness_cubic": ("stiffness", lambda: _slope(place, place**3)),
     }
     for name, number in NUMBERS.items():

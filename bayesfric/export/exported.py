@@ -18,8 +18,8 @@ from bayesfric.export.at_joint import (
     AtJoint,
     Moved,
     at_joint,
-    simulator_joint,
-    simulator_vectors,
+    moving,
+    simulated_torque,
     torque_along,
     without_load_losses,
 )
@@ -28,18 +28,13 @@ from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
 from bayesfric.fit.finished_run import Finished, finished
-from bayesfric.mechanism.forward import simulate_segments
-from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.trajectory import trajectory
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 
 # Draws that intervals are told from.
 _DRAWS = 400
-# Seconds of free motion over which two joints are compared, each time from the same state.
-_SPAN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +93,7 @@ def export(
         From :meth:`bayesfric.Model.sample`, or the folder of a finished run.
     to
         ``mujoco``, ``urdf``, ``sdf``, ``drake``, ``pinocchio``, ``isaac``, ``bam``,
-        ``ros2-control``, ``csv``, ``npz``, ``c`` or ``python``.
+        ``ros2-control``, ``csv``, ``c`` or ``python``.
     output
         Folder to make; nothing is written if left out.
     force
@@ -110,7 +105,7 @@ def export(
     into
         MuJoCo: model whose joint is changed.
     draws
-        CSV and NPZ: how many.
+        CSV: how many.
 
     Returns
     -------
@@ -152,44 +147,42 @@ def _check(form: Format, chosen: Options) -> None:
 def _exported(found: Finished, form: Format, options: Options) -> Exported:
     chain, motions = found.joint, [Moved.of(o) for o in found.model.observations]
     told = vectors(found, motions, options.draws or _DRAWS)
-    own_loads = "load" in form.keeps
-
-    def here(values: Array) -> AtJoint:
-        kept = without_load_losses(chain, values) if own_loads else values
-        return at_joint(chain, kept, motions, options.at_load)
-
-    middle, each = here(told.middle[None]), here(told.draws)
+    each = np.vstack([told.middle, told.draws])
+    if "load" in form.keeps:
+        each = without_load_losses(chain, each)
+    at = at_joint(chain, each, motions, options.at_load)
     # a link and a drive that a model has already are its own
     names = {k: n for k, n in form.names.items() if options.into is None or n not in AROUND}
     carries = names.values()
-    kept, folded = carried(middle, carries, motions, chain)
-    spread, _ = carried(each, carries, motions, chain)
-    own = form.torque and form.torque(chain, told.middle, motions)
-    lost = lost_terms(chain, middle, told.middle, carries, form.keeps) + folded
+    kept, folded = carried(at, carries, motions, chain)
+    law = kept["static_friction"]
+    # what held the joint at rest is less than what would have broken it loose
+    held = max((rest.held for rest in found.summary.fit.rests), default=0.0)
+    kept["static_friction"] = np.maximum(law, held * kept["gain"])
+    limit = bool(kept["static_friction"][0] > law[0])
+    lost = lost_terms(chain, at, told.middle, carries, form.keeps) + folded
     if form.whole:
         lost = law_lost(chain, told.middle)
     numbers = {name: float(x[0]) for name, x in kept.items()}
-    rotary = chain.load.motion == "rotary"
+    draws = {name: x[1:] for name, x in kept.items()}
     record: dict[str, Any] = {
         "bayesfric": __version__,
         "run": found.name,
         "format": form.name,
         "meaning": form.meaning,
         "joint": options.joint,
-        "numbers": _rows(found, names, numbers, spread, middle, told),
+        "numbers": _rows(found, names, numbers, draws, at, told, limit=limit),
         "at_load": options.at_load,
-        "reference": {name: float(x[0]) for name, x in middle.reference.items()},
+        "reference": {name: float(x[0]) for name, x in at.reference.items()},
         "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
-        "notes": _notes(found, form, options, numbers, middle, told),
-        "error": _wrong(found, told.middle, kept, motions, own),
+        "notes": _notes(found, form, options, numbers, at, told, motions),
+        "error": _wrong(found, form, told.middle, numbers, motions),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
-        "joint_unit": "N m" if rotary else "N",
-        "position_unit": "rad" if rotary else "m",
         "draws": len(told.draws),
         "central": told.kind,
     }
     remarks = [_harmless(x) for x in filled("remarks.txt.j2", **record).splitlines() if x]
-    files = form.write(Content(found, options, told, numbers, spread, motions, remarks))
+    files = form.write(Content(found, options, told, numbers, draws, motions, remarks))
     record["files"] = list(files)
     return Exported(record, files)
 
@@ -207,9 +200,10 @@ def _notes(
     numbers: Mapping[str, float],
     middle: AtJoint,
     told: Vectors,
+    motions: Sequence[Moved],
 ) -> list[str]:
     """Say what to know of the format, and of the run, beside the numbers."""
-    chain, seen = found.joint, found.model.observations
+    chain = found.joint
     rotary = chain.load.motion == "rotary"
     placeholder = None
     if form.notes & {"body", "mujoco"} and options.into is None:
@@ -217,18 +211,18 @@ def _notes(
         # what a rotor's inertia is added to has one
         if not numbers["link_inertia"]:
             placeholder = pendulum(whole, rotary)
-    positions = [o.q[o.filter.centres] for o in seen]
+    position, speed, _ = moving(motions)
     text = filled(
         "notes.txt.j2",
         **{**vars(options), "words": form.notes, "numbers": numbers, "told": told},
         summary=found.summary,
         rotary=rotary,
         gravity=chain.load.gravity,
-        known_load=any(o.inputs.known_load for o in seen),
+        known_load=any(m.inputs.known_load for m in motions),
         own_term=unwritten(chain) is not None,
         placeholder=placeholder,
-        speed=max(float(np.abs(o.qd[o.filter.centres]).max()) for o in seen),
-        position=[min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)],
+        speed=float(np.abs(speed).max()),
+        position=[float(position.min()), float(position.max())],
     )
     return [line for line in text.splitlines() if line]
 
@@ -240,8 +234,13 @@ def _rows(
     draws: Mapping[str, Array],
     middle: AtJoint,
     told: Vectors,
+    *,
+    limit: bool,
 ) -> list[dict[str, Any]]:
-    """Tabulate the numbers as the simulator calls them, with intervals and what made them."""
+    """Tabulate the numbers as the simulator calls them, with intervals and what made them.
+
+    ``limit`` is whether static friction is only known to be at least that, by rests.
+    """
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     unusable = found.summary.sampler.status == "unusable"
     rows = []
@@ -250,11 +249,13 @@ def _rows(
         if not made_from and number != "gain":
             continue  # the joint has none
         value, spread = numbers[number], draws[number]
-        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable
+        at_least = limit and number == "static_friction"
+        fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable or at_least
         rows.append(
             {
                 "attribute": attribute,
                 "value": value,
+                "at_least": at_least,
                 "interval": None if fixed else np.percentile(spread, ends).tolist(),
                 "unit": NUMBERS[number].unit(found.joint),
                 "meaning": NUMBERS[number].meaning,
@@ -286,45 +287,24 @@ def _not_identified(found: Finished, names: tuple[str, ...], told: Vectors) -> d
 
 def _wrong(
     found: Finished,
+    form: Format,
     vector: Array,
-    numbers: dict[str, Array],
+    numbers: Mapping[str, float],
     motions: Sequence[Moved],
-    torque: Array | None,
 ) -> dict[str, Any]:
-    """Replay recorded motion through the fitted joint and through a format's, and let both run.
+    """Replay recorded motion through the fitted joint and through a format's; compare torques.
 
-    ``numbers`` are of the format, ``(1,)`` each; ``torque`` is the motor's ``(M,)`` by a law of the
-    format's own, which is not let run. A delay is left out: it is of the recording.
+    A delay is left out: it is of the recording.
     """
     chain, here = found.joint, vector[None].copy()
     if chain.delay_name:
         here[0, chain.names.index(chain.delay_name)] = 0.0
     whole = torque_along(chain, here, motions)[0]
-    apart: list[Array] = []
-    if torque is None:
-        plain = simulator_joint(chain.load.motion, chain.load.gravity)
-        there = simulator_vectors(plain, numbers)
-        torque = np.asarray(torque_along(plain, there, motions)[0])
-        apart = _motion(found, (chain, here), (plain, there))
+    if form.torque is None:
+        torque = simulated_torque(chain, numbers, motions)
+    else:
+        torque = form.torque(chain, vector, motions)
     return {
         "motor": {"rms": rms_of(torque - whole), "largest": float(np.abs(torque - whole).max())},
-        "motion_rms": rms_of(np.concatenate(apart)) if apart else None,
-        "motion_span": _SPAN,
         "torque_rms": rms_of(whole),
     }
-
-
-def _motion(found: Finished, *joints: tuple[Joint, Array]) -> list[Array]:
-    """Simulate both joints; give how far apart they are, of each stretch that both get through."""
-    apart = []
-    for recording, o in zip(found.model.recordings, found.model.observations, strict=True):
-        # both under one torque: that a delay moves a back-EMF makes no difference there
-        t = trajectory(replace(recording, back_emf=None), o, _SPAN)
-        given = (t.torque, t.period, t.segments, t.q0, t.qd0)
-        options: dict[str, Any] = {"begin": float(t.time[0]), "hold": t.hold}
-        options["inputs"] = replace(t.inputs, recording="")
-        (mine, _), (other, _) = (
-            simulate_segments(chain, values, *given, **options) for chain, values in joints
-        )
-        apart += [(mine - other)[0, a:b] for a, b in t.segments]
-    return [one for one in apart if np.isfinite(one).all()]

@@ -14,7 +14,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.law import Formula, Statements, Unwritten, of_time
 from bayesfric.recordings.arrays import Array
 
-Language = Literal["python", "double", "float"]
+Language = Literal["python", "c"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def _text(formula: Formula, language: Language, tightly: int = 0) -> str:
     if isinstance(formula, str):
         return formula
     if isinstance(formula, float):
-        return f"{formula!r}f" if language == "float" else repr(formula)
+        return repr(formula) if language == "python" else f"REAL({formula!r})"
     operation, *of = formula
     if operation in _WRITTEN:
         pattern, binds, needs = _WRITTEN[operation]
@@ -67,7 +67,7 @@ def _text(formula: Formula, language: Language, tightly: int = 0) -> str:
         return f"{_PYTHON.get(operation, f'math.{name}')}({', '.join(parts)})"
     if operation == "where":
         return "({} ? {} : {})".format(*parts)
-    return f"{_C.get(operation, name)}{'f' * (language == 'float')}({', '.join(parts)})"
+    return f"{_C.get(operation, name)}({', '.join(parts)})"
 
 
 def _statements(chain: Joint, vector: Array, language: Language) -> tuple[tuple[str, str], ...]:
@@ -109,5 +109,5 @@ def law(chain: Joint, vector: Array, language: Language) -> Law:
     return Law(
         _statements(chain, vector, language),
         _statements(chain, np.where(lossless, vector, 0.0), language),
-        _text(float(load[kernels.OFFSET] / load[kernels.GAIN]), language),
+        repr(float(load[kernels.OFFSET] / load[kernels.GAIN])),
     )

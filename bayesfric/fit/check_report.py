@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from bayesfric.diagnostics.before_a_fit import doubts_before, few_outputs, little_explained
-from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.noise import SCALES
-from bayesfric.problem.config_text import toml_value
 from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -20,9 +17,8 @@ from bayesfric.report.numbers import TEXT
 from bayesfric.report.summary.summary import estimate_summary
 from bayesfric.report.terminal import aligned, shortened, wrapped
 from bayesfric.report.words import doubt_text, line_of
-from bayesfric.report.words import line_of as sentence
 
-# Recordings, and findings, that are named one by one.
+# Recordings, and doubts, that are named one by one.
 _MANY = 5
 
 
@@ -112,7 +108,6 @@ def _found(model: Problem) -> dict[str, Any]:
         "doubts": doubts,
         "taken": [one.as_dict() for one in taken],
         "findings": findings,
-        "leave_out": _leave_out(explained.findings),
         "least_squares": estimate_summary(totals),
     }
 
@@ -123,15 +118,6 @@ def _parts(model: Problem) -> Iterator[tuple[Measurement, Observation, str | Non
         yield recording, observation, None
     for one in model.held_out:
         yield one.recording, one.observation, one.part
-
-
-def _leave_out(findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
-    """Give the keys of recordings that leave out what is no motion of the joint by its motor."""
-    pushed: dict[str, list[tuple[float, float]]] = {}
-    for push in findings:
-        if push.span is not None:
-            pushed.setdefault(push.recording, []).append(push.span)
-    return {name: {"exclude": _in_tenths(sorted(spans))} for name, spans in pushed.items()}
 
 
 def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
@@ -166,13 +152,10 @@ def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
         yield f"{rms:.3g} {totals['residual_unit']} rms left"
     yield ""
     if verbose:
-        yield from (sentence("put in", one) for one in found["taken"])
+        yield from (line_of("put in", one) for one in found["taken"])
         yield from (f"WARNING: {doubt_text(doubt)}" for doubt in found["doubts"])
     else:
         yield from _doubts(found)
-    for name, keys in list(found["leave_out"].items())[:most]:
-        values = ", ".join(f"{key} = {toml_value(value)}" for key, value in keys.items())
-        yield shortened(f"  {name}: {values} leaves out what is no motion by the motor")
 
 
 def _steps(recording: Mapping[str, Any]) -> Iterator[str]:
@@ -196,15 +179,3 @@ def _doubts(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  and {len(lines) - _MANY} more: --verbose"
     if not lines and not found["taken"]:
         yield "Nothing stands out."
-
-
-def _in_tenths(spans: Iterable[tuple[float, float]]) -> list[list[float]]:
-    """Widen spans in s to tenths, and join those that then overlap, as ``exclude`` takes them."""
-    out: list[list[float]] = []
-    for start, stop in sorted(spans):
-        low, high = math.floor(10.0 * start) / 10.0, math.ceil(10.0 * stop) / 10.0
-        if out and low <= out[-1][1]:
-            out[-1][1] = max(out[-1][1], high)
-        else:
-            out.append([low, high])
-    return out

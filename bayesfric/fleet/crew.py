@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.base import threads
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
 
 # How often what is the machine's fault is tried again, and how often a unit's worker may die.
 _RETRIES, _DEATHS = 2, 5
-# Units handed out at once, and for each thread if that is more: the rest waits here, where it
-# takes no memory of the scheduler's.
-_HANDED_OUT, _PER_THREAD = 256, 4
 # Bytes that a worker may be given: less than what imports take is none.
 _LEAST_MEMORY, _MOST_MEMORY = 2**27, 2**60
 # How long and how often a scheduler is called, s.
@@ -62,25 +58,16 @@ def work_through(tasks: Sequence[Task], options: ClusterOptions, arrived: Arrive
     """
     from distributed import as_completed
 
-    waiting, flying = iter(tasks), dict[Any, Task]()
     with _crew(options) as client:
-        coming = as_completed(loop=client.loop)
-
-        def hand_out(count: int) -> None:
-            for task in islice(waiting, count):
-                future = client.submit(do_unit_here, task, pure=False, retries=_RETRIES)
-                flying[future] = task
-                coming.add(future)
-
-        hand_out(max(_HANDED_OUT, _PER_THREAD * sum(client.nthreads().values())))
-        for future in coming:
+        given = client.map(do_unit_here, tasks, pure=False, retries=_RETRIES)
+        names = {future: task["name"] for future, task in zip(given, tasks, strict=True)}
+        del given  # what is done is forgotten on both sides
+        for future in as_completed(names, loop=client.loop):
             if future.status not in ("finished", "error"):
                 raise _no_scheduler(options)
-            task = flying.pop(future)
             done = future.result() if future.status == "finished" else _told(future.exception())
-            arrived(task["name"], done)
+            arrived(names.pop(future), done)
             future.release()
-            hand_out(1)
 
 
 def _no_scheduler(options: ClusterOptions) -> BadInput:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -81,7 +82,7 @@ class Fleet:
     template
         A configuration as nested dicts, or the file of one, with ``{column}`` in its texts.
     units
-        A unit a row: a data frame, a mapping of columns, or a CSV or Parquet file.
+        A unit a row: a data frame, a mapping of columns, or a CSV file.
     name
         What units are called, such as ``"{serial}-{day}"``; the column ``unit`` if left out.
     runs, cluster
@@ -268,10 +269,11 @@ class _Course:
         self._tell(Progress("population"))
         self.results.write()
         plan, records = self.plan, self.results.records
-        found = fleet_population(folder / UNITS, plan.units)
+        found = fleet_population(folder / UNITS, [unit.name for unit in plan.units])
         page = fleet_page(folder, plan.units, records, found, draw(folder, found))
-        texts = found.texts() | {"fleet.html": page}
-        write_beside({folder / name: text for name, text in texts.items()}, replace=True)
+        made = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        texts = {folder / "population.json": f"{made}\n", folder / "fleet.html": page}
+        write_beside(texts, replace=True)
         ordered = [(unit.name, records[unit.name]) for unit in plan.units]
         failed = {name: r["error"] for name, r in ordered if r["outcome"] == FAILED}
         return FleetRun(

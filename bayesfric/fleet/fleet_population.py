@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.fleet.fleet_units import Unit
 from bayesfric.population.outliers import WithOutliers, with_outliers
 from bayesfric.report.comparison.between_runs import RunDraws, Told, read_draws, told_by_runs
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.summary.rows import PosteriorRow
 
-# From here on a unit is likelier an outlier than not.
+# What is likelier an outlier than not is told as one.
 OUTLIER = 0.5
 
 
@@ -77,28 +75,8 @@ class FleetPopulation:
             ],
         }
 
-    def texts(self) -> dict[str, str]:
-        """Write ``population.json`` and ``.csv``, by name."""
-        made = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        return {"population.json": f"{made}\n", "population.csv": self._csv()}
 
-    def _csv(self) -> str:
-        import pandas as pd
-
-        lines = []
-        for one in self.quantities:
-            told = one.as_json()
-            line = {key: told[key] for key in ("name", "unit", "units", "level")}
-            for key in ("mean", "spread"):
-                for end in ("median", "low", "high"):
-                    column = key if end == "median" else f"{key}_{end}"
-                    line[column] = told[key][end]
-            lines.append(line | {"outliers": len(told["outlying"])})
-        columns = list(lines[0]) if lines else ["name"]
-        return str(pd.DataFrame(lines, columns=columns).to_csv(index=False))
-
-
-def fleet_population(folder: Path, units: Sequence[Unit]) -> FleetPopulation:
+def fleet_population(folder: Path, units: Iterable[str]) -> FleetPopulation:
     """Pool the finished runs in ``folder``, each named after its unit.
 
     What the data of a unit leave open does not count, nor does a unit that did not converge.
@@ -106,11 +84,11 @@ def fleet_population(folder: Path, units: Sequence[Unit]) -> FleetPopulation:
     runs: dict[str, Summary] = {}
     draws: dict[str, RunDraws] = {}
     for unit in units:
-        run = folder / unit.name
+        run = folder / unit
         if not (run / "summary.json").is_file():
             continue
         summary = Summary.read(read_summary_file(run), str(run))
-        runs[unit.name], draws[unit.name] = summary, read_draws(run, summary)
+        runs[unit], draws[unit] = summary, read_draws(run, summary)
     quantities = [
         _pooled(one)
         for one in told_by_runs(runs, draws)

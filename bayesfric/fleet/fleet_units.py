@@ -65,7 +65,7 @@ def put_in(text: str, told: Mapping[str, str], where: str, known: str) -> str:
 
 
 def read_units(path: Path, pattern: str | None) -> list[Unit]:
-    """Read a CSV or Parquet table, a unit a row; ``pattern`` is that of their names.
+    """Read a CSV table, a unit a row; ``pattern`` is that of their names.
 
     Raises
     ------
@@ -76,11 +76,6 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
 
     size = check_ordinary(path)
     try:
-        if path.suffix.lower() in (".parquet", ".pq"):
-            import pyarrow.parquet as pq
-
-            _check_count(pq.read_metadata(path).num_rows, str(path))
-            return units_of(pd.read_parquet(path), pattern, str(path), first_row=2)
         text = read_text(path, largest=_LARGEST_TABLE)
         _check_count(text.count("\n") - 1, str(path))
         head = text.partition("\n")[0]

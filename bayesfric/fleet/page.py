@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from bayesfric.base.version import __version__
@@ -39,13 +38,24 @@ class Line:
 
 
 def draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
-    """Write the figures into ``figures/``, and give them for the page."""
+    """Write the figure into ``figures/``, if there is one, and give it for the page."""
+    quantities = shown(found)
+    if not quantities:
+        return []
     (folder / "figures").mkdir(exist_ok=True)
-    made = []
-    for figure, stem, title, caption, words in fleet_figures(found):
-        save(figure, folder / "figures", stem)
-        made.append(page_figure(folder, stem, title, caption, f"{title}. {words}"))
-    return made
+    save(_distribution(quantities), folder / "figures", "distribution")
+    title = "Each quantity over the units"
+    caption = (
+        "Units by rank, each with its own 90 % interval, the population’s mean (line) and its "
+        "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not."
+    )
+    means = [
+        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
+        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}. "
+        for one in quantities
+    ]
+    words = f"{title}. {''.join(means)}".rstrip()
+    return [page_figure(folder, "distribution", title, caption, words)]
 
 
 def fleet_page(
@@ -94,8 +104,6 @@ def _lines(
 _ACROSS, _PANELS, _HIGH = 2, 8, 1.5
 # More points than this are a picture inside the drawing.
 _VECTOR = 300
-# Share of the population between the lines.
-_CENTRAL, _REACH = "90 %", HALF
 
 
 def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:
@@ -104,27 +112,8 @@ def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:
     return (told or list(found.quantities))[:_PANELS]
 
 
-def fleet_figures(found: FleetPopulation) -> Iterator[tuple[Figure, str, str, str, str]]:
-    """Draw what there is to draw: figures with stem, title, caption and the same in words."""
-    quantities = shown(found)
-    if not quantities:
-        return
-    means = (
-        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
-        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}"
-        for one in quantities
-    )
-    yield (
-        _panels(quantities),
-        "distribution",
-        "Each quantity over the units",
-        "Units by rank, each with its own 90 % interval, the population’s mean (line) and its "
-        "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not.",
-        f"{'. '.join(means)}.",
-    )
-
-
-def _panels(quantities: Sequence[FleetQuantity]) -> Figure:
+def _distribution(quantities: Sequence[FleetQuantity]) -> Figure:
+    """Draw each quantity over the units by rank, a panel each."""
     rows = math.ceil(len(quantities) / _ACROSS)
     with style.paper_figure(style.PAGE, rows * _HIGH + 0.3) as figure:
         axes = style.panel_grid(figure, len(quantities), _ACROSS)
@@ -147,22 +136,16 @@ def _panel(ax: Axes, one: FleetQuantity) -> list[Artist]:
     y = np.array([one.units[name].value for name in names]) / scale
     out = np.array([one.outlying[name] >= OUTLIER for name in names])
     many = len(names) > _VECTOR
-    bars = [[(a, low), (a, high)] for a, (low, high) in zip(x, ends / scale, strict=True)]
-    ax.add_collection(LineCollection(bars, colors="#b4b4b4", linewidths=0.5, rasterized=many))
-    dots: dict[str, Any] = {
-        "color": style.POSTERIOR,
-        "ms": 1.8,
-        "rasterized": many,
-        "label": "unit",
-    }
-    drawn: list[Artist] = list(ax.plot(x[~out], y[~out], "o", **dots))
+    low, high = (ends / scale).T
+    ax.vlines(x, low, high, colors="#b4b4b4", linewidths=0.5, rasterized=many)
+    dots: dict[str, Any] = {"ms": 1.8, "rasterized": many, "label": "unit"}
+    drawn: list[Artist] = list(ax.plot(x[~out], y[~out], "o", color=style.POSTERIOR, **dots))
     mean, spread = one.pool.mean.median / scale, one.pool.spread.median / scale
     drawn.append(ax.axhline(mean, color=style.MEASURED, label="population mean"))
-    for k, end in enumerate((mean - _REACH * spread, mean + _REACH * spread)):
+    for end in (mean - HALF * spread, mean + HALF * spread):
         line = ax.axhline(end, color=style.MEASURED, ls=style.DASHED, lw=0.7)
-        if k == 0:
-            line.set_label(f"{_CENTRAL} of the population")
-            drawn.append(line)
+    line.set_label("90 % of the population")
+    drawn.append(line)
     if out.any():
         drawn += ax.plot(x[out], y[out], "D", color=style.PALETTE[2], ms=3.2, label="outlier")
     ax.margins(x=0.02, y=0.06)

@@ -31,7 +31,7 @@ class UnitsOptions(Options):
     table: str | None = Field(
         None,
         examples=["units.csv"],
-        description="CSV or Parquet, a unit a row, a column a name.",
+        description="CSV, a unit a row, a column a name.",
     )
     glob: str | None = Field(
         None,
@@ -145,8 +145,7 @@ class Plan:
         BadInput
             Naming the column or key.
         """
-        columns = list(self.units[0].text)
-        for name in columns:
+        for name in self.units[0].text:
             same = name == "unit" and all(one.text[name] == one.name for one in self.units)
             if name in COLUMNS and not same:
                 what = f"a column cannot be called {name!r}, which results are"
@@ -187,5 +186,4 @@ def read_plan(path: Path) -> Plan:
         assert options.glob is not None
         start = os.path.relpath(folder.absolute(), template.path.parent)
         units = find_units(options.glob, folder, options.name, start)
-    plan = Plan(path, template, units, tables.runs, tables.cluster)
-    return plan.checked()
+    return Plan(path, template, units, tables.runs, tables.cluster).checked()

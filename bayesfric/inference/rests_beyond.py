@@ -34,6 +34,7 @@ class RestsBeyond:
     start: float  # s from the file's first stamp, of the first
     stop: float  # and of the last
     beyond: float  # how far the torque is out, the worst of them, N m or N at the motor
+    held: float  # friction that held it there, the most: static friction is at least this
 
 
 def rests_beyond(
@@ -60,6 +61,9 @@ def rests_beyond(
         out = np.maximum(np.maximum(low - torque, torque - high), 0.0)
         sure = np.quantile(out, _SURE, axis=0) > _NOISE * np.sqrt(np.mean(residual**2))
         if sure.sum() >= _LEAST and sure.mean() >= _SHARE:
-            stamps, worst = seen.rest.stamps[sure], float(np.median(out, axis=0)[sure].max())
+            stamps = seen.rest.stamps[sure]
             span = float(stamps.min()), float(stamps.max())
-            yield RestsBeyond(recording.name, float(sure.mean()), *span, worst)
+            # between the limits' middle and the torque is what friction took
+            friction = np.abs(torque - 0.5 * (low + high))
+            worst, held = (float(np.median(x, axis=0)[sure].max()) for x in (out, friction))
+            yield RestsBeyond(recording.name, float(sure.mean()), *span, worst, held)

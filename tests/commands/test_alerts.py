@@ -2,42 +2,12 @@
 
 import copy
 
-import pytest
-
 from bayesfric.commands.fit import fit_text
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.terminal import WIDTH, brief
 from tests.report.made_summaries import FOUND, knee
 from tests.report.page_reader import read_page
-
-from .bench import JOINT, recorded
-
-QUADRATIC = "[mechanism.elements.motor]\nquadratic = true\n"
-CONFIG = f"""{JOINT}{QUADRATIC}{recorded("one")}{recorded("two")}
-[processing]
-lowpass = "80 Hz"
-decimate = 2
-
-[sampling]
-min_ess = 200
-seed = 3
-walkers = 24
-ensembles = 2
-
-[noise]
-model = "white"
-
-[validation]
-hold_out = 0.3
-
-[simulation]
-duration = 8.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-parameters = {{ "motor.quadratic" = 0.1 }}
-"""
 
 
 def same(page, summary):
@@ -59,21 +29,6 @@ def same(page, summary):
     return flags
 
 
-@pytest.mark.usefixtures("no_figures")
-def test_page_and_terminal_warn_of_the_same(bench):
-    bench.simulated(CONFIG, "one")
-    bench.simulated(CONFIG, "two", seed=4)
-    bench.config(CONFIG.replace(QUADRATIC, ""))
-    ended = bench.run("fit", "c.toml", "-o", "run")
-    assert ended.code == 0, ended  # intervals have room for what the model lacks
-    page = (bench.folder / "run" / "report.html").read_text(encoding="utf-8")
-    summary = bench.summary()
-    assert "! friction with the square of speed" in ended.out
-    said = same(page, summary)
-    assert any(text.startswith("Friction with the square of speed (") for text in said)
-    assert any("simulated" in text for text in said)
-
-
 def troubled():
     told = copy.deepcopy(knee())
     told["sampler"] = {
@@ -91,13 +46,11 @@ def troubled():
     return told
 
 
-@pytest.mark.parametrize("status", ["tentative", "unusable"])
-def test_what_makes_numbers_unsafe_comes_first(tmp_path, status):
+def test_what_makes_numbers_unsafe_comes_first(tmp_path):
     told = troubled()
-    told["sampler"]["status"] = status
     said = same(run_page(tmp_path, told, "knee"), told)
     kinds = [one.kind for one in alerts_of(told)]
-    model = ["missing", "not white", "methods"] if status == "tentative" else []
+    model = ["missing", "not white", "methods"]
     assert kinds == ["sampler", "of tomorrow", *model, "warning", "warning", "simulated"]
     assert said[0] == "R-hat 1.3."
     assert said[1] == "Of tomorrow: motor.inertia, motor.viscous."

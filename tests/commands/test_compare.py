@@ -2,7 +2,6 @@
 
 import csv
 import json
-import re
 
 import h5py
 import pytest
@@ -55,14 +54,6 @@ def test_one_run_in_a_process_of_its_own(runs):
     assert left == []
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_json_is_what_is_written(runs):
-    told = runs.told("compare", "knee", "a/run", "-o", "out")
-    written = json.loads((runs.folder / "out" / "comparison.json").read_text(encoding="utf-8"))
-    assert told == written
-    assert written["baseline"] == "knee: posterior"
-
-
 def test_runs_of_one_name_are_told_apart(runs, monkeypatch):
     def named(*folders):
         columns = runs.told("compare", *folders)["columns"]
@@ -71,14 +62,6 @@ def test_runs_of_one_name_are_told_apart(runs, monkeypatch):
     assert named("a/run", "b/run") == ["a/run", "b/run"]
     monkeypatch.chdir(runs.folder / "knee")  # the working folder has a name, too
     assert named(".", "../a/run") == ["knee", "run"]
-
-
-def test_estimates_of_several_runs_when_asked(runs):
-    without = runs.run("compare", "knee", "a/run")
-    with_them = runs.run("compare", "knee", "a/run", "--estimates")
-    assert "output-error" not in re.sub(r"posterior: .*", "", without.out)
-    for label in ("knee: output-error", "run: least-squares"):
-        assert label in with_them.out
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -103,16 +86,13 @@ def test_open_numbers_stay_without_sd_in_every_file(runs):
     ("arguments", "parts"),
     [
         (["nowhere"], ["nowhere: there is no such folder"]),
-        (["knee", "nowhere"], ["nowhere: there is no such folder"]),
         (["knee/summary.json"], ["knee/summary.json: is a file"]),
         (["a"], ["a: holds no summary.json"]),
         (["knee", "knee"], ["knee: is given twice"]),
-        (["knee", "a/../knee"], ["a/../knee: is given twice"]),
         (["knee", "link"], ["link: is given twice"]),
         (["knee", "-o", "plain/out"], ["plain/out: cannot be written"]),
         (["knee" * 200], ["cannot be read"]),
         (["knee", "-o", "knee"], ["knee: is not empty"]),
-        (["knee", "-o", "c.toml"], ["c.toml: is a file"]),
         (["knee", "nowhere", "-o", "no/such/out"], ["nowhere: there is no such folder"]),
     ],
 )
@@ -121,41 +101,6 @@ def test_places(runs, arguments, parts):
     has(message, *parts)
     # there is no such option here
     assert "--force" not in message
-
-
-def test_folders_of_the_output_are_made(runs):
-    assert runs.run("compare", "knee", "-o", "no/such/out").code == 0
-    assert (runs.folder / "no/such/out/comparison.csv").is_file()
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("{", ["is not valid JSON"]),  # of others :mod:`tests.commands.test_report` tells
-        ('{"parameters": {"a": {"mean": NaN}}}', ["is not valid JSON", "NaN"]),
-        ('{"parameters": {}}', ["holds no result"]),
-    ],
-)
-def test_files_that_hold_something_else(runs, text, parts):
-    write(runs.folder / "knee", text)
-    has(runs.refused("compare", "knee"), "knee", *parts)
-
-
-def test_units_that_differ(runs):
-    run = loaded()
-    run["derived"]["gearbox.lambda_ratio"]["unit"] = "rad"
-    for table in ("input-error", "output-error"):
-        run["estimates"][table]["parameters"]["gearbox.lambda_ratio"]["unit"] = "rad"
-    write(runs.folder / "a" / "run", json.dumps(run))
-    message = runs.refused("compare", "knee", "a/run")
-    has(message, "run: gearbox.lambda_ratio", "'rad'", "'no unit'", "in knee")
-
-
-def test_nothing_in_common(runs):
-    run = old()
-    row = run["parameters"]["motor.inertia"]
-    write(runs.folder / "b" / "run", json.dumps({"parameters": {"axis.inertia": row}}))
-    has(runs.refused("compare", "knee", "b/run"), "run: has no quantity in common")
 
 
 def page_of(runs):

@@ -7,7 +7,6 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.fit.model import Model
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import read_config
 
 from .bench import SMALL, cases, has
@@ -49,12 +48,6 @@ def test_all_methods_agree_with_the_truth(small):
         "source": "data sheet",
         "unit": "kg m²",
     }
-
-
-def test_one_method_alone(small):
-    found = small.told("estimate", "c.toml", "--method", "input-error")
-    assert list(found["estimates"]) == ["input-error"]
-    assert small.run("estimate", "c.toml", "--method", "guessing").code == 2
 
 
 def test_nothing_undetermined_gets_a_deviation(bench):
@@ -135,34 +128,6 @@ def pendulum(bench):
 
 def estimates(bench, *arguments):
     return bench.told("estimate", "c.toml", *arguments)["estimates"]
-
-
-def test_a_stribeck_rise_that_may_vanish(pendulum):
-    pendulum.config(
-        PENDULUM.replace(
-            'preset = "servo-pendulum"',
-            'preset = "servo-pendulum"\n[mechanism.elements.motor]\nstribeck = true',
-        )
-    )
-    found = estimates(pendulum, "--method", "input-error")["input-error"]["parameters"]
-    assert found["motor.stribeck_velocity"]["value"] >= 0.0
-    inertia, true = found["motor.inertia"], PRESETS["servo-pendulum"].values["motor.inertia"]
-    assert abs(inertia["value"] - true) < 5.0 * inertia["sd_robust"]
-
-
-def test_one_element_with_two_losses(pendulum):
-    text = """\
-[mechanism]
-[mechanism.load]
-inertia = true
-[mechanism.elements.g]
-coulomb = "symmetric"
-viscous = true
-load_loss = "two"
-inertia = true
-"""
-    pendulum.config(text + PENDULUM[PENDULUM.index("[[recordings]]") :])
-    assert set(estimates(pendulum, "--method", "input-error")) == {"input-error"}
 
 
 @pytest.mark.parametrize(

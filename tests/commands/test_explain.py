@@ -66,13 +66,6 @@ def test_too_few_outputs_are_said_to_be(swing):
     has(swing.run("explain", "c.toml").out, "was not asked", "too few outputs")
 
 
-@pytest.mark.usefixtures("swing")
-def test_what_a_fit_finds_is_what_would_put_it_in():
-    found = bf.Model.from_config("c.toml").fit().summary.findings
-    assert [one.kind for one in found] == ["viscous_by_direction"]
-    assert found[0].hint == LINE
-
-
 # -- terms = "auto", and a better configuration
 
 
@@ -92,6 +85,9 @@ AUTO = JOINT + 'terms = "auto"\n' + recorded()
 @pytest.mark.usefixtures("no_figures")
 def test_auto_fits_with_what_was_missing_and_its_run_is_as_written(swing):
     swing.config(AUTO)
+    found = swing.told("check", "c.toml")
+    assert [one["kind"] for one in found["taken"]] == ["viscous_by_direction"]
+    assert found["findings"] == []
     assert swing.run("fit", "c.toml", "-o", "run").code == 0
     run = swing.folder / "run"
     summary = swing.summary()
@@ -106,13 +102,6 @@ def test_auto_fits_with_what_was_missing_and_its_run_is_as_written(swing):
     assert swing.run("rollout", "run", "c.toml").code == 0  # whose mechanism is the run's
     swing.config(JOINT + BY_DIRECTION + recorded())
     assert again.joint() == read_config(swing.folder / "c.toml").tables.mechanism.joint()
-
-
-def test_a_check_says_what_auto_will_put_in(swing):
-    swing.config(AUTO)
-    found = swing.told("check", "c.toml")
-    assert [one["kind"] for one in found["taken"]] == ["viscous_by_direction"]
-    assert found["findings"] == []
 
 
 def test_a_name_that_it_would_take_away_keeps_a_term_out(swing):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.commands.identify import identify_record, identify_text
+from bayesfric.commands.identify import identify
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 
@@ -41,9 +41,7 @@ def null(found):
 
 @pytest.fixture(scope="module")
 def knee():
-    problem = Model.from_config(read_config(FOLDER / "knee.toml"))
-    found = problem.identification()
-    return identify_record(found, problem), list(identify_text(found, problem))
+    return identify(Model.from_config(read_config(FOLDER / "knee.toml")))
 
 
 def test_the_packaged_knee_alone_leaves_the_scale_open(knee):

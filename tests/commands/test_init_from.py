@@ -114,24 +114,6 @@ def test_what_is_left_open_is_refused_until_it_was_written(bench):
     assert bench.run("check", path).code == 0
 
 
-@pytest.mark.parametrize("name", ["CSV", "ROS 2, sqlite3", "LeRobot", "HDF5", "JSON lines"])
-def test_logs_of_every_format(bench, name):
-    file, keys = logs.all_logs(bench.folder)[name]
-    joint = {"CSV": (), "LeRobot": ("--joint", "1"), "ROS 2, sqlite3": ("--joint", "knee")}
-    text, out = written(bench, bench.folder / file, *joint.get(name, ("--joint", "1")))
-    has(text, f'column = "{keys["position"]["column"]}"')
-    if name == "LeRobot":
-        has(text, 'where = { "episode_index" = 0 }', 'column = "?"')
-        has(out, "torque.column")
-    else:
-        for key in ("velocity", "torque"):
-            has(text, f'column = "{keys[key]["column"]}"')
-        passes(bench, text)
-    if name.startswith("ROS"):
-        assert '"?' not in text  # the message's definition settles every unit
-        has(out, "Joint knee", "one of: hip")
-
-
 def test_the_first_of_several_joints(bench):
     logs.write_json_lines(bench.folder / "log.jsonl", *logs.numbers())
     text, out = written(bench, bench.folder / "log.jsonl", "rabbit-knee")
@@ -166,12 +148,6 @@ def test_what_cannot_be_read_is_one_line(bench, arguments, parts):
     places = {"LOG": "log.csv", "TEXT": "text.csv"}
     words = [str(bench.folder / places[w]) if w in places else w for w in arguments]
     has(bench.refused(*words), *parts)
-
-
-def test_json_holds_what_is_left_open(bench):
-    pd.DataFrame({"q": Q, "tau": TAU}).to_csv(bench.folder / "log.csv", index=False)
-    told = bench.told("init", "--from", bench.folder / "log.csv")
-    assert told["open"] == {"position.unit": "?", "torque.unit": "?", "rate": "? kHz"}
 
 
 def test_columns_without_names_are_counted(bench):

@@ -3,7 +3,6 @@
 import json
 import re
 import tomllib
-from contextlib import nullcontext
 from importlib.resources import files
 from pathlib import Path
 from typing import get_args
@@ -12,10 +11,9 @@ import jsonschema
 import pytest
 from pydantic import BaseModel
 
-import bayesfric
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET, configuration
-from bayesfric.commands.keys import key_tables, schema_of
+from bayesfric.commands.keys import schema_of
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Tables, parse_config
@@ -80,17 +78,13 @@ def models_in(annotation):
         yield from models_in(inner)
 
 
-@pytest.mark.parametrize(
-    ("kind", "model", "ending"), [("configuration", Tables, []), ("fleet", FleetTables, ["fleet"])]
-)
-def test_all_keys_are_printed(bench, kind, model, ending):
+@pytest.mark.parametrize(("model", "ending"), [(Tables, []), (FleetTables, ["fleet"])])
+def test_all_keys_are_printed(bench, model, ending):
     printed = bench.run("init", *ending, "--all-keys")
     assert (printed.code, printed.err) == (0, "")
-    tables = [{key.name for key in table.keys} for table in key_tables(kind)]
     for one in models_in(model):
-        assert set(one.model_fields) in tables, one
         for name in one.model_fields:
-            assert f"| `{name}` |" in printed.out
+            assert f"|`{name}`|" in printed.out
 
 
 @pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda path: path.stem)
@@ -105,12 +99,9 @@ def test_what_init_writes_suits_the_schema(bench, validators, preset):
 
 REFUSED = {
     "unknown table": ("[noise]", "[nois]"),
-    "unknown key": ("order = 4", "ordre = 4"),
     "unknown key of a channel": ('column = "q"', 'colum = "q"'),
-    "wrong kind": ("order = 4", 'order = "4"'),
     "beyond its bound": ("order = 4", "order = 13"),
     "true for a number with a unit": ("order = 4", "lowpass = true"),
-    "negative": ("order = 4", "band = -1.0"),
     "unknown word": ('"shared"', '"sharde"'),
     "half a span": ('file = "run.csv"', 'file = "run.csv"\nexclude = [[1.0]]'),
 }
@@ -130,24 +121,6 @@ def test_what_is_refused_the_schema_refuses(case, validators, tmp_path):
     if case in REFUSED:
         with pytest.raises(BadInput):
             parse_config(text, tmp_path / "c.toml")
-
-
-@pytest.mark.parametrize(
-    ("key", "suits"),
-    [
-        ('start = "2 s"', True),
-        ("start = -1.0", False),
-        ('where = { episode = 3, robot = "a" }', True),
-        ('load_torque = { column = "l", unit = "N m" }', True),
-        ("valid = 0.5", False),
-        ('format = "csw"', False),
-    ],
-)
-def test_keys_of_recordings(key, suits, validators):
-    text = CONFIG.replace('file = "run.csv"', f'file = "run.csv"\n{key}')
-    assert validators["configuration"].is_valid(tomllib.loads(text)) == suits
-    with nullcontext() if suits else pytest.raises(BadInput):
-        parse_config(text, REPOSITORY / "c.toml")
 
 
 def test_dotted_and_quoted_names_of_priors_and_references_suit(validators):
@@ -201,18 +174,3 @@ def test_the_plan_of_a_fleet_works_as_it_is(bench, validators):
     # every example can be uncommented, but for what the glob excludes
     full = tomllib.loads(re.sub(r"^# (\w+ = .*)$", r"\1", text.replace("# table", "#"), flags=re.M))
     validators["fleet"].validate(full)
-    assert set(full["units"]) == {"glob", "name"}
-
-
-@pytest.mark.slow
-def test_a_folder_of_recordings_is_fitted_by_the_plan_as_it_is(bench):
-    (bench.folder / "recordings").mkdir()
-    joint = bayesfric.Joint.preset("motor-axis")
-    for seed in (1, 2):
-        frame = joint.simulate(duration=4.0, seed=seed)
-        frame.to_csv(bench.folder / "recordings" / f"axis-{seed}.csv", index=False)
-    assert bench.run("init", "fleet", "-o", "fleet.toml").code == 0
-    bench.told("fleet", "fleet.toml", "-o", "line", "--workers", "1")
-    for seed in (1, 2):
-        sampler = bench.summary(f"line/units/axis-{seed}")["sampler"]
-        assert sampler["status"] == "reliable"

@@ -73,7 +73,7 @@ def test_no_delay_is_advised_while_little_is_explained(times, judged):
     assert ("delay = true in [mechanism]" in " ".join(found.warnings)) == judged
 
 
-@pytest.mark.parametrize("late", [60, pytest.param(100, marks=pytest.mark.slow), -100])
+@pytest.mark.parametrize("late", [60, -100])
 def test_a_delay_far_longer_than_what_is_trimmed_is_found_first_and_fitted(late):
     """A position 0.12 or 0.2 s late, or early; 0.024 s is what is trimmed."""
     model = pendulum(late=late)

@@ -112,30 +112,15 @@ def blocks(whole):
     return [k for k, seen in enumerate(whole[2], start=1) if seen.steps]
 
 
-@pytest.mark.parametrize(
-    "every",
-    [pytest.param(1, marks=pytest.mark.slow, id="every"), pytest.param(20, id="every-20th")],
-)
-def test_interrupted_after_a_block_and_resumed(here, whole, every):
-    """The quick form of every single one is in ``tests/inference/test_checkpoint.py``."""
+def test_interrupted_after_a_block_and_resumed(here, whole):
+    """After every single block: ``tests/inference/test_checkpoint.py``."""
     assert len(blocks(whole)) > 5
-    for k in blocks(whole)[::every]:
+    for k in blocks(whole)[::20]:
         stopped(here.folder, k)
         assert steps(here.folder) > 0
         resumed(here.folder)
         same(here.folder, whole)
         shutil.rmtree(here.folder / "run")
-
-
-def test_what_a_checkpoint_tells(here, whole):
-    stopped(here.folder, blocks(whole)[4])
-    with (here.folder / HIDDEN / "posterior.steps").open("rb") as file:
-        facts = json.loads(file.readline())
-    assert facts["version"].keys() == {"bayesfric", "python", "numpy", "scipy", "emcee", "numba"}
-    assert re.fullmatch("[0-9a-f]{64}", facts["recording"]["small"])
-    assert facts["configuration"]["sampling"]["seed"] == 3
-    assert steps(here.folder) == 60
-    assert not list((here.folder / HIDDEN).glob("lock"))
 
 
 def refused(here, *arguments):
@@ -170,24 +155,10 @@ def test_what_is_refused(here, whole):
     has(refused(here, "--resume"), "run: is finished; leave --resume out")
 
 
-def test_force_keeps_the_old_checkpoint(here, whole):
+def test_force_starts_afresh(here, whole):
     stopped(here.folder, blocks(whole)[6])
-    old = {path.name: path.read_bytes() for path in (here.folder / HIDDEN).iterdir()}
     assert here.run("fit", "few.toml", "-o", "run", "--force").code == 3
-    kept = here.folder / f"{HIDDEN}.old1"
-    assert {path.name: path.read_bytes() for path in kept.iterdir()} == old
-    shutil.rmtree(kept)
     same(here.folder, whole)
-
-
-@pytest.mark.slow
-def test_force_that_is_interrupted_still_keeps_the_old_run(here, whole):
-    assert here.run("fit", "few.toml", "-o", "run", "--seed", "9").code == 3
-    stopped(here.folder, blocks(whole)[5], force=True)
-    assert here.run("fit", "few.toml", "-o", "run", "--resume").code == 3
-    same(here.folder, whole)
-    first = json.loads((here.folder / "run.old1" / "summary.json").read_text(encoding="utf-8"))
-    assert first["sampler"]["seed"] == 9
 
 
 # -- two at once
@@ -203,36 +174,12 @@ def test_the_second_of_two_is_told(here):
     assert not (here.folder / HIDDEN).exists()
 
 
-def test_a_killed_process_leaves_no_lock(tmp_path):
-    code = (
-        "import sys, time; from pathlib import Path\n"
-        "from bayesfric.commands.unfinished import alone_in\n"
-        "with alone_in(Path(sys.argv[1]), Path()): print('in', flush=True); time.sleep(60)"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path / "place")],
-        cwd=REPOSITORY,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout.readline() == "in\n"
-        with (
-            pytest.raises(BadInput, match="another process"),
-            alone_in(tmp_path / "place", tmp_path),
-        ):
-            pass
-        process.kill()
-    with alone_in(tmp_path / "place", tmp_path):
-        pass
-    assert not (tmp_path / "place").exists()
-
-
 # -- signals
 
 
-def begun(folder, *arguments):
+def begun(folder):
     """Start ``bayesfric fit`` in a process of its own."""
-    words = ["tests.commands.slow_likelihood", "fit", "few.toml", "-o", "run", *arguments]
+    words = ["tests.commands.slow_likelihood", "fit", "few.toml", "-o", "run"]
     return subprocess.Popen(
         [sys.executable, "-m", *words],
         cwd=folder,
@@ -262,38 +209,22 @@ def wait_for(condition, process):
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        [signal.SIGINT],
-        pytest.param([signal.SIGTERM, signal.SIGINT, signal.SIGTERM], marks=pytest.mark.slow),
-    ],
-    ids=["ctrl-c", "three-times"],
-)
-def test_signals_in_processes_of_their_own(here, whole, numbers):
-    """One after the other, each to the process that went on; in between, a second one tries."""
-    before, options = 0, ()
-    for number in numbers:
-        code = 128 + number
-        process = begun(here.folder, *options)
-        wait_for(lambda before=before: steps(here.folder) > before, process)
-        time.sleep(0.015)
-        if not options:
-            message = here.run("fit", "few.toml", "-o", "run").err
-            has(message, "another process")
-        asked = time.perf_counter()
-        process.send_signal(number)
-        out, err = process.communicate(timeout=60)
-        took = time.perf_counter() - asked
-        assert (process.returncode, out) == (code, ""), err
-        assert took < 5.0, took  # the step, the file, and the end of the interpreter
-        now = steps(here.folder)
-        assert err == (
-            f"bayesfric: interrupted, {now} steps are kept; go on with: "
-            "bayesfric fit few.toml -o run --resume\n"
-        )
-        assert now > before
-        before, options = now, ("--resume",)
+def test_ctrl_c_in_a_process_of_its_own(here, whole):
+    """In between, a second process tries."""
+    process = begun(here.folder)
+    wait_for(lambda: steps(here.folder) > 0, process)
+    time.sleep(0.015)
+    has(here.run("fit", "few.toml", "-o", "run").err, "another process")
+    asked = time.perf_counter()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    took = time.perf_counter() - asked
+    assert (process.returncode, out) == (130, ""), err
+    assert took < 5.0, took  # the step, the file, and the end of the interpreter
+    assert err == (
+        f"bayesfric: interrupted, {steps(here.folder)} steps are kept; go on with: "
+        "bayesfric fit few.toml -o run --resume\n"
+    )
     resumed(here.folder)
     same(here.folder, whole)
 
@@ -452,6 +383,3 @@ def test_errors_of_the_disk_are_told(here, whole, monkeypatch):
     has(message, "run: cannot be written", "nothing is sampled again")
     assert here.run("fit", "few.toml", "-o", "run", "--resume").code == 3
     same(here.folder, whole)
-
-
-# -- killed

@@ -108,31 +108,13 @@ def test_what_is_held_out_is_predicted_and_changes_no_draw(three, monkeypatch):
     )
 
 
-def test_check_shows_what_is_held_out(three):
-    ended = three.run("check", "c.toml", "--verbose")
-    assert ended.code == 0
-    has(ended.out, "whole recording held out", "last 20 % held out")
-
-
-def test_no_validation_no_entry(three):
-    three.config(JOINT + recorded("one") + PROCESSING + SHORT)
-    summary, _, out, _ = fitted(three)
-    assert "validation" not in summary
-    assert "Held out" not in out
-    assert not list((three.folder / "run" / "figures").glob("validation*"))
-
-
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
         ('recordings = ["twoo"]', ["validation.recordings", "'twoo'", "did you mean 'two'"]),
         ('recordings = ["one", "two", "three"]', ["validation.recordings", "every recording"]),
-        ("hold_out = 0", ["validation.hold_out", "got 0", "greater than 0"]),
-        ("hold_out = 1.0", ["validation.hold_out", "got 1", "less than 1"]),
         ("hold_out = 0.001", ["validation.hold_out", "last 0.1 %"]),
         ("hold_out = 0.999", ["validation.hold_out", "leaves nothing", "hold out less"]),
-        ('hold_out = "0.2"', ["validation.hold_out", "a valid number"]),
-        ("holdout = 0.2", ["validation.holdout", "unknown key", "did you mean 'hold_out'"]),
         (
             'hold_out = 0.2\n[likelihood]\nmethod = "output-error"',
             ["c.toml: validation", "not offered for the output-error likelihood"],

@@ -90,20 +90,6 @@ def test_the_numbers_are_those_that_the_run_reports(bench):
     assert moved == pytest.approx([off, off], rel=1e-6)
 
 
-def test_a_run_with_a_dot_in_its_name_goes_into_a_folder(bench):
-    """Two such exports of runs "knee.v2" and "knee.v3" once took each other's files."""
-    for name in ("knee.v2-run", "knee.v3-run"):
-        shutil.copytree(bench.folder / "c-run", bench.folder / name)
-        ended = bench.run("export", name, "--to", "python", "--joint", "knee")
-        assert ended.code == 0, ended
-        assert (bench.folder / f"{name}-python" / "knee_feedforward.py").is_file()
-        # what was fitted is beside what the file says of itself, and no temperature nobody took
-        said = (bench.folder / f"{name}-python" / "knee_feedforward.py").read_text()
-        rms = bench.summary(name)["fit"]["residual_rms"]
-        assert f"itself leaves {rms:.3g} N m rms of the measured motor torque" in said
-        assert "degC" not in said
-
-
 def test_what_is_there_is_kept(bench):
     (bench.folder / "out.xml").write_text("mine")
     (bench.folder / "folder").mkdir()
@@ -111,13 +97,6 @@ def test_what_is_there_is_kept(bench):
     # a folder that no export made is not put aside either
     for place in (["out.xml"], ["folder"], ["folder", "--force"]):
         bench.refused("export", "c-run", "--to", "mujoco", "-o", *place)
-
-
-def test_an_old_export_is_put_aside_by_force(bench):
-    assert bench.run("export", "c-run", "--to", "sdf").code == 0
-    assert bench.run("export", "c-run", "--to", "sdf").code == 2
-    assert bench.run("export", "c-run", "--to", "sdf", "--force").code == 0
-    assert len(list(bench.folder.glob("c-run-sdf*"))) == 2
 
 
 @pytest.mark.parametrize(

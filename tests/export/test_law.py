@@ -85,17 +85,22 @@ def compiler():
     return gcc
 
 
+SINGLE = "-DJOINT_REAL=float"
+
+
 def compiled(compiler, files, folder, *more):
+    """Give its functions of position, speed and acceleration, in double, or float by ``SINGLE``."""
+    kind = ctypes.c_float if SINGLE in more else ctypes.c_double
     for name, text in files.items():
         (folder / name).write_text(text)
     source = next(name for name in files if name.endswith(".c"))
-    made = folder / f"made{len(more)}.so"
+    made = folder / f"made{'-'.join(more)}.so"
     command = [compiler, *FLAGS, *more, "-shared", "-fPIC", "-o", made, folder / source, "-lm"]
     subprocess.run(command, check=True)
     library = ctypes.CDLL(str(made))
     status = ctypes.c_int()
 
-    def call(name, kind):
+    def call(name):
         function = getattr(library, name)
         function.restype = kind
         function.argtypes = [kind] * 3 + [ctypes.c_void_p]
@@ -106,10 +111,9 @@ def compiled(compiler, files, folder, *more):
 
 def c_files(joint, vector):
     """Write a joint as the format does, of a vector alone."""
-    laws = {x: law(joint, vector, x) for x in ("double", "float")}
-    given = {"remarks": [], "name": "j", "laws": laws, "unit": "N m"}
+    given = {"remarks": [], "name": "joint", "law": law(joint, vector, "c"), "unit": "N m"}
     names = ("feedforward.c", "feedforward.h")
-    return {f"j_{name}": filled(f"{name}.j2", position="rad", **given) for name in names}
+    return {f"joint_{name}": filled(f"{name}.j2", position="rad", **given) for name in names}
 
 
 def python_of(joint, vector):
@@ -128,15 +132,14 @@ def along(function, q, qd, qdd):
 def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, compiler, tmp_path):
     done = found(name)
     files = bf.export(done, "c").files
-    call = compiled(compiler, files, tmp_path)
     motions = [Moved.of(o) for o in done.model.observations]
     vector = vectors(done, motions, 10).middle
     wanted = torque_along(done.joint, vector[None], motions)[0]
     moving = [np.concatenate([getattr(m, x) for m in motions]) for x in MOVING]
     largest = np.abs(wanted).max()
-    double = along(call("joint_torque", ctypes.c_double), *moving)
+    double = along(compiled(compiler, files, tmp_path)("joint_torque"), *moving)
     np.testing.assert_allclose(double, wanted, rtol=1e-6)
-    single = along(call("joint_torque_f", ctypes.c_float), *moving)
+    single = along(compiled(compiler, files, tmp_path, SINGLE)("joint_torque"), *moving)
     np.testing.assert_allclose(single, wanted, atol=1e-6 * largest)
     python = {}
     exec(bf.export(done, "python").main, python)
@@ -151,11 +154,11 @@ def test_every_term_is_written_out(case, compiler, tmp_path):
     q, qd, qdd = motion()
     # at room temperature as a recording begins, of a torque that does not change
     wanted = inverse_torque(joint, vector, q, qd, qdd, inputs=AT_ROOM, time=np.zeros(q.size))
-    call = compiled(compiler, c_files(joint, vector), tmp_path)
-    double = along(call("j_torque", ctypes.c_double), q, qd, qdd)
+    files = c_files(joint, vector)
+    double = along(compiled(compiler, files, tmp_path)("joint_torque"), q, qd, qdd)
     np.testing.assert_allclose(double, wanted, rtol=1e-9, atol=1e-12)
     largest = np.abs(wanted).max()
-    single = along(call("j_torque_f", ctypes.c_float), q, qd, qdd)
+    single = along(compiled(compiler, files, tmp_path, SINGLE)("joint_torque"), q, qd, qdd)
     np.testing.assert_allclose(single, wanted, atol=3e-6 * largest)
 
 
@@ -222,12 +225,9 @@ def test_an_offset_is_no_friction(compiler, tmp_path):
     vector = joint.vector(values | {"offset": -3.1, "drive.gain": 2.0})
     files = c_files(joint, vector)
     call = compiled(compiler, files, tmp_path)
-    for suffix, kind in (("", ctypes.c_double), ("_f", ctypes.c_float)):
-        rest = kind(0).value
-        assert call(f"j_friction{suffix}", kind)(rest, rest, rest)[0] == 0.0
-        torque = call(f"j_torque{suffix}", kind)(rest, rest, rest)[0]
-        assert torque == pytest.approx(-1.55, rel=1e-6)
-    (told,) = re.findall(r"#define J_OFFSET \((.*)\)", files["j_feedforward.h"])
+    assert call("joint_friction")(0.0, 0.0, 0.0)[0] == 0.0
+    assert call("joint_torque")(0.0, 0.0, 0.0)[0] == pytest.approx(-1.55)
+    (told,) = re.findall(r"#define JOINT_OFFSET \((.*)\)", files["joint_feedforward.h"])
     assert float(told) == pytest.approx(-1.55)
     python = python_of(joint, vector)
     assert python["friction"](0.0, 0.0, 0.0) == 0.0
@@ -241,8 +241,9 @@ def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
     rng = np.random.default_rng(8)
     odd = [math.nan, math.inf, -math.inf, 0.0, -0.0, 5e-324, 1e308, -1e308, 1e-3, 1e20, -3.0]
     python = python_of(joint, joint.vector(EVERYTHING))
-    torque, friction = call("j_torque", ctypes.c_double), call("j_friction", ctypes.c_double)
-    single = call("j_torque_f", ctypes.c_float)
+    torque, friction = call("joint_torque"), call("joint_friction")
+    single = compiled(compiler, c_files(joint, joint.vector(EVERYTHING)), tmp_path, SINGLE)
+    single = single("joint_torque")
     seen = set()
     for _ in range(2000):
         row = [odd[k] for k in rng.integers(len(odd), size=3)]
@@ -263,9 +264,8 @@ def test_nothing_but_numbers_comes_out_whatever_goes_in(compiler, tmp_path):
 def test_smoothing_makes_losses_grow_from_rest(compiler, tmp_path):
     joint = everything()
     files = c_files(joint, joint.vector(EVERYTHING))
-    sharp = compiled(compiler, files, tmp_path)("j_friction", ctypes.c_double)
-    call = compiled(compiler, files, tmp_path, "-DJ_SMOOTH=0.5")
-    smooth = call("j_friction", ctypes.c_double)
+    sharp = compiled(compiler, files, tmp_path)("joint_friction")
+    smooth = compiled(compiler, files, tmp_path, "-DJOINT_SMOOTH=0.5")("joint_friction")
     assert sharp(0.3, 0.0, 0.0)[0] == smooth(0.3, 0.0, 0.0)[0]
     jump = sharp(0.3, 1e-9, 0.0)[0] - sharp(0.3, -1e-9, 0.0)[0]
     step = smooth(0.3, 1e-9, 0.0)[0] - smooth(0.3, -1e-9, 0.0)[0]
@@ -287,8 +287,7 @@ def test_a_term_of_ones_own_is_written_out(compiler, tmp_path):
     vector = np.array([0.1, 0.7, 0.2])
     q, qd, qdd = motion(50)
     wanted = inverse_torque(joint, vector, q, qd, qdd, time=np.zeros(q.size))
-    call = compiled(compiler, c_files(joint, vector), tmp_path)
-    double = along(call("j_torque", ctypes.c_double), q, qd, qdd)
+    double = along(compiled(compiler, c_files(joint, vector), tmp_path)("joint_torque"), q, qd, qdd)
     np.testing.assert_allclose(double, wanted, rtol=1e-12)
     again = along(python_of(joint, vector)["both"], q, qd, qdd)
     np.testing.assert_allclose(again, wanted, rtol=1e-12)
@@ -298,4 +297,4 @@ def test_a_term_of_ones_own_is_written_out(compiler, tmp_path):
 def test_one_without_a_formula_is_refused_by_name(column):
     joint = with_own(column)
     with pytest.raises(BadInput, match=r"motor\.own: is a term of one's own"):
-        law(joint, np.ones(len(joint.names)), "double")
+        law(joint, np.ones(len(joint.names)), "c")

@@ -154,19 +154,16 @@ def workers_of(pid):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", ["address", "cluster"])
-def test_a_cluster_of_its_own_gives_the_table_that_local_workers_give(tmp_path, told):
+def test_a_cluster_of_its_own_gives_the_table_that_local_workers_give(tmp_path):
     from distributed import LocalCluster
 
     write_fleet(tmp_path)
     given = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
-    # whoever cannot show its credentials is refused
-    with LocalCluster(**given, security=told == "cluster" or None) as cluster:
-        scheduler = cluster if told == "cluster" else cluster.scheduler_address
-        if told == "cluster":
-            with pytest.raises(BadInput, match="no scheduler answers"):
-                made(tmp_path).run(tmp_path / "refused", scheduler=cluster.scheduler_address)
-        found = made(tmp_path).run(tmp_path / "out", scheduler=scheduler)
+    with LocalCluster(**given, security=True) as cluster:
+        # whoever cannot show its credentials is refused
+        with pytest.raises(BadInput, match="no scheduler answers"):
+            made(tmp_path).run(tmp_path / "refused", scheduler=cluster.scheduler_address)
+        found = made(tmp_path).run(tmp_path / "out", scheduler=cluster)
     assert found.left == {}
     assert found.outcomes == {"good": 2, "unchecked": 1, "failed": 2}
     local = made(tmp_path).run(tmp_path / "local", workers=1)

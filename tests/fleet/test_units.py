@@ -39,16 +39,6 @@ def test_numbers_are_numbers_and_serial_numbers_are_not(tmp_path):
     assert a.text["mass"] == "2.50"
 
 
-def test_a_parquet_table_says_the_same(tmp_path):
-    import pandas as pd
-
-    frame = pd.DataFrame({"unit": ["a", "b"], "mass": [2.5, float("nan")], "n": [1, 2]})
-    frame.to_parquet(tmp_path / "units.parquet")
-    a, b = read_units(tmp_path / "units.parquet", None)
-    assert a.values == {"unit": "a", "mass": 2.5, "n": 1}
-    assert b.values["mass"] is None
-
-
 def test_a_glob_names_parts(tmp_path):
     for name in ("r1/knee/01.csv", "r1/hip/01.csv", "r2/knee/12.csv", "r2/knee/x.txt"):
         (tmp_path / "logs" / name).parent.mkdir(parents=True, exist_ok=True)

@@ -38,10 +38,20 @@ def told(result):
     return [a.text for a in alerts_of(result.summary) if a.kind == "rests"]
 
 
-def test_a_law_that_holds_its_rests_is_not_spoken_of():
+def static_friction(folder, form="isaac", name="friction"):
+    rows = export(folder, form).record["numbers"]
+    return next(row for row in rows if row["attribute"] == name)
+
+
+def test_a_law_that_holds_its_rests_is_not_spoken_of(tmp_path):
     found = fitted(0.9)
     assert found.summary.fit.rests == []
     assert told(found) == []
+    found.write(tmp_path / "run", draws=200)
+    row = static_friction(tmp_path / "run")
+    # nothing but the constant loss is known of standstill, and it is no limit
+    assert not row["at_least"]
+    assert row["value"] == pytest.approx(COULOMB, rel=0.1)
 
 
 @pytest.mark.parametrize("held", [1.6, -1.6])
@@ -57,6 +67,16 @@ def test_rests_that_the_law_would_leave_are_told_with_what_to_do(tmp_path, held)
     assert "rest = true under [processing]" in text
     found.write(tmp_path / "run", draws=200)
     assert "sticks less than yours" in export(tmp_path / "run", "mujoco").text()
+    # what held it is a limit of static friction, in every format that has a place for it
+    assert one.held == pytest.approx(abs(held) * COULOMB, rel=0.1)
+    places = {"isaac": "friction", "ros2-control": "friction.static", "csv": "static_friction"}
+    for form, name in (places | {"c": "about: static_friction"}).items():
+        row = static_friction(tmp_path / "run", form, name)
+        assert (row["at_least"], row["interval"]) == (True, None)
+        assert row["value"] == pytest.approx(one.held, rel=0.02)
+    said = export(tmp_path / "run", "isaac")
+    assert f"staticFrictionEffort = {one.held:.3f}"[:-1] in said.files["joint.usda"]
+    assert "friction: at least 0." in said.main
 
 
 def test_a_fit_that_uses_its_rests_is_not_asked():

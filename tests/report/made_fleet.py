@@ -40,7 +40,7 @@ def write_fleet(folder):
         if k == 0:
             (place / "report.html").write_text("its page", encoding="utf-8")
         records[unit.name] = record_of(Summary.read(run))
-    found = fleet_population(folder / "units", units)
+    found = fleet_population(folder / "units", [unit.name for unit in units])
     page = fleet_page(folder, units, records, found, draw(folder, found))
     (folder / "fleet.html").write_text(page, encoding="utf-8")
     return found

@@ -19,9 +19,8 @@ from bayesfric.base.errors import BadInput
 from bayesfric.export.at_joint import (
     Moved,
     at_joint,
-    simulator_joint,
-    simulator_vectors,
-    torque_along,
+    moving,
+    simulated_torque,
     without_load_losses,
 )
 from bayesfric.export.format import Content, Files, Format
@@ -86,36 +85,29 @@ def parameters(chain: Joint, vector: Array, motions: Sequence[Moved]) -> dict[st
 
 def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
     """Motor torque that BAM's law takes along the motions, brought to the measured one."""
-    p = parameters(chain, vector, motions)
+    given = parameters(chain, vector, motions)
     values = without_load_losses(chain, vector[None])
-    bare = {k: v.copy() for k, v in at_joint(chain, values, motions, 0.0).values.items()}
-    gain, offset = float(bare["gain"][0]), float(bare["torque_offset"][0])
-    for name in ("friction", "damping", "quadratic", "static_friction"):
-        bare[name][:] = 0.0
-    plain = simulator_joint(chain.load.motion, chain.load.gravity)
-    there = simulator_vectors(plain, bare)
-    free = gain * torque_along(plain, there, motions)[0] - offset
+    bare = {k: float(v[0]) for k, v in at_joint(chain, values, motions, 0.0).values.items()}
+    gain, offset = bare["gain"], bare["torque_offset"]
+    bare |= dict.fromkeys(("friction", "damping", "quadratic"), 0.0)
+    free: Array = gain * simulated_torque(chain, bare, motions) - offset
     still = [Moved(m.q, 0.0 * m.qd, 0.0 * m.qdd, m.time, m.inputs) for m in motions]
-    external = -(gain * torque_along(plain, there, still)[0] - offset)
-    speed = np.concatenate([m.qd for m in motions])
-
-    def value(name: str) -> Array:
-        return np.full_like(speed, p.get(name, 0.0))
-
+    external = offset - gain * simulated_torque(chain, bare, still)
+    speed = moving(motions)[1]
+    p = {name: float(x) for name, x in given.items() if name != "model"}
     low = np.zeros_like(speed)
     if "alpha" in p:
-        low = np.exp(-(np.abs(speed / value("dtheta_stribeck")) ** value("alpha")))
+        low = np.exp(-(np.abs(speed / p["dtheta_stribeck"]) ** p["alpha"]))
 
-    def risen(name: str) -> Array:
-        return value(f"{name}_base") + low * value(f"{name}_stribeck")
+    def risen(name: str, plain: str = "") -> Array:
+        return np.asarray(p.get(f"{name}{plain}", 0.0) + low * p.get(f"{name}_stribeck", 0.0))
 
+    own = risen("friction", "_base") + p["friction_viscous"] * np.abs(speed)
     torque = free
     for _ in range(_ROUNDS):
-        loss = risen("friction") + value("friction_viscous") * np.abs(speed)
-        loss = loss + risen("load_friction") * np.abs(external - torque)
-        for extra, weight in (("", 1.0), ("_stribeck", low)):
-            motor, outside = (value(f"load_friction_{x}{extra}") for x in ("motor", "external"))
-            loss = loss + weight * np.abs(external * outside - torque * motor)
+        loss = own + risen("load_friction", "_base") * np.abs(external - torque)
+        outside = external * risen("load_friction_external")
+        loss = loss + np.abs(outside - torque * risen("load_friction_motor"))
         torque = free + np.sign(speed) * loss
     return np.asarray((torque + offset) / gain)
 

@@ -1,59 +1,32 @@
-"""Draws of the joint's numbers, a row each: CSV and NPZ, to randomise simulations by."""
+"""Draws of the joint's numbers and of all parameters, a row each, to randomise simulations by."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable
-
-import numpy as np
-
 from bayesfric.base.errors import BadInput
 from bayesfric.export.at_joint import NUMBERS
-from bayesfric.export.format import Content, Format
-from bayesfric.recordings.arrays import Array
+from bayesfric.export.format import Content, Files, Format
 
 
-def _table(content: Content) -> tuple[dict[str, Array], dict[str, str]]:
-    """Columns by name, and their units."""
-    chain, wanted = content.found.joint, content.options.draws
-    if wanted is not None and wanted > len(content.vectors.draws):
-        has = f"is {wanted}, and the run has {len(content.vectors.draws)}"
-        raise BadInput("--draws", has, "ask for fewer, or fit with more steps")
-    columns = dict(content.draws)
-    units = {name: NUMBERS[name].unit(chain) for name in columns}
-    for p, values in zip(chain.parameters, content.vectors.draws.T, strict=True):
-        columns[p.name], units[p.name] = values, p.unit
-    return columns, units
-
-
-def _csv(content: Content) -> bytes:
+def _write(content: Content) -> Files:
     import pandas as pd
 
-    columns, units = _table(content)
+    chain, vectors, wanted = content.found.joint, content.vectors.draws, content.options.draws
+    if wanted is not None and wanted > len(vectors):
+        has = f"is {wanted}, and the run has {len(vectors)}"
+        raise BadInput("--draws", has, "ask for fewer, or fit with more steps")
+    columns = {(name, NUMBERS[name].unit(chain)): x for name, x in content.draws.items()}
+    columns |= {(p.name, p.unit): x for p, x in zip(chain.parameters, vectors.T, strict=True)}
     # what the numbers lose is told in export.json: many readers take no remarks
-    named = {f"{name} [{units[name]}]" if units[name] else name: x for name, x in columns.items()}
-    return pd.DataFrame(named).to_csv(index=False).encode()
-
-
-def _npz(content: Content) -> bytes:
-    columns, units = _table(content)
-    sink = io.BytesIO()
-    told = {"names": list(columns), "units": list(units.values()), "remarks": content.remarks}
-    np.savez(sink, allow_pickle=False, **{k: np.array(v) for k, v in told.items()}, **columns)
-    return sink.getvalue()
-
-
-def _format(suffix: str, meaning: str, write: Callable[[Content], bytes]) -> Format:
-    return Format(
-        name=suffix,
-        meaning=f"{meaning} of draws",
-        names={name: name for name in NUMBERS},
-        write=lambda content: {f"draws.{suffix}": write(content)},
-        options=frozenset({"draws"}),
-    )
+    named = {f"{name} [{unit}]" if unit else name: x for (name, unit), x in columns.items()}
+    return {"draws.csv": pd.DataFrame(named).to_csv(index=False).encode()}
 
 
 FORMATS = (
-    _format("csv", "a CSV table", _csv),
-    _format("npz", "an NPZ archive", _npz),
+    Format(
+        name="csv",
+        meaning="a CSV table of draws",
+        names={name: name for name in NUMBERS},
+        write=_write,
+        options=frozenset({"draws"}),
+    ),
 )

@@ -9,7 +9,7 @@ import numpy as np
 from bayesfric.export.at_joint import NUMBERS, Moved, torque_along
 from bayesfric.export.carried import left_out
 from bayesfric.export.format import Content, Files, Format
-from bayesfric.export.written_law import Language, law
+from bayesfric.export.written_law import law
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 
@@ -25,10 +25,9 @@ def _torque(chain: Joint, vector: Array, motions: Sequence[Moved]) -> Array:
 def c_files(content: Content) -> Files:
     """Write the whole law in C99, source and header."""
     chain, vector = content.found.joint, content.vectors.middle
-    languages: tuple[Language, ...] = ("double", "float")
     given = {
         "name": content.stem,
-        "laws": {language: law(chain, vector, language) for language in languages},
+        "law": law(chain, vector, "c"),
         "unit": "N m" if chain.motor_motion == "rotary" else "N",
         "position": "rad" if content.rotary else "m",
     }

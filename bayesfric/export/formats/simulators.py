@@ -60,7 +60,6 @@ def _isaac(content: Content) -> Files:
     }
     files = {
         f"{content.stem}_isaac_lab.py": "isaac_lab.py.j2",
-        f"{content.stem}_isaac_lab.yaml": "isaac_lab.yaml.j2",
         f"{content.stem}.usda": "joint.usda.j2",
     }
     return {name: content.filled(template, **given) for name, template in files.items()}

@@ -244,6 +244,7 @@ class RestsPart(Part):
     start: FiniteFloat
     stop: FiniteFloat
     beyond: NotNegative
+    held: NotNegative = 0.0  # older runs did not tell
 
     @property
     def place(self) -> str:
