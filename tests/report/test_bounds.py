@@ -7,6 +7,7 @@ import pytest
 
 from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fitting import fit, make_target, read_priors
+from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells
@@ -17,7 +18,7 @@ from bayesfric.report.summary.conclusions import (
     bound_warning,
     noise_cut,
 )
-from bayesfric.report.summary.derived_quantities import leaning, limits_of
+from bayesfric.report.summary.derived_quantities import loss_leaning
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.summary import summarise
@@ -89,9 +90,11 @@ def test_what_a_loss_alone_makes_is_a_limit_where_the_loss_is():
         sides = {"alpha_drive": (1 / (1 + mu), "upper"), "alpha_back": (1 / (1 - mu), "lower")}
         sides["efficiency_drive"] = sides["alpha_drive"]
         for name, (draws, side) in sides.items():
-            limits = limits_of(f"gearbox.{name}")
-            assert leaning(draws, limits, limits)["at_bound"] == (side if at_zero else None)
-    assert limits_of("gearbox.lambda_ratio") is None
+            told = loss_leaning(f"gearbox.{name}", draws)
+            assert told["at_bound"] == (side if at_zero else None)
+            # and where its loss itself leans
+            assert (bound_of(mu, 0.0, np.inf) is not None) == at_zero
+    assert loss_leaning("gearbox.lambda_ratio", mu) == {}
 
 
 def test_what_the_prior_alone_makes_needs_no_other_bound():

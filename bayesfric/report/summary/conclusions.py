@@ -14,7 +14,7 @@ from scipy.stats import norm
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES
-from bayesfric.report.summary.derived_quantities import Groups, leaning, limits_of, spread
+from bayesfric.report.summary.derived_quantities import Groups, leaning, loss_leaning, spread
 from bayesfric.report.summary.record import ModelError, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.self_check_part import cited
@@ -88,10 +88,10 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     priors = {n: p.limits for n, p in zip(fit.posterior.names, fit.posterior.priors, strict=True)}
     for name, change in changes.items():
-        limits = priors.get(name) or limits_of(name)
-        if change and limits is not None and summary.rows[name].at_bound is None:
+        if change and summary.rows[name].at_bound is None:
             # what has more room may come to lean on a bound
-            change |= leaning(found[name], limits, possible.get(name, limits))
+            limits, x = priors.get(name), found[name]
+            change |= leaning(x, limits, possible[name]) if limits else loss_leaning(name, x)
     return summary.with_rows(changes, model_error=told)
 
 

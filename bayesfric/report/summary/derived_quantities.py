@@ -27,8 +27,14 @@ LEVEL = 0.9
 _TOTALS_BUDGET = 25_000_000
 # A total below this share of the others of its unit is zero but for rounding.
 _NOUGHT = 1e-9
-_LOSSY = {"alpha_drive": (0.0, 1.0), "alpha_back": (1.0, math.inf)}
-_LOSSY |= {"efficiency_drive": (0.0, 1.0), "efficiency_back": (0.0, 1.0)}
+# The loss per torque that a factor or an efficiency is made of, eqs. (4) and (6), and the side on
+# which one lies where there is none.
+_LOSSES: dict[str, tuple[Callable[[Array], Array], str]] = {
+    "alpha_drive": (lambda x: 1.0 / x - 1.0, "upper"),
+    "alpha_back": (lambda x: 1.0 - 1.0 / x, "lower"),
+    "efficiency_drive": (lambda x: 1.0 / x - 1.0, "upper"),
+    "efficiency_back": (lambda x: 1.0 - x, "upper"),
+}
 
 
 @dataclass(frozen=True)
@@ -92,14 +98,6 @@ def spread(x: Array) -> dict[str, Any]:
     }
 
 
-def limits_of(name: str) -> tuple[float, float] | None:
-    """Give the physical limits of a factor or efficiency, eqs. (4) and (6); no other has any.
-
-    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of a loss does not.
-    """
-    return _LOSSY.get(quantity_of(name))
-
-
 def leaning(x: Array, prior: tuple[float, float], possible: tuple[float, float]) -> dict[str, Any]:
     """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
     side = bound_of(x[np.isfinite(x)], *prior)
@@ -111,6 +109,19 @@ def leaning(x: Array, prior: tuple[float, float], possible: tuple[float, float])
         "bound": prior[end],
         "bound_physical": prior[end] == possible[end],
     }
+
+
+def loss_leaning(name: str, x: Array) -> dict[str, Any]:
+    """Say whether a factor or efficiency ``(n,)`` is known from one side only, as its loss is.
+
+    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.
+    """
+    if quantity_of(name) not in _LOSSES:
+        return {}
+    loss, side = _LOSSES[quantity_of(name)]
+    if bound_of(loss(x[np.isfinite(x)]), 0.0, math.inf) is None:
+        return {"at_bound": None}
+    return {"at_bound": side, "bound": 1.0, "bound_physical": True}
 
 
 def gradients(fit: Fit, group: Group) -> Array:
@@ -143,8 +154,7 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
             by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told), "prior_sd": prior_sd}
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
-            if (limits := limits_of(q.name)) is not None:
-                by |= leaning(q.values, limits, limits)
+            by |= loss_leaning(q.name, q.values)
             if np.isfinite(prior).any():
                 by["prior_interval"] = spread(prior)["interval"]
             rows[q.name] = {
