@@ -1,4 +1,4 @@
-"""Chains that have a name."""
+"""Which joints can be named: the paper's knee, a motor axis, a servo pendulum."""
 
 from __future__ import annotations
 
@@ -10,7 +10,21 @@ from bayesfric.mechanism.element import Element, Load
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with."""
+    """A named chain with values to simulate it with.
+
+    Attributes
+    ----------
+    name
+        As written in a configuration.
+    meaning, when
+        What it is, and what kind of joint to choose it for; one line each.
+    elements, load, offset
+        Of the chain, see :class:`bayesfric.mechanism.chain.Chain`.
+    values
+        True parameter values for simulation, by name, SI.
+    source
+        Where these are from.
+    """
 
     name: str  # as written in a configuration
     meaning: str  # one line for people
@@ -22,7 +36,7 @@ class Preset:
     offset: bool = False
 
     def chain(self) -> Chain:
-        """Make the chain."""
+        """Make the chain, which keeps the preset's name as ``made_from``."""
         return Chain(self.elements, self.load, self.offset, made_from=self.name)
 
 

@@ -1,4 +1,4 @@
-"""The table of what a joint is described by: each quantity is declared here, and read by all.
+"""Which terms a joint may have: the table in which each quantity is declared once, and read by all.
 
 A term of the friction law is one :class:`Quantity`. What it adds to the torque, its *column*,
 is a function of the state of its own element; ratios, totals, regressors, default priors,
@@ -174,7 +174,7 @@ class Quantity:
 
     @property
     def bends(self) -> bool:
-        """Whether totals of least squares are another number where it is: a loss, or a shape."""
+        """Whether totals of eq. (11) are another number where it is: a loss, or a shape."""
         return self.role == "loss" or (
             self.role == "form" and self.option != "" and not self.circular
         )
@@ -187,7 +187,7 @@ class Quantity:
 
     @property
     def fills(self) -> tuple[tuple[str, float], ...]:
-        """Columns of ``psi`` and weights."""
+        """Columns of ``psi``, eq. (13), that it fills, and the weight in each."""
         return self.shares or ((self.name, 1.0),)
 
     def unit(self, motion: Motion) -> str:
@@ -215,10 +215,12 @@ class Total:
 
 
 def _drives(state: State) -> Any:
+    """Torque of a loss per transmitted torque of one, while the motor side drives."""
     return np.maximum(state.transmitted * state.direction, 0.0) * state.direction
 
 
 def _is_driven(state: State) -> Any:
+    """Torque of a loss per transmitted torque of one, while the load drives."""
     return np.maximum(-state.transmitted * state.direction, 0.0) * state.direction
 
 
