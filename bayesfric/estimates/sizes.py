@@ -1,4 +1,4 @@
-"""Sizes of what was measured: what default priors, and the values to try, are scaled by."""
+"""How large torque, speed and acceleration are: what default priors are scaled by."""
 
 from __future__ import annotations
 
@@ -22,7 +22,27 @@ _NEARLY_ALL = 0.999
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of what was measured."""
+    """Sizes of what was measured.
+
+    Attributes
+    ----------
+    torque
+        Largest measured of the motor (99.9th percentile), N m or N.
+    speed, acceleration
+        Root mean square at the joint, rad or m and s.
+    lean
+        Largest sine of the joint's angle that gravity was seen at.
+    exchanged
+        Torque that one term surely takes, from another maybe, N m or N.
+    position
+        Range of the joint's, rad or m.
+    duration
+        Of the longest recording, s.
+    position_step
+        Finest that one was read in, rad or m; 0 where it is not known.
+    columns
+        Root mean square torque of each term with a shape of its own, for a value of one.
+    """
 
     torque: float  # largest measured of the motor (99.9th percentile), N m or N
     speed: float  # root mean square at the joint
@@ -42,7 +62,14 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     Parameters
     ----------
     chain, observations
-        The mechanism, and at least one recording of it; only samples where outputs are count.
+        The mechanism, and at least one recording of it; samples away from outputs, as excluded
+        ones, do not count.
+
+    Returns
+    -------
+    Scales
+        With an acceleration that at least changes the speed once in all recordings, and a lean of 1
+        where gravity's angle is unknown.
     """
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
@@ -67,7 +94,20 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
 
 
 def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
-    """Give the sizes at the input of an element, or of ``load``."""
+    """Give the sizes at the input of an element, or of ``load``.
+
+    Parameters
+    ----------
+    chain, owner
+        The mechanism, and the element's name.
+    scales
+        Of its recordings, at the joint and, the torque, at the motor.
+
+    Returns
+    -------
+    Sizes
+        Speeds go with the ratio, torque against it; losses on the way are not counted.
+    """
     to_joint = chain.reaches[owner]
     return Sizes(
         scales.torque * (chain.ratio / to_joint),

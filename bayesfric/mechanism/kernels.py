@@ -123,6 +123,11 @@ def rises(element: Row, speed: float) -> Factors:
         Row of the table, :data:`ELEMENT_SLOTS`; each of the two has a ``c`` of its own.
     speed
         Of its input, rad/s or m/s.
+
+    Returns
+    -------
+    constant, load : float
+        1 without a Stribeck effect.
     """
     constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
     if constant == 0.0 and load == 0.0:

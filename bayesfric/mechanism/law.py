@@ -238,6 +238,11 @@ class Statements:
             ``(n_slots,)``, a row of :meth:`Chain.tables`.
         outside
             That torque, at the joint.
+
+        Returns
+        -------
+        Traced or number
+            Known added masses are not in it.
         """
         q, _, a, _ = map(Traced, MOTION)
         weight = self.kernels["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))

@@ -145,6 +145,11 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
     inputs
         Of the recording.
 
+    Returns
+    -------
+    Signal
+        Looked up by time; ``row.zero`` is not taken off yet.
+
     Raises
     ------
     ValueError
