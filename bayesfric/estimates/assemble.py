@@ -116,7 +116,7 @@ def centred(
 
 
 def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
-    """Say what counts as a change of one: the value; for load losses that of 1/alpha, eq. (6).
+    """Say what counts as a change of one: the value; for mu_1 and mu_2 that of 1/alpha, eq. (6).
 
     Parameters
     ----------
@@ -130,8 +130,8 @@ def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
     Returns
     -------
     ndarray
-        ``(len(free),)`` positive, in the parameters' units: ``1 + mu_1`` and ``|1 - mu_2|`` for the
-        two load losses, ``|value|`` for all others.
+        ``(len(free),)`` positive, in the parameters' units: ``1 + mu_1`` and ``|1 - mu_2|`` for
+        load-dependent friction by power flow, ``|value|`` for all others.
     """
     units = []
     for p in (chain.parameters[chain.names.index(name)] for name in free):
@@ -148,7 +148,8 @@ def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
 def alpha_way(p: Parameter) -> int:
     """Sign in ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 - mu_2)``, eq. (6).
 
-    Only one of two load losses has an alpha: what it takes while power flows its way says which.
+    Only ``mu_1`` and ``mu_2`` have an alpha, not one mu of both power flows: what a term takes
+    while power flows either way says which it is.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ _TOLD = 0.5
 
 
 def collinear_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tuple[str, ...]:
-    """Name the load losses of several elements of which the recordings identify none by itself.
+    """Name load-dependent frictions of several elements where data identify none by itself.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ class TorqueProblem:
         Parameters
         ----------
         mu
-            Load loss wherever there is one.
+            Load-dependent friction wherever there is some.
         share
             Of the motor in each total.
 

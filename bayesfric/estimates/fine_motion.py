@@ -154,7 +154,7 @@ def _near(o: Observation, made: Observation, recording: Measurement) -> bool:
 
 
 def _handover(o: Observation, recording: Measurement, left: Array, inertia: float) -> float:
-    """Frequency in Hz above which a speed is told better by the torque than by the encoder.
+    """Frequency in Hz above which the torque determines a speed better than the encoder.
 
     ``left`` ``(N,)`` is the torque that is not explained; behind the parallel filter it is
     ``S_t`` a hertz. The speed's noise is ``S_t/(J w)²`` by the torque; by the encoder it is

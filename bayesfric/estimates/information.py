@@ -78,7 +78,7 @@ class Directions:
 
     @property
     def told(self) -> Array:
-        """Jacobian ``(rank, d)`` in those units that tells the same, null directions left out."""
+        """Jacobian ``(rank, d)`` in those units without null directions, which says the same."""
         return np.asarray(self.rows[~self.null] * self.singular_values[~self.null, None])
 
     def sd(self, gradient: Array) -> float:

@@ -292,7 +292,7 @@ def _width(problem: TorqueProblem, found: Sequence[Found]) -> float:
 
 
 def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
-    """One vector of each of the lowest minima, moved to where told values fit best."""
+    """One vector of each of the lowest minima, moved to where values with an sd fit best."""
     width = _width(problem, found)
     apart: list[Found] = []
     for one in found:

@@ -222,8 +222,8 @@ def _has_own(chain: Joint, p: Parameter) -> bool:
 def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Regressors of eq. (11) that a parameter shows in, and its torque there for a value of one.
 
-    A mean transfer coefficient stands for load losses; what shapes other terms, or scales
-    everything, has no regressor of its own.
+    A mean transfer coefficient stands for load-dependent friction; what shapes other terms, or
+    scales everything, has no regressor of its own.
     """
     if p.circular:
         return (("gravity_cosine", 0.0),)
@@ -240,7 +240,7 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
     totals
         By :func:`least_squares`, of the same mechanism.
     mu
-        Load loss wherever there is one.
+        Load-dependent friction wherever there is some.
     share
         The motor's share of each total; the other elements and the load divide the rest.
 

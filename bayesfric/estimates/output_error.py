@@ -420,7 +420,7 @@ class OutputError:
 
 
 def _spread(fit: Fit) -> float:
-    """Mean logarithm of the robust sds of what every length determines: smaller is better."""
+    """Mean logarithm of the robust standard deviations of what every length determines."""
     d = fit.information.directions
     told = d.rows[~d.null]
     found = [fit.information.sds(row / d.units)[1] for row in told]

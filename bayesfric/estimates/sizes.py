@@ -128,7 +128,7 @@ def _lean(chain: Joint, observations: Sequence[Observation]) -> float:
 
 
 def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
-    """Give the largest torque that least squares finds in one term, less two of its sds."""
+    """Give the largest torque of one term by least squares, less two standard deviations."""
     projection = TotalsProjection(chain, observations)
     with suppress(BadInput):
         found = least_squares(chain, observations, projection)

@@ -105,7 +105,7 @@ class TorqueForm:
         -------
         ndarray
             ``(n_parameters,)``. Where more parameters than one fill a column, they share it evenly;
-            negative values are not mended.
+            negative values stay.
 
         Notes
         -----
@@ -223,9 +223,10 @@ def torque_form(
     Returns
     -------
     TorqueForm or None
-        None for a chain with several load losses, or with a known load at an unknown angle; unless
-        ``any_shape``, also with an unknown gain or whatever shapes a term (Stribeck rise, exponent,
-        load loss by direction or growing with speed): these are not of the form.
+        None for a chain with several load-dependent elements, or with a known load at an unknown
+        angle; unless ``any_shape``, also with an unknown gain or whatever shapes a term (Stribeck
+        rise, exponent, load-dependent friction by direction or growing with speed): these are not
+        of the form.
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = bool(_turning(chain))
@@ -276,8 +277,8 @@ def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     -------
     tuple of (str, float)
         Name of each column and that torque. A term that does not grow with a power of speed, or has
-        no total, has a column of its own name. Load losses have none: ``lambda_1`` and ``lambda_2``
-        hold them.
+        no total, has a column of its own name. Load-dependent friction has none:
+        ``lambda_1`` and ``lambda_2`` hold it.
 
     Notes
     -----

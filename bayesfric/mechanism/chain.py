@@ -121,8 +121,8 @@ class Chain:
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, motor first, then load, offsets, ``drive.gain`` and ``drive.delay``.
 
-        Load losses ``mu_1, mu_2`` bear no subscript where only one element has them, as in the
-        paper.
+        ``mu_1, mu_2`` bear no subscript where only one element has load-dependent friction, as in
+        the paper.
         """
         # the paper writes mu_1, mu_2 without a name behind them
         several = sum(element.load_loss != "none" for element in self.elements) > 1

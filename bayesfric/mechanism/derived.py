@@ -131,7 +131,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
 
 
 def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
-    """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
+    """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
     if any(o.startswith("load_") and o not in _STEADY for e in lossy for o in e.choices):
         return  # what the motor feels of a term then depends on all the others

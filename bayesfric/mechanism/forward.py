@@ -455,7 +455,7 @@ def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -
 def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
     """Smallest and largest motor torque per joint acceleration, over all power directions.
 
-    At rest and without load: what load losses grow by with speed and load is left out.
+    At rest and without load: what load-dependent friction grows by is left out.
     """
     low, high = inertia, inertia
     to_input = np.ones_like(inertia)

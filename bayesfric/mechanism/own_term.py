@@ -223,7 +223,7 @@ def written_out(function: Callable[[float, float, float, float, float], float]) 
 class _Motion(NamedTuple):
     """The part of a :class:`State` that a carried term may depend on.
 
-    Inertia, load losses and gravity are terms that every element or load can have.
+    Inertia, load-dependent friction and gravity are terms that every element or load can have.
     """
 
     position: float

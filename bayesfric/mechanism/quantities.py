@@ -109,7 +109,7 @@ class Quantity:
     by_direction
         The totals it is part of instead, where other elements tell the directions apart.
     scaled_by
-        Where load and load losses are scaled together (section 4.2), the power of the factor
+        Where load and load friction are scaled together (section 4.2), the power of the factor
         that divides it.
     rises
         Whether the rise at low speed multiplies it.
@@ -127,9 +127,9 @@ class Quantity:
     prior_upper
         Where default priors end if before ``upper``.
     tries
-        Values at which what it shapes is tried, where nothing tells it yet.
+        Values at which what it shapes is tried, where nothing is known of it yet.
     start
-        Where a search starts that nothing has told anything; ``None`` for its share of a total.
+        Where a search starts that knows nothing of it; ``None`` for its share of a total.
     alone
         Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
     """

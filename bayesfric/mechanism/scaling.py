@@ -27,7 +27,7 @@ class Scaling:
     chain
         The mechanism.
     element
-        The element with two load losses.
+        The element with load-dependent friction ``mu_1`` (driving) and ``mu_2`` (back-driving).
     rules
         Of every parameter that takes part the shift and the power with which ``value + shift`` is
         multiplied by ``factor**power``. The shift of what is behind the element is the known
@@ -185,8 +185,8 @@ def scalings(
     Returns
     -------
     tuple of Scaling
-        One for every element with two load losses that has something behind it. One loss for both
-        power flows leaves none: ``lambda_1`` is 1 then.
+        One for every element with ``mu_1`` and ``mu_2`` that has something behind it. One mu for
+        both power flows leaves none: ``lambda_1`` is 1 then.
     """
     known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
     known = {name: amount for name, amount in known.items() if amount}
