@@ -40,7 +40,8 @@ class CarriedValues(NamedTuple):
     values
         ``(n, n_carried, 2)`` coefficient and value of what shapes each, of several vectors.
     places
-        ``(n_carried,)`` index of the element of each, as in :class:`kernels.Samples`.
+        ``(n_carried,)`` index of the element of each, as in
+        :class:`~bayesfric.mechanism.kernels.Samples`.
     addresses
         ``(n_carried,)`` of their compiled columns.
     stamps
