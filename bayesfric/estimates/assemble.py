@@ -244,11 +244,11 @@ class _Stated:
         Those that are open.
     """
 
-    values: Array  # (n_parameters,)
-    columns: NDArray[np.int64]  # the free ones
-    information: Information  # of these
+    values: Array
+    columns: NDArray[np.int64]
+    information: Information
     at_bound: NDArray[np.int_]
-    scalings: tuple[Scaling, ...]  # that are open
+    scalings: tuple[Scaling, ...]
 
     def __call__(
         self,

@@ -57,7 +57,7 @@ class Attenuated:
     recording: str
     band: float
     narrower: float
-    inertia: float  # by least squares in either, seen by the motor
+    inertia: float
     larger: float
 
 
@@ -80,7 +80,7 @@ class _Seen:
     band: float
     inertia: float
     sd: float
-    left: float  # variance that is unexplained, per hertz
+    left: float
     free: int
 
 

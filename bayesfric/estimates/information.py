@@ -42,11 +42,10 @@ class Directions:
         ``(d, k)`` orthonormal, in those units: directions known to change no output.
     """
 
-    units: Array  # (d,) what counts as a change of one, in each parameter's unit
-    singular_values: Array  # (d,) of the Jacobian in those units
-    rows: Array  # (d, d) right singular vectors, one a row, in those units
-    tolerance: float = NULL  # singular values below this share of the largest are rounding
-    # (d, k) orthonormal, in those units: directions known to change no output
+    units: Array
+    singular_values: Array
+    rows: Array
+    tolerance: float = NULL
     known_null: Array | None = None
 
     def off_known(self, gradient: Array) -> Array:

@@ -27,10 +27,8 @@ class Knowledge:
         residual each.
     """
 
-    fixed: Mapping[str, float] = field(default_factory=dict)  # values taken as known
-    # lower and upper limit of others; the support where left out
+    fixed: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # mean and sd of others, as a data sheet or a prior tells them: one more residual each
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def free(self, chain: Joint) -> tuple[str, ...]:

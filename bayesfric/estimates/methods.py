@@ -57,11 +57,10 @@ class Estimator:
     """
 
     name: Method
-    title: str  # as a heading
-    # makes the estimate, from the ones that were made before, by name
+    title: str
     estimate: Callable[[Given, Mapping[Method, Estimate]], Estimate]
-    starts_from: Method | None = None  # whose estimate it needs, if any
-    simulates: bool = False  # whether it is dear, and some mechanisms have none
+    starts_from: Method | None = None
+    simulates: bool = False
 
 
 def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:

@@ -151,9 +151,8 @@ class Fit:
 
     frame: Frame
     solution: Solution
-    # of the free parameters, bounds left out: beside one, others would look far too certain
     information: Information
-    at_bound: NDArray[np.int_]  # (d,) -1 on the lower bound, 1 on the upper, else 0
+    at_bound: NDArray[np.int_]
 
 
 class OutputError:

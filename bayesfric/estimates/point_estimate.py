@@ -44,19 +44,17 @@ class EstimatedValue:
         What a passive gearbox allows where a scaling leaves it open.
     """
 
-    name: str  # these four as for parameters; the symbol is LaTeX without dollar signs
+    name: str
     unit: str
     symbol: str
     meaning: str
-    value: float  # where sd is infinite it is one of many that fit as well
-    # For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
-    # the number, nan where it has none because the estimate stands on a bound.
+    value: float
     sd: float
-    sd_robust: float = math.nan  # accounts for correlated residuals
-    kind: Kind = "total"  # seen by the motor, eq. (11); of the chain; or from parameters
-    gauge_free: bool = True  # whether scaling leg parameters and alpha together leaves it unchanged
+    sd_robust: float = math.nan
+    kind: Kind = "total"
+    gauge_free: bool = True
     at_bound: Bound | None = None
-    span: tuple[float, float] | None = None  # what a gearbox allows where a scaling leaves it open
+    span: tuple[float, float] | None = None
 
     @property
     def relative_sd(self) -> float:
@@ -111,14 +109,14 @@ class Estimate:
     """
 
     method: Method
-    values: tuple[EstimatedValue, ...]  # totals, derived quantities, parameters
-    residual_rms: float  # root mean square of measured minus modelled
-    n_outputs: int  # number of residuals
-    assumption: str  # what the standard deviations take for granted, one sentence
-    residual_unit: str = "N m"  # that of torque, or of position for the output error
-    notes: tuple[str, ...] = ()  # what a user should know of how it came about, one sentence each
-    point: tuple[tuple[str, float], ...] = ()  # every chain parameter; empty for least squares
-    converged: bool = True  # at a minimum; values have no sds where it is not
+    values: tuple[EstimatedValue, ...]
+    residual_rms: float
+    n_outputs: int
+    assumption: str
+    residual_unit: str = "N m"
+    notes: tuple[str, ...] = ()
+    point: tuple[tuple[str, float], ...] = ()
+    converged: bool = True
 
     @property
     def parameters(self) -> list[EstimatedValue]:

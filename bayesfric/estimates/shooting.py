@@ -41,9 +41,9 @@ class Sensitivities(NamedTuple):
         ``(n, 2)`` by position and speed at the start of the segment each sample is in.
     """
 
-    positions: Array  # (n,)
-    parameters: Array  # (n, d) by the free parameters
-    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
+    positions: Array
+    parameters: Array
+    states: Array
 
 
 class Shooting:

@@ -57,18 +57,17 @@ class Frame:
     """
 
     shooting: Shooting
-    columns: NDArray[np.int64]  # (d,) the free parameters among the chain's
-    units: Array  # (d,) changes of them that change the torque by all of itself
+    columns: NDArray[np.int64]
+    units: Array
     limits: tuple[Array, Array]
-    scalings: tuple[Scaling, ...]  # that nothing known takes away
-    told: Array  # (k, d) rows 1/sd of what is known besides
-    targets: Array  # mean/sd of it
-    speed: float  # typical speed and range of the position, for the size of state steps
+    scalings: tuple[Scaling, ...]
+    told: Array
+    targets: Array
+    speed: float
     span: float
-    # how residuals count: (n,) a factor on each, and their sd times that
     rows: Array
     sigma: float
-    deadline: float = math.inf  # CPU time of the process, s, at which a descent ends where it is
+    deadline: float = math.inf
 
     def tangents(self, values: Array) -> Array:
         """Directions along the scalings, orthonormal in units, ``(d, g)`` for g scalings.
@@ -102,10 +101,9 @@ class Solution:
 
     values: Array
     states: Array
-    residual: Array  # (n,) measured minus simulated position, not weighted
-    cost: float  # sum of the squares, of what is told too
-    gain: float  # by how much a further step would lower it, in residual variances
-    # the last step was as small as wanted, or nothing smaller was found; not where time ran out
+    residual: Array
+    cost: float
+    gain: float
     converged: bool
 
 

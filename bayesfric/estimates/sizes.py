@@ -44,15 +44,14 @@ class Scales:
         Root mean square torque of each term with a shape of its own, for a value of one.
     """
 
-    torque: float  # largest measured of the motor (99.9th percentile), N m or N
-    speed: float  # root mean square at the joint
+    torque: float
+    speed: float
     acceleration: float
-    lean: float = 1.0  # largest sine of the joint's angle that gravity was seen at
-    exchanged: float = 0.0  # torque that one term surely takes, from another maybe
-    position: float = 1.0  # range of the joint's, rad or m
-    duration: float = 1.0  # of the longest recording, s
-    position_step: float = 0.0  # finest that one was read in; 0 where it is not known
-    # root mean square torque of each term with a shape of its own, for a value of one
+    lean: float = 1.0
+    exchanged: float = 0.0
+    position: float = 1.0
+    duration: float = 1.0
+    position_step: float = 0.0
     columns: Mapping[str, float] = field(default_factory=dict)
 
 

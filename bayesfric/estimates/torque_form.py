@@ -54,15 +54,11 @@ class TorqueForm:
     """
 
     chain: Joint
-    # Columns of psi that Theta1 and Theta2 multiply, those of TOTALS in motor units, as the
-    # paper's: offset is one, offset.<recording> one in that one; added_load the torque of the
-    # known mass at the motor, whose coefficients are lambda_1 and lambda_2. A term with a shape of
-    # its own has a column by the name of its parameter.
     names1: tuple[str, ...]
     names2: tuple[str, ...]
-    front: Mapping[str, list[Term]] = field(repr=False)  # in each column, up to the gearbox
-    behind: Mapping[str, list[Term]] = field(repr=False)  # and behind it
-    loss: str  # name of the element with load loss; empty for none
+    front: Mapping[str, list[Term]] = field(repr=False)
+    behind: Mapping[str, list[Term]] = field(repr=False)
+    loss: str
 
     def thetas(self, values: Array) -> tuple[Array, Array]:
         """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector.

@@ -30,10 +30,10 @@ class Minimum:
         How many searches there were, and how many reached this minimum.
     """
 
-    theta1: Array  # coefficients of the columns of the form, in motor units
-    theta2: Array  # of this and its negative, the same torque, the one that a mechanism can have
+    theta1: Array
+    theta2: Array
     starts: int
-    starts_agreeing: int  # how many reached this minimum
+    starts_agreeing: int
 
 
 class VariableProjection:

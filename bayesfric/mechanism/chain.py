@@ -40,10 +40,8 @@ class Tables(NamedTuple):
         coefficient, and value of the parameter that shapes the term (0 where none does).
     """
 
-    elements: Array  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
-    load: Array  # (n, n_slots); columns are kernels.LOAD_SLOTS
-    # (n, n_carried, 2) of the terms that have no slot, Chain.felt: the coefficient, and the
-    # value that shapes it, 0 where none does
+    elements: Array
+    load: Array
     carried: Array
 
 

@@ -47,14 +47,12 @@ class Derived:
         Whether it is the motion's as much as the joint's: another motion has another value.
     """
 
-    # name, unit, symbol, meaning: as for parameters; the symbol is LaTeX without dollar signs
     name: str
     unit: str
     symbol: str
     meaning: str
-    values: Array  # (n,), one for each parameter vector
-    gauge_free: bool  # whether scaling leg parameters and alpha together leaves it unchanged
-    # whether it is the motion's as much as the joint's: another motion has another value
+    values: Array
+    gauge_free: bool
     of_motion: bool = False
 
 

@@ -50,11 +50,11 @@ class CarriedValues(NamedTuple):
         ``(n_carried, K)`` what each is multiplied by at these times.
     """
 
-    values: Array  # (n, n_carried, 2) coefficients and what shapes each, of several vectors
-    places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
-    addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
-    stamps: Array  # (K,) times of what some are multiplied by, s
-    levels: Array  # (n_carried, K) what each is multiplied by
+    values: Array
+    places: NDArray[np.int64]
+    addresses: NDArray[np.int64]
+    stamps: Array
+    levels: Array
 
 
 class Moved(NamedTuple):
@@ -81,20 +81,16 @@ class Moved(NamedTuple):
         Which of their vectors is meant.
     """
 
-    elements: Array  # a vector's of Chain.tables; every further array here would cost time
+    elements: Array
     gain: float
     offset: float
-    inertia: float  # of the load, added mass included, kg m² or kg
-    # weight, angle: amplitude and angle of its gravity torque, added mass included, N m and
-    # rad
+    inertia: float
     weight: float
     angle: float
-    kinks: int  # bit k: the torque at the input of element k has one where power changes direction
-    squares: bool  # whether a loss grows with the square of the load
-    # terms without a slot; None for a joint that has none, which is compiled by itself: a
-    # third faster
+    kinks: int
+    squares: bool
     carried: CarriedValues | None
-    vector: int  # which vector's of these
+    vector: int
 
 
 # Steps of Newton's method, which ends earlier where it moves by rounding only.

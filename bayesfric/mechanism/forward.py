@@ -83,24 +83,16 @@ class Motion:
         unless the steps are far too coarse.
     """
 
-    time: Array  # (N,), s, from zero
-    # q, qd, qdd: (N,) position, speed and acceleration of the joint (rad or m, SI). The
-    # acceleration is the one right after the sample
+    time: Array
     q: Array
     qd: Array
     qdd: Array
-    torque: Array  # (N,) measured motor torque, as given (N m or N)
-    # (N,), where static friction holds the joint; speed and acceleration are then exactly
-    # zero
+    torque: Array
     sticking: NDArray[np.bool_]
-    events: int  # located stops, breakaways and sign changes of transmitted torques
-    reversals: int  # how often the joint moved off against the direction it had moved in before
-    # estimated discretisation error of q (rad or m), largest over the samples; NaN where the
-    # number of steps was given
+    events: int
+    reversals: int
     step_error: float
-    substeps: int  # integration steps per sample
-    # steps with more events than the simulator follows; their rest was integrated without
-    # locating any. Zero unless the steps are far too coarse
+    substeps: int
     unresolved: int = 0
 
 

@@ -73,23 +73,17 @@ class Samples(NamedTuple):
         ``(n_carried,)`` of its compiled column where a parameter shapes it; 0 where none does.
     """
 
-    added_inertia: float  # added_inertia, added_moment: of a known mass on the load, kg m² and kg m
+    added_inertia: float
     added_moment: float
-    sin_q: Array  # sin_q, cos_q, speed, acceleration: (N,) of the joint
+    sin_q: Array
     cos_q: Array
     speed: Array
     acceleration: Array
     position: Array
     time: Array
-    # (n_carried, N) torque of each term without a slot, for a coefficient of one; not used where
-    # a parameter shapes it
     columns: Array
-    # (n_carried,) index of its element; that of the load is the number of elements, and one more
-    # what comes on top of the torque measured
     places: NDArray[np.int64]
-    # (n_carried,) speed of its element's input over the joint's
     reaches: Array
-    # (n_carried,) of its compiled column where a parameter shapes it; 0 where none does
     addresses: NDArray[np.int64]
 
 

@@ -121,12 +121,11 @@ class CarriedTerm:
         Index of the parameter that shapes its column; -1 where none does.
     """
 
-    index: int  # of its parameter among the chain's; -1 for what counts once, without one
-    # index of its element; the load's is the number of elements, and one more is outside of all
+    index: int
     place: int
-    reach: float  # speed of the element's input over the joint's
-    row: Quantity  # in the table of quantities, or a term of one's own
-    shape: int = -1  # index of the parameter that shapes its column; -1 where none does
+    reach: float
+    row: Quantity
+    shape: int = -1
 
     @property
     def address(self) -> int:

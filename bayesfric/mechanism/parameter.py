@@ -41,12 +41,12 @@ class Parameter:
         One line for people.
     """
 
-    name: str  # element.quantity, for example motor.inertia
-    row: Quantity  # its row in the table of quantities
-    owner: str  # name of the element, load, drive, or empty for what the whole chain has
-    unit: str  # unit as printed, in SI
-    symbol: str  # laTeX symbol without dollar signs, the paper's where it has one
-    meaning: str  # one line for people
+    name: str
+    row: Quantity
+    owner: str
+    unit: str
+    symbol: str
+    meaning: str
 
     @property
     def quantity(self) -> str:

@@ -26,13 +26,13 @@ class Preset:
         Where these are from.
     """
 
-    name: str  # as written in a configuration
-    meaning: str  # one line for people
-    when: str  # what kind of joint to choose it for
+    name: str
+    meaning: str
+    when: str
     elements: tuple[Element, ...]
     load: Load
-    values: dict[str, float]  # parameter values for simulation, with their source in source
-    source: str  # where the values come from
+    values: dict[str, float]
+    source: str
     offset: bool = False
 
     def chain(self) -> Chain:
