@@ -1,4 +1,8 @@
-"""From one fitted parameter vector to everything an estimate states about it."""
+"""What an estimate states of one fitted parameter vector: totals, derived quantities, parameters.
+
+Each number has standard deviations, says on which bound it stands, and, where the scale between
+leg and alpha is open (section 4.2), which values fit as well.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ _ON_BOUND = 1e-6
 def open_scalings(
     chain: Joint, knowledge: Knowledge, observations: Sequence[Observation]
 ) -> tuple[Scaling, ...]:
-    """Scalings that neither known loads nor a known or told parameter takes away (section 4.2).
+    """Scalings that neither known loads nor a known value of a parameter takes away (section 4.2).
 
     One known mass in all recordings alike might as well be more leg, and zero times any
     factor is zero: neither fixes a scale.
@@ -38,7 +42,7 @@ def open_scalings(
     chain
         The mechanism.
     knowledge
-        Fixed and told values; bounds alone fix no scale.
+        Fixed values, and those with a standard deviation; bounds alone fix no scale.
     observations
         Whose known loads count.
 
@@ -112,7 +116,7 @@ def centred(
 
 
 def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
-    """Say what counts as a change of one: the value; for load losses that of 1/alpha, eq. (6).
+    """Say what counts as a change of one: the value; for mu_1 and mu_2 that of 1/alpha, eq. (6).
 
     Parameters
     ----------
@@ -126,7 +130,8 @@ def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
     Returns
     -------
     ndarray
-        ``(len(free),)`` positive, in the parameters' units.
+        ``(len(free),)`` positive, in the parameters' units: ``1 + mu_1`` and ``|1 - mu_2|`` for
+        load-dependent friction by power flow, ``|value|`` for all others.
     """
     units = []
     for p in (chain.parameters[chain.names.index(name)] for name in free):
@@ -141,9 +146,20 @@ def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
 
 
 def alpha_way(p: Parameter) -> int:
-    """Sign in ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 - mu_2)``; zero for the others.
+    """Sign in ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 - mu_2)``, eq. (6).
 
-    Only one of two load losses has an alpha: what it takes while power flows its way says which.
+    Only ``mu_1`` and ``mu_2`` have an alpha, not one mu of both power flows: what a term takes
+    while power flows either way says which it is.
+
+    Parameters
+    ----------
+    p
+        Any parameter.
+
+    Returns
+    -------
+    int
+        1 for ``mu_1``, -1 for ``mu_2``, 0 for one loss of both power flows and for all others.
     """
     if p.row.role != "loss" or p.row.column is None:
         return 0
@@ -160,7 +176,7 @@ def assemble(
     information: Information,
     at_bound: NDArray[np.int_],
 ) -> tuple[EstimatedValue, ...]:
-    """State totals, derived quantities and parameters of a fitted vector ``(n_parameters,)``.
+    """State totals, derived quantities and parameters of a fitted vector.
 
     Parameters
     ----------
@@ -178,8 +194,13 @@ def assemble(
     -------
     tuple of EstimatedValue
         Totals of eq. (11) as least squares would see this vector's torque, derived quantities,
-        free parameters. Sds are of first order in the gradient. What the data leave open has an
-        infinite sd; what stands on a bound has none.
+        free parameters. What the data leave open has an infinite standard deviation; what stands on
+        a bound has none.
+
+    Notes
+    -----
+    Standard deviations are of first order: ``sqrt(g' C g)`` with the gradient ``g`` of a number by
+    the parameters and their covariance ``C``. Gradients are central differences.
     """
     columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
     scale = np.zeros(values.size)
@@ -209,13 +230,25 @@ def assemble(
 
 @dataclass(frozen=True, eq=False)
 class _Stated:
-    """States numbers that a fitted vector makes up."""
+    """States numbers that a fitted vector makes up.
 
-    values: Array  # (n_parameters,)
-    columns: NDArray[np.int64]  # the free ones
-    information: Information  # of these
+    Attributes
+    ----------
+    values
+        ``(n_parameters,)``.
+    columns
+        ``(d,)`` the free ones among them.
+    information, at_bound
+        Of the free ones.
+    scalings
+        Those that are open.
+    """
+
+    values: Array
+    columns: NDArray[np.int64]
+    information: Information
     at_bound: NDArray[np.int_]
-    scalings: tuple[Scaling, ...]  # that are open
+    scalings: tuple[Scaling, ...]
 
     def __call__(
         self,
@@ -241,6 +274,7 @@ class _Stated:
         return EstimatedValue(*number, *sds, kind, gauge_free, bound, span)
 
     def _span(self, along: Callable[[Array], Array]) -> tuple[float, float] | None:
+        """Range of a number along the one open scaling that a passive gearbox allows."""
         if len(self.scalings) != 1:
             return None
         low, high = self.scalings[0].bounds(self.values)
@@ -297,6 +331,7 @@ def _totals(
 def _derived(
     chain: Joint, values: Array, load: float, scale: Array, stated: _Stated
 ) -> Iterator[EstimatedValue]:
+    """State derived quantities, their gradients by central differences; none without a gradient."""
     steps = 1e-5 * scale
     moving = np.flatnonzero(steps)
     k = moving.size

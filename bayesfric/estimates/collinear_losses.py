@@ -1,4 +1,4 @@
-"""Whether load losses one behind the other can be told apart."""
+"""Whether load-dependent frictions one behind the other can be told apart."""
 
 from __future__ import annotations
 
@@ -12,13 +12,29 @@ _TOLD = 0.5
 
 
 def collinear_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tuple[str, ...]:
-    """Name the load losses of several elements of which the recordings tell none by itself.
+    """Name load-dependent frictions of several elements where data identify none by itself.
 
-    The torque that leaves one is that which enters the next but for what stands between: a motion
-    tells little more than their sum. Sampling that is slow: walkers wander along it, and two load
-    losses make no moments that the likelihood would be cheap with (20000 steps of 37 ms on the
-    UR10e, where one load loss takes a minute). ``known`` are parameters that a prior was given
-    for. Empty where one is told or known.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    estimate
+        With every parameter, such as the input error's.
+    known
+        Names of parameters that a prior was given for.
+
+    Returns
+    -------
+    tuple of str
+        Parameter names; empty where one loss is identified (standard deviation below half of all
+        losses together) or known, or only one element has any.
+
+    Notes
+    -----
+    The torque that leaves one element is that which enters the next but for what stands between: a
+    motion tells little more than the sum of their losses. Sampling that is slow: walkers wander
+    along it, and two load losses make no moments that the likelihood would be cheap with (20000
+    steps of 37 ms on the UR10e, where one load loss takes a minute).
     """
     lossy = [e.name for e in chain.elements if e.load_loss != "none"]
     names = [p.name for p in chain.parameters if p.owner in lossy and p.row.role == "loss"]

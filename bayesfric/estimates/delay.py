@@ -1,4 +1,8 @@
-"""How late the position of a recording comes after its torque."""
+"""How late the position of a recording comes after its torque.
+
+The torque is linear in a small delay (:mod:`bayesfric.recordings.timing`), so the delay is one
+more coefficient of an estimate; recordings are timed anew until it settles.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +31,29 @@ _FAR_LESS = 0.5
 
 
 def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
-    """Estimate the delay that a mechanism has as a parameter, s.
+    """Estimate the delay that a mechanism has as a parameter.
 
-    Least squares tells it where the torque is linear. Where load losses or a Stribeck rise bend
-    that, it is the input error's, from no delay on, whose recordings are timed anew by each.
+    Parameters
+    ----------
+    given
+        Mechanism with ``drive.delay``, its prepared observations, knowledge and options.
+    recordings
+        The same recordings as measured.
+
+    Returns
+    -------
+    float
+        s, positive where the position comes late.
 
     Raises
     ------
     BadInput
         If nothing can be estimated from these recordings.
+
+    Notes
+    -----
+    Least squares gives it where the torque is linear. Where load-dependent friction or a Stribeck
+    rise bend that, it is the input error's, which begins each round where the last one ended.
     """
     chain, pairs = given.chain, list(zip(recordings, given.observations, strict=True))
     if any(p.row.bends for p in chain.parameters):
@@ -56,10 +74,28 @@ def found_delay(
     estimate: Callable[[Sequence[Observation]], Estimate],
     chain: Joint,
 ) -> float:
-    """Look for the one delay of all recordings, s, that an ``estimate`` of the chain settles at.
+    """Look for the one delay of all recordings that an estimate of the chain settles at.
 
-    It is no longer than a quarter of a second, or a tenth of the recording, and zero where least
-    squares tells none.
+    Parameters
+    ----------
+    pairs
+        Recordings as measured, and prepared.
+    estimate
+        Of observations that are timed by a delay; its ``drive.delay`` is the next one.
+    chain
+        The mechanism.
+
+    Returns
+    -------
+    float
+        s. At most 0.25 s or a tenth of the shortest recording, whichever is less, or the trimmed
+        ends where these are longer; zero where least squares does not determine it.
+
+    Notes
+    -----
+    Ten rounds at most; it has settled where it moves by less than 0.02 standard deviations. The
+    first is a far one only if that leaves less than half the squared torque: at one frequency a
+    quarter of a period makes a delay look like a spring.
     """
     delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(_ROUNDS):
@@ -85,7 +121,10 @@ def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> f
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    """Give the delay to begin with: none, or a far one with which far more is explained."""
+    """Give the delay to begin with: none, or a far one with which far more is explained.
+
+    Each is tried with one linear fit of the totals and the torque's rate.
+    """
     near = max(longest_delay(o, r.period) for r, o in pairs)
     beyond = [d for d in FAR_DELAYS if near < d <= _longest(pairs)]
     basis, _ = np.linalg.qr(projection.regressors)

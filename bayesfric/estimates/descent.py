@@ -1,4 +1,4 @@
-"""Bounded nonlinear least squares of the modelled torque, for any chain."""
+"""How the input error is minimised: bounded nonlinear least squares of the torque."""
 
 from __future__ import annotations
 
@@ -28,7 +28,32 @@ _SAMPLES = 200_000
 
 
 class TorqueProblem:
-    """Modelled torque of the free parameters, and what is known of them."""
+    """Modelled torque as a function of the free parameters, and what is known of them.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its recordings, prepared.
+    knowledge
+        Fixed values, bounds, values with a standard deviation.
+
+    Attributes
+    ----------
+    free, columns
+        Names of the ``d`` free parameters, and their indices among the chain's.
+    lower, upper
+        ``(d,)`` limits.
+    measured
+        ``(n_outputs,)`` filtered motor torque of all recordings, N m or N.
+    totals
+        Their least squares.
+    base
+        ``(n_parameters,)`` fixed values, zero elsewhere.
+    typical
+        ``(n_parameters,)`` sizes of the parameters, for steps and units.
+    rounding
+        Sum of squares that is rounding.
+    """
 
     def __init__(
         self, chain: Joint, observations: Sequence[Observation], knowledge: Knowledge
@@ -48,21 +73,37 @@ class TorqueProblem:
         self.rounding = (ROUNDING**2) * float(self.measured @ self.measured)
 
     def split(self, mu: float, share: float) -> Array:
-        """Start from the totals of least squares, ``(n_parameters,)``."""
+        """Split the totals of least squares into parameters, to start from.
+
+        Parameters
+        ----------
+        mu
+            Load-dependent friction wherever there is some.
+        share
+            Of the motor in each total.
+
+        Returns
+        -------
+        ndarray
+            ``(n_parameters,)``, see :func:`bayesfric.estimates.least_squares.starting_values`.
+        """
         return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
 
     def vector(self, x: Array) -> Array:
-        """Joint's parameters, ``(n_parameters,)``, from the free ones ``(d,)``."""
+        """Give the parameters ``(n_parameters,)`` that free ones ``(d,)`` and fixed ones make."""
         values = self.base.copy()
         values[self.columns] = x
         return values
 
     def inside(self, values: Array) -> Array:
-        """Free parameters of a vector, put within their limits."""
+        """Free parameters ``(d,)`` of a vector ``(n_parameters,)``, put within their limits."""
         return self.knowledge.inside(self.chain, values[self.columns])
 
     def residual(self, x: Array) -> Array:
-        """Measured minus modelled, ``(n_outputs,)``."""
+        """Measured minus modelled torque of free parameters ``(d,)``: ``(n_outputs,)``, N m or N.
+
+        Not finite where the model has no torque.
+        """
         values = self.vector(x)[None]
         # a trial step may lead to where the torque is no number, and is not taken then
         with np.errstate(invalid="ignore", over="ignore"):
@@ -70,7 +111,10 @@ class TorqueProblem:
         return np.asarray(self.measured - np.concatenate(model))
 
     def jacobian(self, x: Array) -> Array:
-        """Of the modelled torque, ``(n_outputs, d)``."""
+        """Differentiate the modelled torque by the free parameters ``(d,)``: ``(n_outputs, d)``.
+
+        Central differences, exact up to rounding in what the torque is linear in.
+        """
         steps = np.zeros(self.base.size)
         steps[self.columns] = 1e-6 * np.maximum(np.abs(x), self.typical[self.columns])
         full = torque_jacobian(self.chain, self.observations, self.vector(x), steps)
@@ -79,28 +123,44 @@ class TorqueProblem:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What is squared and summed up: weighted residuals, and told values."""
+    """What is squared and summed up: weighted residuals, and values that are known besides.
+
+    Attributes
+    ----------
+    weights
+        ``(n_outputs,)`` factors on the residuals.
+    rows, targets
+        ``(k, d)`` and ``(k,)``: ``targets - rows @ x`` are further residuals; none if left out.
+    """
 
     weights: Array
     rows: Array | None = None
     targets: Array | None = None
 
     def residual(self, problem: TorqueProblem, x: Array) -> Array:
-        """Weighted residuals, those of told values behind them."""
+        """Weighted residuals ``(n_outputs + k,)`` at free parameters ``(d,)``, those known last."""
         residual = self.weights * problem.residual(x)
         if self.rows is None or self.targets is None:
             return residual
         return np.concatenate([residual, self.targets - self.rows @ x])
 
     def jacobian(self, problem: TorqueProblem, x: Array) -> Array:
-        """Of what is taken away in :meth:`residual`."""
+        """Jacobian ``(n_outputs + k, d)`` of the model: minus that of :meth:`residual`."""
         jacobian = self.weights[:, None] * problem.jacobian(x)
         return jacobian if self.rows is None else np.concatenate([jacobian, self.rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search ended: free parameters ``(d,)`` and the sum of squares there."""
+    """Where a search ended.
+
+    Attributes
+    ----------
+    x
+        ``(d,)`` free parameters.
+    height
+        Sum of squares there.
+    """
 
     x: Array
     height: float
@@ -115,10 +175,32 @@ def descend(
     upper: Array | None = None,
     iterations: int = _ITERATIONS,
 ) -> Found:
-    """Search downhill from ``x`` ``(d,)`` (Levenberg-Marquardt with exact limits).
+    """Search downhill (Levenberg-Marquardt with exact limits).
 
-    Every step solves the linear problem within the limits, those of the problem where left out, so
-    what a limit stops stands on it to the last digit.
+    Parameters
+    ----------
+    problem
+        The modelled torque.
+    terms
+        What is squared and summed up.
+    x
+        ``(d,)`` start, within the limits.
+    lower, upper
+        ``(d,)`` limits; those of the problem if left out. Equal ones hold a parameter.
+    iterations
+        At most.
+
+    Returns
+    -------
+    Found
+        A local minimum, unless the iterations ran out.
+
+    Notes
+    -----
+    Every step solves the linear problem within the limits, so what a limit stops stands on it to
+    the last digit. Damping follows the gain over the predicted one (Nielsen's rule). The search
+    ends where neither the last step nor the linear problem lowers the sum of squares by a share of
+    1e-10.
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
@@ -186,7 +268,28 @@ def bounded_step(
     room: float = 1e-300,
     tol: float = 1e-14,
 ) -> Array:
-    """Solve a linear least-squares problem within limits that are at least ``room`` apart."""
+    """Solve a linear least-squares problem within limits.
+
+    Parameters
+    ----------
+    matrix, target
+        ``(n, d)`` and ``(n,)``.
+    lower, upper
+        ``(d,)``; limits closer than ``room`` are taken to be ``room`` apart.
+    room
+        Least distance of the limits.
+    tol
+        Of the bounded solver.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``.
+
+    References
+    ----------
+    Stark and Parker, Bounded-variable least squares, Computational Statistics 10, 1995.
+    """
     step = np.linalg.lstsq(matrix, target, rcond=None)[0]
     if np.all(step >= lower) and np.all(step <= upper):
         return np.asarray(step)
@@ -202,6 +305,11 @@ def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
 
     Between many short calls the threads of the kernels and those of linear algebra wait
     for each other: on two busy cores that was measured to cost thirty times the work.
+
+    Parameters
+    ----------
+    observations
+        Whose samples are counted: above 200 000 the kernels keep their threads.
     """
     before = numba.get_num_threads()
     if sum(o.q.size for o in observations) < _SAMPLES:

@@ -1,4 +1,4 @@
-"""The motion that a model's columns are made of, as fine as encoder and torque tell it.
+"""Which motion a model's columns are made of, as fine as encoder and torque tell it.
 
 **The rule for every column.** A column is made of the motion and passes the same parallel filter
 as the measured torque, and nothing else. What is not linear in the motion (its direction, its
@@ -67,6 +67,11 @@ def with_fine_motion(
         what is compared apart from what the encoder does not tell.
     refined : list of Observation
         As they were where there is no estimate.
+
+    Notes
+    -----
+    Two passes: an estimate by the encoder's motion may be off by a standard deviation or more, one
+    by the motion that the first pass made is not.
     """
     found, point = list(observations), None
     if not any(map(refinable, found)):
@@ -85,10 +90,27 @@ def with_fine_motion(
 def fine_motion(
     chain: Joint, values: Array, recording: Measurement, observation: Observation
 ) -> Observation:
-    """Refine the motion of one recording, by the parameters ``(n_parameters,)`` of its joint.
+    """Refine the motion of one recording by the parameters of its joint.
 
-    It stays as it is where no acceleration, or more than one, goes with a torque, and where what
-    the model makes of it is further from what was recorded than the encoder's noise explains.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    recording, observation
+        As measured, and prepared.
+
+    Returns
+    -------
+    Observation
+        The same where no acceleration, or more than one, goes with a torque, and where what the
+        model makes of it is further from what was recorded than the encoder's noise explains.
+
+    Notes
+    -----
+    Four rounds, each with the direction of motion of the one before. At standstill and in excluded
+    spans the encoder's acceleration is kept.
     """
     if not refinable(observation):
         return observation
@@ -132,7 +154,7 @@ def _near(o: Observation, made: Observation, recording: Measurement) -> bool:
 
 
 def _handover(o: Observation, recording: Measurement, left: Array, inertia: float) -> float:
-    """Frequency in Hz above which a speed is told better by the torque than by the encoder.
+    """Frequency in Hz above which the torque determines a speed better than the encoder.
 
     ``left`` ``(N,)`` is the torque that is not explained; behind the parallel filter it is
     ``S_t`` a hertz. The speed's noise is ``S_t/(J w)²`` by the torque; by the encoder it is

@@ -1,4 +1,8 @@
-"""How well residuals determine parameters: standard deviations, null directions."""
+"""How well residuals determine parameters: standard deviations and null directions.
+
+A Jacobian is decomposed once; every standard deviation, of a parameter or of a function of
+several, is then read off its singular vectors. Residuals may be correlated, in time or in groups.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +26,43 @@ _LEAST_LEFT = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Singular value decomposition of a Jacobian, largest singular value first."""
+    """Singular value decomposition of a Jacobian, largest singular value first.
 
-    units: Array  # (d,) what counts as a change of one, in each parameter's unit
-    singular_values: Array  # (d,) of the Jacobian in those units
-    rows: Array  # (d, d) right singular vectors, one a row, in those units
-    tolerance: float = NULL  # singular values below this share of the largest are rounding
-    # (d, k) orthonormal, in those units: directions known to change no output
+    Attributes
+    ----------
+    units
+        ``(d,)`` what counts as a change of one, in each parameter's unit.
+    singular_values
+        ``(d,)`` of the Jacobian in those units.
+    rows
+        ``(d, d)`` right singular vectors, one a row, in those units.
+    tolerance
+        Singular values below this share of the largest are rounding.
+    known_null
+        ``(d, k)`` orthonormal, in those units: directions known to change no output.
+    """
+
+    units: Array
+    singular_values: Array
+    rows: Array
+    tolerance: float = NULL
     known_null: Array | None = None
 
     def off_known(self, gradient: Array) -> Array:
-        """Take from a gradient ``(d,)`` what points along directions known to be null.
+        """Take from a gradient what points along directions known to be null.
 
         For functions that theory says no scaling changes; their numerical derivatives
         point along it by the rounding, and by the kinks, of differences.
+
+        Parameters
+        ----------
+        gradient
+            ``(d,)`` by the parameters, per their units.
+
+        Returns
+        -------
+        ndarray
+            ``(d,)``.
         """
         if self.known_null is None:
             return gradient
@@ -44,19 +71,28 @@ class Directions:
 
     @property
     def null(self) -> Flags:
-        """Which directions change no output."""
+        """Which directions ``(d,)``, rows of :attr:`rows`, change no output."""
         largest = self.singular_values[0] if self.singular_values.size else 0.0
         return self.singular_values <= self.tolerance * largest
 
     @property
     def told(self) -> Array:
-        """Jacobian ``(rank, d)`` in those units that tells the same, null directions left out."""
+        """Jacobian ``(rank, d)`` in those units without null directions, which says the same."""
         return np.asarray(self.rows[~self.null] * self.singular_values[~self.null, None])
 
     def sd(self, gradient: Array) -> float:
-        """Give the sd that is left of a function with a gradient ``(d,)``.
+        """Give the standard deviation that is left of a function of the parameters.
 
-        For rows of unit noise; infinite where the function changes along a null direction.
+        Parameters
+        ----------
+        gradient
+            ``(d,)`` ``g`` of the function.
+
+        Returns
+        -------
+        float
+            ``sqrt(g' (J'J)^-1 g)``, for residuals of unit noise; infinite where the function
+            changes along a null direction.
         """
         weight = self.solve(gradient)
         return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
@@ -64,7 +100,10 @@ class Directions:
     def solve(self, gradient: Array) -> Array | None:
         """Multiply the inverse of ``J'J`` by the gradient ``(d,)`` of a function of the parameters.
 
-        ``None`` where the function changes along a null direction.
+        Returns
+        -------
+        ndarray or None
+            ``(d,)``; ``None`` where the function changes along a null direction.
         """
         along = self.rows @ (gradient * self.units)
         null = self.null
@@ -88,6 +127,11 @@ def directions(
     known_null
         ``(k, d)`` directions, in parameter units, of which theory says that no output changes:
         they come out as null however the derivatives were taken.
+
+    Returns
+    -------
+    Directions
+        By the SVD of the triangle of a QR decomposition, which has the same singular values.
     """
     scaled = jacobian * units
     basis = None
@@ -103,7 +147,39 @@ def directions(
 
 
 class Information:
-    """Standard deviations of whatever is computed from estimated parameters."""
+    """Standard deviations of whatever is computed from estimated parameters.
+
+    Parameters
+    ----------
+    jacobian
+        ``(n, d)`` of the modelled outputs by the free parameters.
+    residual
+        ``(n,)`` measured minus modelled.
+    units
+        ``(d,)`` what counts as a change of one; for example the values themselves.
+    places
+        ``(n,)`` where each residual stands on an even grid of time; other recordings are far apart.
+    known
+        ``(k, d)`` rows 1/sd of independent knowledge.
+    tolerance, known_null
+        As for :func:`directions`.
+    groups
+        ``(n,)`` number of the group each residual belongs to, where they may be correlated within
+        groups in any way but not between them.
+    lost
+        Quantities fitted besides and already taken out, such as initial states.
+    least
+        Standard deviation of a residual that rounding alone makes, as of an encoder.
+
+    Attributes
+    ----------
+    freedom
+        Degrees of freedom of the residuals: n less the rank and ``lost``, at least 1.
+    sigma
+        Standard deviation of a residual, ``sqrt(residual' residual/freedom)`` or ``least``.
+    directions
+        Of Jacobian and knowledge together; a value known to 1/sd weighs as ``sigma`` over its sd.
+    """
 
     def __init__(
         self,
@@ -143,7 +219,12 @@ class Information:
         )
 
     def sds(self, gradient: Array) -> tuple[float, float]:
-        """Give the sds of a function of the parameters with this gradient ``(d,)``.
+        """Give the standard deviations of a function of the parameters.
+
+        Parameters
+        ----------
+        gradient
+            ``(d,)`` of the function by the parameters.
 
         Returns
         -------
@@ -153,6 +234,13 @@ class Information:
         robust : float
             Accounting for correlation: within groups, where there are enough, else by
             :func:`long_run_variance`.
+
+        Notes
+        -----
+        With ``w = (J'J)^-1 g`` and residuals ``r``, plain is ``sigma |J w|``, and robust the root
+        of the variance of ``sum (J w) r`` (a sandwich estimate): in time times n over the degrees
+        of freedom, in groups with each group's part made larger for its leverage (Bell and
+        McCaffrey, Survey Methodology 28, 2002). What is known besides adds its own share to both.
         """
         if not np.any(gradient):
             return 0.0, 0.0
@@ -199,11 +287,28 @@ class Information:
 
 
 def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
-    """Variance of the sum of a correlated series ``(n,)`` of mean zero, with gaps.
+    """Variance of the sum of a correlated series of mean zero, with gaps.
 
-    Quadratic spectral kernel with the bandwidth of a first-order autoregression
-    (Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4); gaps count as zeros (Parzen 1963).
-    ``places`` ``(n,)`` are positions on an even grid, rising.
+    Parameters
+    ----------
+    score
+        ``(n,)`` terms of the sum.
+    places
+        ``(n,)`` positions on an even grid, rising; gaps count as zeros.
+
+    Returns
+    -------
+    float
+        At least zero.
+
+    Notes
+    -----
+    Sum of autocovariances, weighted by the quadratic spectral kernel with the bandwidth of a
+    first-order autoregression.
+
+    References
+    ----------
+    Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4; gaps: Parzen 1963.
     """
     grid = np.zeros(int(places[-1] - places[0]) + 1)
     grid[places - places[0]] = score
@@ -230,10 +335,20 @@ def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
 
 
 def lag_one(residual: Array, follows: Flags) -> float:
-    """Correlate each residual ``(M,)`` with the next where that follows one step later.
+    """Correlate each residual with the next where that follows one step later.
 
-    ``follows`` is ``(M - 1,)``. ``nan`` with fewer than ten such pairs, or where all
-    residuals are zero.
+    Parameters
+    ----------
+    residual
+        ``(M,)``.
+    follows
+        ``(M - 1,)`` of bool: whether the next one does.
+
+    Returns
+    -------
+    float
+        Mean product of neighbours over the mean square; ``nan`` with fewer than ten such pairs, or
+        where all residuals are zero.
     """
     first, second, power = residual[:-1][follows], residual[1:][follows], np.mean(residual**2)
     if first.size < 10 or power == 0.0:

@@ -1,4 +1,8 @@
-"""Direct identification by minimising the input error, section 4.2, for any chain."""
+"""Which parameters make the modelled torque nearest the measured one: the input error, section 4.2.
+
+For any chain. Where the torque has the form of eq. (13), eqs. (18) and (19) give a start; the
+search itself knows bounds, several recordings, and values known with a standard deviation.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +64,9 @@ def input_error(
     chain
         The mechanism.
     observations
-        Its recordings, prepared; each is weighed by its own residuals' sd.
+        Its recordings, prepared; each is weighed by its own residuals' standard deviation.
     knowledge
-        Fixed values, bounds, and told values, which are one more residual each.
+        Fixed values, bounds, and values with a standard deviation, one more residual each.
     options
         Number and seed of the random starts.
     start
@@ -71,14 +75,21 @@ def input_error(
     Returns
     -------
     Estimate
-        With a value for every parameter. What the data leave open has an infinite sd; what stands
-        on a limit has none.
+        With a value for every parameter. What the data leave open has an infinite standard
+        deviation; what stands on a limit has none.
 
     Raises
     ------
     BadInput
-        If nothing is free, limits exclude each other, or there are fewer outputs than
+        If nothing is free, limits exclude each other, or there are not more outputs than
         free parameters.
+
+    Notes
+    -----
+    Minimises ``sum_r |y_r - f_r(theta)|²/s_r² + sum_k ((theta_k - m_k)/s_k)²`` with the filtered
+    torque ``y_r`` of each recording; ``s_r`` is taken from the residuals and the fit repeated until
+    it settles. Where no scale between leg and alpha is known, the estimate is moved to the middle
+    of what a passive gearbox allows (section 4.2), and says so in its notes.
     """
     _check(chain, observations, knowledge)
     with few_threads(observations):
@@ -88,6 +99,7 @@ def input_error(
 def _estimate(
     problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
 ) -> Estimate:
+    """Search from all starts, weigh recordings and known values, and state what was found."""
     chain, observations = problem.chain, problem.observations
     plain = Terms(np.ones(problem.measured.size))
     if start is None:
@@ -123,7 +135,7 @@ def _estimate(
 def _starts(problem: TorqueProblem, plain: Terms, options: Estimation) -> tuple[list[Array], str]:
     """Make starts of the variable projection, splits of the totals, random vectors, and shapes.
 
-    Gives free parameters within the limits, and a note.
+    Gives free parameters ``(d,)`` each within the limits, and a note of how they were found.
     """
     vectors = [problem.split(mu, share) for mu, share in _SPLITS]
     rng = np.random.default_rng(options.seed)
@@ -165,7 +177,10 @@ def _alone(problem: TorqueProblem) -> bool:
 
 
 def _refined(problem: TorqueProblem, found: Sequence[Found]) -> tuple[Terms, Array]:
-    """Second pass: recordings by their own sd, told values."""
+    """Second pass: recordings by their own sd, and known values; none if there is neither.
+
+    Gives the terms that were minimised, and free parameters ``(d,)``.
+    """
     n = problem.measured.size
     floor = ROUNDING * _rms(problem.measured)
     several = len(problem.observations) > 1
@@ -196,7 +211,10 @@ def _rms(residual: Array) -> float:
 
 
 def _recording_weights(problem: TorqueProblem, terms: Terms, x: Array, residual: Array) -> Array:
-    """One over each recording's residual sd, times their mean so that N m stay N m."""
+    """Give each output ``(n_outputs,)`` one over its recording's residual standard deviation.
+
+    Times their geometric mean, so that N m stay N m. Degrees of freedom are shared out by leverage.
+    """
     counts = np.array([o.measured.size for o in problem.observations])
     borders = np.cumsum(counts)[:-1]
     # a fit takes from each recording as many degrees of freedom as it leans on it
@@ -214,7 +232,7 @@ def _recording_weights(problem: TorqueProblem, terms: Terms, x: Array, residual:
 
 
 def _toward_told(problem: TorqueProblem, values: Array) -> Array:
-    """Move along the scalings, where these are free, to where told values fit best."""
+    """Move along the scalings, where these are free, to where values with an sd fit best."""
     if any(o.inputs.known_load for o in problem.observations):
         return values
     told, fixed = problem.knowledge.told, problem.knowledge.fixed
@@ -226,7 +244,7 @@ def _toward_told(problem: TorqueProblem, values: Array) -> Array:
 
 
 def _told_factor(scaling: Scaling, values: Array, told: Mapping[str, tuple[float, float]]) -> float:
-    """Factor that a passive gearbox allows at which the told values fit best."""
+    """Factor that a passive gearbox allows at which values with an sd fit best."""
     shown = [name for name in scaling.names if name in told]
     columns = [scaling.chain.names.index(name) for name in shown]
     means, sds = np.array([told[name] for name in shown]).T
@@ -274,7 +292,7 @@ def _width(problem: TorqueProblem, found: Sequence[Found]) -> float:
 
 
 def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
-    """One vector of each of the lowest minima, moved to where told values fit best."""
+    """One vector of each of the lowest minima, moved to where values with an sd fit best."""
     width = _width(problem, found)
     apart: list[Found] = []
     for one in found:
@@ -311,6 +329,7 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
 
 
 def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
+    """Say in one sentence what the standard deviations take for granted."""
     text = "sd: uncorrelated residuals of equal variance"
     text += " within each recording" if np.ptp(terms.weights) else ""
     text += "; sd_robust: correlated ones (HAC)"
@@ -322,6 +341,7 @@ def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
 
 
 def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
+    """Refuse what cannot be estimated: nothing free, no room between limits, too few outputs."""
     free = knowledge.free(chain)
     where = ", ".join(o.name for o in observations)
     if not free:

@@ -1,4 +1,4 @@
-"""What is known of the parameters before anything is fitted."""
+"""What is known of the parameters before anything is fitted: values, bounds, data sheets."""
 
 from __future__ import annotations
 
@@ -14,12 +14,21 @@ from bayesfric.recordings.arrays import Array
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Known values, bounds and data-sheet values of a chain's parameters."""
+    """Known values, bounds and data-sheet values of a chain's parameters, by name, in SI units.
 
-    fixed: Mapping[str, float] = field(default_factory=dict)  # values taken as known
-    # lower and upper limit of others; the support where left out
+    Attributes
+    ----------
+    fixed
+        Values taken as known; these parameters are not estimated.
+    bounds
+        Lower and upper limit of others; the support where left out.
+    told
+        Mean and standard deviation of others, as a data sheet or a prior gives them: one more
+        residual each.
+    """
+
+    fixed: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # mean and sd of others, as a data sheet or a prior tells them: one more residual each
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def free(self, chain: Joint) -> tuple[str, ...]:
@@ -27,15 +36,31 @@ class Knowledge:
         return tuple(name for name in chain.names if name not in self.fixed)
 
     def limits(self, chain: Joint) -> tuple[Array, Array]:
-        """Lower and upper limits of the free parameters, ``(d,)`` each."""
+        """Lower and upper limits of the free parameters.
+
+        Returns
+        -------
+        lower, upper : ndarray
+            ``(d,)`` each, in the parameters' units; infinite where there is no limit.
+        """
         support = {p.name: (p.lower, p.upper) for p in chain.parameters}
         pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
     def on_turn(self, chain: Joint, values: Array) -> Array:
-        """Bring the angles of free parameters ``(d,)`` to the turn their limits lie on.
+        """Bring the angles of free parameters to the turn their limits lie on.
 
-        Without limits that is the one around zero.
+        Parameters
+        ----------
+        chain
+            The mechanism.
+        values
+            ``(d,)``.
+
+        Returns
+        -------
+        ndarray
+            ``(d,)``; without limits the turn is the one around zero.
         """
         described = {p.name: p for p in chain.parameters}
         out = values.copy()
@@ -48,11 +73,19 @@ class Knowledge:
         return out
 
     def inside(self, chain: Joint, values: Array) -> Array:
-        """Put free parameters ``(d,)`` within their limits."""
+        """Put free parameters ``(d,)`` within their limits, angles on the turn of these first."""
         return np.clip(self.on_turn(chain, values), *self.limits(chain))
 
     def rows(self, chain: Joint) -> tuple[Array, Array]:
-        """Told values as residuals ``(mean - value)/sd``: rows ``1/sd`` ``(k, d)``, ``mean/sd``."""
+        """Write values with a standard deviation as residuals ``(mean - value)/sd``.
+
+        Returns
+        -------
+        rows : ndarray
+            ``(k, d)``, ``1/sd`` in the column of the parameter.
+        targets : ndarray
+            ``(k,)``, ``mean/sd``: residuals are ``targets - rows @ x`` for free parameters ``x``.
+        """
         free = self.free(chain)
         told = [name for name in free if name in self.told]
         means, sds = np.array([self.told[name] for name in told]).reshape(-1, 2).T

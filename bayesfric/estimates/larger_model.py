@@ -1,4 +1,4 @@
-"""Whether a larger model is the better one."""
+"""Whether a larger model is the better one: by the torque of parts that it was not fitted to."""
 
 from __future__ import annotations
 
@@ -24,17 +24,29 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model, and its estimate of the input error."""
+    """A model, and its estimate of the input error.
+
+    Attributes
+    ----------
+    given
+        Mechanism, observations, knowledge and options.
+    estimate
+        By :func:`bayesfric.estimates.input_error.input_error` from these.
+    """
 
     given: Given
     estimate: Estimate
 
     @cached_property
     def left_out_rms(self) -> float:
-        """Root mean square of the residuals of parts that the model was not estimated from, N m.
+        """Root mean square of residuals in parts that the model was not fitted to, N m or N.
 
-        The parts are quarters of the recordings in a row, so what one of them says alone, as a term
-        that fits a single place or minute, does not help with the others (Stone 1974).
+        Notes
+        -----
+        Four-fold cross-validation (Stone, Journal of the Royal Statistical Society B 36, 1974). The
+        parts are quarters of the recordings in a row, so what one of them says alone, as a term
+        that fits a single place or minute, does not help with the others. Each fit takes at most
+        ten steps from the whole estimate.
         """
         given = self.given
         problem = TorqueProblem(given.chain, given.observations, given.knowledge)
@@ -50,9 +62,19 @@ class Candidate:
 
 
 def better(larger: Candidate, smaller: Candidate) -> bool:
-    """Whether a larger model tells more of what it has not seen, and what is new is known.
+    """Whether a larger model predicts better, and what is new in it is identified.
 
-    Of what shapes it, and of its size, 90 % intervals leave out zero.
+    Parameters
+    ----------
+    larger, smaller
+        Models of the same recordings.
+
+    Returns
+    -------
+    bool
+        True where the left-out error falls, the 90 % interval of every new parameter that shapes a
+        term leaves out zero, and so does that of at least one other new parameter, if there are
+        any.
     """
     before = {v.name for v in smaller.estimate.parameters}
     new = [v for v in larger.estimate.parameters if v.name not in before]

@@ -1,4 +1,4 @@
-"""Linear least squares on the motor side, section 4.1, eqs. (10) and (11)."""
+"""Which totals does the motor see: linear least squares, section 4.1, eqs. (10) and (11)."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ def least_squares(
     """Estimate the motor-side totals of eq. (11).
 
     The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10), so the torque is
-    linear in the totals. Regressors and torque have passed the same parallel filter. A total that
-    the motion cannot tell from others gets an infinite standard deviation. A known added mass is
-    part of the totals unless recordings with different masses, or a load without parameters of its
-    own, set it apart.
+    linear in the totals. A total that the motion cannot tell from others gets an infinite standard
+    deviation. A known added mass is part of the totals unless recordings with different masses, or
+    a load without parameters of its own, set it apart.
 
     Parameters
     ----------
@@ -41,12 +40,18 @@ def least_squares(
     Returns
     -------
     Estimate
-        Of totals alone; ``point`` is empty.
+        Of totals alone, such as ``J_t = Jm + Jc/(alpha_m N²)``; ``point`` is empty.
 
     Raises
     ------
     BadInput
-        If there are fewer outputs than totals, or nothing of the model shows.
+        If there are not more outputs than totals, or nothing of the model shows.
+
+    Notes
+    -----
+    ``torque = J_t qdd_m + f_t qd_m + C_t sign(qd_m) + dC_t + ml g/(alpha_m N) sin(q)`` and further
+    terms of the mechanism. Regressors and torque have passed the same parallel filter. What shapes
+    a term, such as an exponent, is held where a search for it would start; see ``assumption``.
     """
     projection = projection or TotalsProjection(chain, observations)
     names, regressors = projection.names, projection.regressors
@@ -94,7 +99,26 @@ def least_squares(
 
 
 class TotalsProjection:
-    """The linear map from torques to the totals of eq. (11)."""
+    """The linear map from torques to the totals of eq. (11).
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and its recordings, prepared.
+
+    Attributes
+    ----------
+    names
+        Of the k totals, such as ``inertia``.
+    regressors
+        ``(n_outputs, k)``, filtered like the measured torque.
+    labels
+        Names as results show them: ``total.inertia``, or ``motor.inertia`` where that is all of it.
+    scale
+        ``(k,)`` norm of each regressor.
+    open
+        ``(k,)`` of bool: which totals the motion cannot tell from others.
+    """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
         self._chain, self._observations = chain, observations
@@ -106,11 +130,29 @@ class TotalsProjection:
         self.scale, self.open, self._solution, _ = shortest(self.regressors)
 
     def solve(self, torque: Array) -> Array:
-        """Totals of filtered torques, ``(n_outputs,)`` or ``(n_outputs, k)``."""
+        """Totals of filtered torques.
+
+        Parameters
+        ----------
+        torque
+            ``(n_outputs,)`` or ``(n_outputs, m)``, N m or N.
+
+        Returns
+        -------
+        ndarray
+            ``(k,)`` or ``(k, m)``; where totals cannot be told apart, the shortest solution.
+        """
         return np.asarray(self._solution @ torque)
 
     def of_samples(self) -> list[Array]:
-        """Give the same map of the samples of each recording's torque, ``(n_totals, n)``."""
+        """Give the same map for unfiltered torque.
+
+        Returns
+        -------
+        list of ndarray
+            ``(k, N)`` of each recording: the totals are the sum over recordings of these times the
+            samples.
+        """
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
         parts = np.split(self._solution, ends, axis=1)
         pairs = zip(self._observations, parts, strict=True)
@@ -119,7 +161,12 @@ class TotalsProjection:
     def aliases(self) -> dict[str, str]:
         """Give labels by other names: ``total.<name>``, and the owner's where it has all of it.
 
-        So ``motor.viscous`` stays one where the motor's viscous loss is told by direction.
+        So ``motor.viscous`` stays one where the motor's viscous friction differs by direction.
+
+        Returns
+        -------
+        dict
+            Label of :attr:`labels` by the other name.
         """
         found: dict[str, str] = {}
         for name, label in zip(self.names, self.labels, strict=True):
@@ -146,7 +193,15 @@ class TotalsProjection:
 
 
 def total_label(chain: Joint, name: str) -> str:
-    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
+    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``.
+
+    Parameters
+    ----------
+    chain
+        The mechanism; with an unknown gain no total is a parameter.
+    name
+        Of :attr:`TotalsProjection.names`.
+    """
     if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
         return name
     kind = name.partition(".")[0]
@@ -167,8 +222,8 @@ def _has_own(chain: Joint, p: Parameter) -> bool:
 def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Regressors of eq. (11) that a parameter shows in, and its torque there for a value of one.
 
-    A mean transfer coefficient stands for load losses; what shapes other terms, or scales
-    everything, has no regressor of its own.
+    A mean transfer coefficient stands for load-dependent friction; what shapes other terms, or
+    scales everything, has no regressor of its own.
     """
     if p.circular:
         return (("gravity_cosine", 0.0),)
@@ -185,7 +240,7 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
     totals
         By :func:`least_squares`, of the same mechanism.
     mu
-        Load loss wherever there is one.
+        Load-dependent friction wherever there is some.
     share
         The motor's share of each total; the other elements and the load divide the rest.
 
@@ -243,6 +298,7 @@ def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> 
 
 
 def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
+    """Share of one owner in a total: the motor has ``share``, its peers divide the rest."""
     others = peers - {motor}
     if not others:
         return 1.0

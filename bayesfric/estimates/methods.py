@@ -1,4 +1,4 @@
-"""The paper's three methods of point estimation, and how they are asked for."""
+"""Which of the paper's three methods estimate a joint, in which order, and from which start."""
 
 from __future__ import annotations
 
@@ -19,7 +19,19 @@ from bayesfric.recordings.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Given:
-    """What may be estimated from; ``trajectories`` makes the recordings, undivided."""
+    """What may be estimated from.
+
+    Attributes
+    ----------
+    chain
+        The mechanism.
+    observations
+        Its recordings, prepared.
+    knowledge, options
+        Known values and bounds; how estimates are made.
+    trajectories
+        Makes the recordings for simulation, not divided; called only where a method simulates.
+    """
 
     chain: Joint
     observations: Sequence[Observation]
@@ -30,14 +42,25 @@ class Given:
 
 @dataclass(frozen=True)
 class Estimator:
-    """A method of point estimation."""
+    """A method of point estimation.
+
+    Attributes
+    ----------
+    name, title
+        As it is asked for, and as a heading.
+    estimate
+        Makes the estimate, from the ones that were made before, by name.
+    starts_from
+        Method whose estimate it needs, if any.
+    simulates
+        Whether it is dear, and some mechanisms have none.
+    """
 
     name: Method
-    title: str  # as a heading
-    # makes the estimate, from the ones that were made before, by name
+    title: str
     estimate: Callable[[Given, Mapping[Method, Estimate]], Estimate]
-    starts_from: Method | None = None  # whose estimate it needs, if any
-    simulates: bool = False  # whether it is dear, and some mechanisms have none
+    starts_from: Method | None = None
+    simulates: bool = False
 
 
 def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:

@@ -1,4 +1,4 @@
-"""Output error, section 4.3: parameters whose simulated position is nearest the measured one."""
+"""Which parameters simulate the position nearest the measured one: output error, section 4.3."""
 
 from __future__ import annotations
 
@@ -60,9 +60,7 @@ def output_error(
     """Estimate by simulation, section 4.3: the least ``||q - qc||``.
 
     The measured torque drives the simulated joint; parameters and the state at the start of
-    every segment are fitted to the measured position, unfiltered. ``sd`` is for white noise of the
-    position. Noise of the torque drives the simulated joint, so residuals within a segment drift
-    together; ``sd_robust`` rests on segments being independent of each other.
+    every segment are fitted to the measured position, unfiltered.
 
     Parameters
     ----------
@@ -73,7 +71,7 @@ def output_error(
     observations
         The same recordings, prepared for the input error.
     knowledge
-        Fixed values, bounds, and told values, which are one more residual each.
+        Fixed values, bounds, and values with a standard deviation, one more residual each.
     options
         Time limit, and segment length and steps where these are given.
     start
@@ -82,12 +80,23 @@ def output_error(
     Returns
     -------
     Estimate
-        Not converged, and without sds, where the search ended in no minimum or ran out of time.
+        Not converged, and without standard deviations, where the search ended in no minimum or ran
+        out of time.
 
     Raises
     ------
     BadInput
-        If the joint cannot be simulated, or there are fewer samples than unknowns.
+        If the joint has no inertia or cannot be simulated, or there are not more samples than
+        unknowns.
+
+    Notes
+    -----
+    ``sd`` is for white noise of the position. Noise of the torque drives the simulated joint, so
+    residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
+    each other. Segments of 0.2, 0.5 and 1 s are tried, as far as there are two for each parameter;
+    a longer one is taken where it clearly lowers the robust standard deviations. The search begins
+    at the input error or the split totals of least squares, whichever simulates better, and at the
+    other if that gets stuck.
     """
     _check(chain, trajectories, knowledge)
     problem = OutputError(chain, trajectories, observations, knowledge, options)
@@ -128,17 +137,43 @@ def output_error(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with segments of one length."""
+    """A fit with segments of one length.
+
+    Attributes
+    ----------
+    frame, solution
+        What was held, and where the descent ended.
+    information
+        Of the free parameters, bounds left out: beside one, others would look far too certain.
+    at_bound
+        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
+    """
 
     frame: Frame
     solution: Solution
-    # of the free parameters, bounds left out: beside one, others would look far too certain
     information: Information
-    at_bound: NDArray[np.int_]  # (d,) -1 on the lower bound, 1 on the upper, else 0
+    at_bound: NDArray[np.int_]
 
 
 class OutputError:
-    """Fits of simulated to measured position with segments of any length."""
+    """Fits of simulated to measured position with segments of any length.
+
+    Parameters
+    ----------
+    chain, trajectories, observations, knowledge, options
+        As for :func:`output_error`. The time limit counts from here.
+
+    Attributes
+    ----------
+    free, columns, limits
+        Names of the d free parameters, indices among the chain's, lower and upper limits.
+    scalings
+        Those that nothing known takes away (section 4.2).
+    deadline
+        CPU time of the process, s.
+    grain
+        Standard deviation of a position that rounding alone makes, of each recording, rad or m.
+    """
 
     def __init__(
         self,
@@ -164,7 +199,20 @@ class OutputError:
         return time.process_time() >= self.deadline
 
     def distance(self, values: Array, length: float) -> float:
-        """Sum of squares at a start, states fitted; infinite where it cannot be simulated."""
+        """Sum of squares at a start, states fitted; infinite where it cannot be simulated.
+
+        Parameters
+        ----------
+        values
+            ``(n_parameters,)``.
+        length
+            Of the segments, s.
+
+        Returns
+        -------
+        float
+            rad² or m².
+        """
         *_, residual = self._begin(values, length)
         found = float(np.sum(residual**2))
         return found if np.isfinite(found) else np.inf
@@ -181,7 +229,25 @@ class OutputError:
         return frame, values, states, residual_of(frame, values, states)
 
     def fit(self, values: Array, length: float) -> Fit | None:
-        """Fit from a start ``(n_parameters,)``; ``None`` where it cannot be simulated."""
+        """Fit from a start with segments of one length.
+
+        Parameters
+        ----------
+        values
+            ``(n_parameters,)`` to start from.
+        length
+            s.
+
+        Returns
+        -------
+        Fit or None
+            ``None`` where the joint cannot be simulated.
+
+        Notes
+        -----
+        Recordings, and values with a standard deviation, are weighed anew four times by the
+        residuals. Along an open scaling the fit is moved to the middle of what a gearbox allows.
+        """
         frame, values, states, residual = self._begin(values, length)
         shooting = frame.shooting
         if not np.isfinite(residual).all():
@@ -207,7 +273,11 @@ class OutputError:
         return Fit(frame, solution, information, at_bound)
 
     def lengths(self) -> tuple[float, ...]:
-        """Segment lengths to try, s: the one told, or those with segments enough for sound sds."""
+        """Segment lengths to try, s: the one given, or those that leave segments enough.
+
+        Enough for ``sd_robust`` are two for each free parameter; none is shorter than 40 samples,
+        as two states come off each.
+        """
         if self.options.segment is not None:
             return (self.options.segment,)
         total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
@@ -218,7 +288,22 @@ class OutputError:
         return tuple(fitting) or (max(LENGTHS[0], least),)
 
     def estimate(self, fit: Fit, start: Array) -> Estimate:
-        """State everything a fit says, the input error being ``start``."""
+        """State everything a fit says.
+
+        Parameters
+        ----------
+        fit
+            The chosen one.
+        start
+            ``(n_parameters,)`` of the input error, whose unexplained torque is compared with the
+            fit's.
+
+        Returns
+        -------
+        Estimate
+            Its notes begin with what should be doubted: no convergence, or another minimum than the
+            input error's, which leaves more than twice as much of the torque.
+        """
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         solution, shooting = fit.solution, fit.frame.shooting
         given = self.chain, self.observations, self.knowledge
@@ -274,6 +359,7 @@ class OutputError:
         return float(np.sqrt(np.mean(np.concatenate([y - x[0] for y, x in pairs]) ** 2)))
 
     def _frame(self, shooting: Shooting, values: Array) -> Frame:
+        """Lay out what stays the same in a descent; all residuals weigh alike."""
         rows, targets = self.knowledge.rows(self.chain)
         speeds = np.concatenate([o.qd for o in self.observations])
         return Frame(
@@ -302,6 +388,7 @@ class OutputError:
         return np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), values_size)
 
     def _weighted(self, frame: Frame, residual: Array) -> Frame:
+        """Weigh recordings by one over their residual rms, the encoder's rounding at least."""
         of = frame.shooting.recording_of
         rows = np.ones(residual.size)
         if len(self.trajectories) > 1:
@@ -312,6 +399,7 @@ class OutputError:
         return replace(frame, rows=rows, sigma=float(np.sqrt(np.mean((residual * rows) ** 2))))
 
     def _information(self, frame: Frame, solution: Solution) -> Information:
+        """Say what determines the free parameters, states taken out, segments as groups."""
         linear = Linearised(frame, solution.values, solution.states)
         projected = linear.elimination.projected
         return Information(
@@ -331,7 +419,7 @@ class OutputError:
 
 
 def _spread(fit: Fit) -> float:
-    """Mean logarithm of the robust sds of what every length determines: smaller is better."""
+    """Mean logarithm of the robust standard deviations of what every length determines."""
     d = fit.information.directions
     told = d.rows[~d.null]
     found = [fit.information.sds(row / d.units)[1] for row in told]
@@ -345,6 +433,7 @@ def _split(chain: Joint, observations: Sequence[Observation], knowledge: Knowled
 
 
 def _check(chain: Joint, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
+    """Refuse a mechanism without inertia, and fewer samples than unknowns."""
     inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
     known = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
     if not known and not all(t.inputs.added_mass for t in trajectories):

@@ -1,4 +1,4 @@
-"""What a point estimate is, whichever method made it."""
+"""What a point estimate is, whichever method made it: numbers, standard deviations, assumptions."""
 
 from __future__ import annotations
 
@@ -19,40 +19,61 @@ HALF = 1.645
 
 @dataclass(frozen=True)
 class EstimatedValue:
-    """One estimated number."""
+    """One estimated number.
 
-    name: str  # these four as for parameters; the symbol is LaTeX without dollar signs
+    Attributes
+    ----------
+    name, unit, symbol, meaning
+        As for parameters; the symbol is LaTeX without dollar signs.
+    value
+        In SI units; where ``sd`` is infinite it is one of many that fit as well.
+    sd
+        For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
+        the number, NaN where it has none because the estimate stands on a bound or has not
+        converged.
+    sd_robust
+        Accounts for correlated residuals.
+    kind
+        ``total`` seen by the motor, eq. (11); ``parameter`` of the chain; ``derived`` from
+        parameters.
+    gauge_free
+        Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2).
+    at_bound
+        Bound that it stands on, if any.
+    span
+        What a passive gearbox allows where a scaling leaves it open.
+    """
+
+    name: str
     unit: str
     symbol: str
     meaning: str
-    value: float  # where sd is infinite it is one of many that fit as well
-    # For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
-    # the number, nan where it has none because the estimate stands on a bound.
+    value: float
     sd: float
-    sd_robust: float = math.nan  # accounts for correlated residuals
-    kind: Kind = "total"  # seen by the motor, eq. (11); of the chain; or from parameters
-    gauge_free: bool = True  # whether scaling leg parameters and alpha together leaves it unchanged
+    sd_robust: float = math.nan
+    kind: Kind = "total"
+    gauge_free: bool = True
     at_bound: Bound | None = None
-    span: tuple[float, float] | None = None  # what a gearbox allows where a scaling leaves it open
+    span: tuple[float, float] | None = None
 
     @property
     def relative_sd(self) -> float:
-        """``sd`` in per cent of the value, the way the field quotes it."""
+        """``sd`` in per cent of the value, the way the field quotes it; infinite for zero."""
         return 100.0 * self.sd / abs(self.value) if self.value else math.inf
 
     @property
     def larger_sd(self) -> float:
-        """The larger of both that are known, else zero."""
+        """The larger of plain and robust standard deviation, of those that are known; else zero."""
         return max((sd for sd in (self.sd, self.sd_robust) if not math.isnan(sd)), default=0.0)
 
     @property
     def quantity(self) -> str:
-        """What it is, without whose."""
+        """What it is, without whose: the part of its name behind the last dot."""
         return self.name.rpartition(".")[2]
 
     @property
     def known(self) -> bool:
-        """Whether its 90 % interval leaves out zero."""
+        """Whether it stands on no bound and its 90 % interval leaves out zero."""
         return self.at_bound is None and abs(self.value) > HALF * self.larger_sd
 
     @property
@@ -63,17 +84,39 @@ class EstimatedValue:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A point estimate."""
+    """A point estimate; ``estimate[name]`` is one of its numbers, and raises ``KeyError`` for none.
+
+    Attributes
+    ----------
+    method
+        ``least-squares``, ``input-error`` or ``output-error``.
+    values
+        Totals, derived quantities, parameters.
+    residual_rms
+        Root mean square of measured minus modelled, in ``residual_unit``.
+    n_outputs
+        Number of residuals.
+    assumption
+        What the standard deviations take for granted, one sentence.
+    residual_unit
+        That of torque, or of position for the output error.
+    notes
+        What a user should know of how it came about, one sentence each.
+    point
+        Name and value of every chain parameter; empty for least squares.
+    converged
+        Whether it is a minimum; values have no standard deviations where it is not.
+    """
 
     method: Method
-    values: tuple[EstimatedValue, ...]  # totals, derived quantities, parameters
-    residual_rms: float  # root mean square of measured minus modelled
-    n_outputs: int  # number of residuals
-    assumption: str  # what the standard deviations take for granted, one sentence
-    residual_unit: str = "N m"  # that of torque, or of position for the output error
-    notes: tuple[str, ...] = ()  # what a user should know of how it came about, one sentence each
-    point: tuple[tuple[str, float], ...] = ()  # every chain parameter; empty for least squares
-    converged: bool = True  # at a minimum; values have no sds where it is not
+    values: tuple[EstimatedValue, ...]
+    residual_rms: float
+    n_outputs: int
+    assumption: str
+    residual_unit: str = "N m"
+    notes: tuple[str, ...] = ()
+    point: tuple[tuple[str, float], ...] = ()
+    converged: bool = True
 
     @property
     def parameters(self) -> list[EstimatedValue]:

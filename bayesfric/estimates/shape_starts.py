@@ -1,7 +1,8 @@
-"""Starts for a search among shapes: at every value that the table says to try.
+"""Where a search among shapes starts: at every value that the table says to try.
 
 Far from its own, what shapes a term looks the same at any value, and a search that goes downhill
-ends at a limit, where the term does not show at all.
+ends at a limit, where the term does not show at all. Shapes are exponents, Stribeck velocities and
+time constants.
 """
 
 from __future__ import annotations
@@ -26,11 +27,29 @@ _SAME = 1e-6
 def at_tried_shapes(
     problem: TorqueProblem, terms: Terms, starts: Sequence[Array], rng: np.random.Generator
 ) -> tuple[list[Array], int]:
-    """Move starts ``(d,)`` each to a shape that is tried, and all else to what fits best there.
+    """Move starts to a shape that is tried, and all else to what fits best there.
 
-    Several shapes are combined at random. As many are tried as there are starts, or as the shape
-    with most values has; the lowest are given, and how many were tried. Without any shape that is
-    none, and starts stay as they are.
+    Parameters
+    ----------
+    problem, terms
+        The modelled torque, and what is minimised.
+    starts
+        ``(d,)`` free parameters each.
+    rng
+        Combines the values of several shapes at random.
+
+    Returns
+    -------
+    starts : list of ndarray
+        Up to four, the lowest that differ; the given ones where no shape is free.
+    tried : int
+        How many were tried: as many as starts, or as the shape with most values has; 0 for no
+        shape.
+
+    Notes
+    -----
+    With shapes held the torque is linear but for products such as rise times friction, so three
+    steps downhill are enough to tell them apart.
     """
     shapes = _tried(problem)
     if not shapes:

@@ -1,8 +1,8 @@
-"""Simulated positions, and what parameters and initial states do to them (section 4.3).
+"""Which positions a joint takes in simulation, and what parameters and initial states do to them.
 
 Every segment of a recording is simulated from a state of its own, driven by the measured
-torque. Segments do not depend on each other, so moving all their initial positions (or
-speeds) at once differentiates by each of them, and taking them out of a least-squares
+torque (section 4.3). Segments do not depend on each other, so moving all their initial positions
+(or speeds) at once differentiates by each of them, and taking them out of a least-squares
 problem is one small QR decomposition a segment (variable projection). This is multiple
 shooting without continuity constraints.
 """
@@ -29,17 +29,48 @@ _LEAST_REACH = 1e-2
 
 
 class Sensitivities(NamedTuple):
-    """Simulated positions and their derivatives."""
+    """Simulated positions and their derivatives.
 
-    positions: Array  # (n,)
-    parameters: Array  # (n, d) by the free parameters
-    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
+    Attributes
+    ----------
+    positions
+        ``(n,)`` rad or m.
+    parameters
+        ``(n, d)`` by the free parameters.
+    states
+        ``(n, 2)`` by position and speed at the start of the segment each sample is in.
+    """
+
+    positions: Array
+    parameters: Array
+    states: Array
 
 
 class Shooting:
     """Simulation of recordings from one state for each of their segments.
 
-    ``substeps`` are integration steps a sample.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    trajectories
+        Its recordings, divided into segments, K in all.
+    substeps
+        Integration steps a sample.
+
+    Attributes
+    ----------
+    measured
+        ``(n,)`` position inside the segments of all recordings, rad or m.
+    recording_of, segment_of, places
+        ``(n,)`` of each sample the recording, the segment counted over all, and the place on an
+        even grid of time, recordings apart.
+    borders
+        ``(K + 1,)``: segment k is ``borders[k]:borders[k + 1]`` of the samples.
+    periods
+        ``(K,)`` s between samples.
+    initial
+        ``(K, 2)`` position and speed to start the search for the initial states from.
     """
 
     def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
@@ -71,16 +102,28 @@ class Shooting:
         return int(self.initial.shape[0])
 
     def positions(self, values: Array, states: Array, substeps: int | None = None) -> Array:
-        """Simulate vectors ``(m, n_parameters)`` from states ``(K, 2)`` or ``(m, K, 2)``.
+        """Simulate the positions of parameter vectors.
 
-        Gives ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
+        Parameters
+        ----------
+        values
+            ``(m, n_parameters)``.
+        states
+            ``(K, 2)``, or ``(m, K, 2)`` for each vector its own: position and speed, rad or m, SI.
+        substeps
+            Integration steps a sample; its own if left out.
+
+        Returns
+        -------
+        ndarray
+            ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
         """
         return self.motion(values, states, substeps)[0]
 
     def motion(
         self, values: Array, states: Array, substeps: int | None = None
     ) -> tuple[Array, Array]:
-        """Simulate as :meth:`positions` does; speeds too."""
+        """Simulate as :meth:`positions` does; positions and speeds, ``(m, n)`` each."""
         m = values.shape[0]
         states = np.broadcast_to(states, (m, self.n_segments, 2))
         blocks, first = [], 0
@@ -116,10 +159,25 @@ class Shooting:
     ) -> Sensitivities:
         """Simulate and differentiate, all differences side by side in one go.
 
-        Central differences; where they would leave the limits, the one-sided formula of
-        the same order. Without ``central`` plain one-sided ones, at half the cost. ``steps``
-        ``(n_parameters,)`` are their widths, zero for parameters to leave out; ``limits`` those
-        of every parameter, the supports where left out. NaN where neither side can be simulated.
+        Parameters
+        ----------
+        values, states
+            ``(n_parameters,)`` and ``(K, 2)``.
+        steps
+            ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
+        state_steps
+            Widths by position and speed, rad or m, SI.
+        limits
+            Lower and upper of every parameter, ``(n_parameters,)`` each; the supports where left
+            out.
+        central
+            Whether to take central differences, and where they would leave the limits the one-sided
+            formula of the same order; else plain one-sided ones, at half the cost.
+
+        Returns
+        -------
+        Sensitivities
+            By the parameters with a step; NaN where neither side can be simulated.
         """
         if limits is None:
             lower = np.array([p.lower for p in self.chain.parameters])
@@ -170,7 +228,7 @@ class Elimination:
     projected, onto
         As :meth:`of` gives them for ``columns``.
     lost
-        Number of states taken out.
+        Number of states taken out; not a speed that moves nothing, as where the joint sticks.
     back
         ``(K, 2, 2)``, from coefficients of an orthonormal basis in each segment to the states.
     """
@@ -191,10 +249,19 @@ class Elimination:
         self.projected, self.onto = self.of(columns)
 
     def of(self, columns: Array) -> tuple[Array, Array]:
-        """Take the states out of columns ``(n, k)``.
+        """Take the states out of columns.
 
-        Gives them, each segment's made orthogonal to its two state columns, and the change of the
-        states that each stands for, ``(K, 2, k)``.
+        Parameters
+        ----------
+        columns
+            ``(n, k)``.
+
+        Returns
+        -------
+        projected : ndarray
+            ``(n, k)``, each segment's made orthogonal to its state columns.
+        onto : ndarray
+            ``(K, 2, k)``, the change of the states that each column stands for.
         """
         parts = self._base[:, :, None] * columns[:, None, :]
         coefficients = np.add.reduceat(parts, self._borders[:-1], axis=0)
@@ -251,7 +318,19 @@ def step_error(
 ) -> tuple[float, Array]:
     """Discretisation error at a number of substeps, and positions with twice as many.
 
-    The method is of fourth order, so halving the step leaves a sixteenth of the error.
+    Parameters
+    ----------
+    shooting, values, states, substeps
+        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``, and how finely.
+    coarse
+        Its positions ``(n,)``, where they are there already.
+
+    Returns
+    -------
+    error : float
+        Largest, rad or m; the method is of fourth order, so halving the step leaves a sixteenth.
+    fine : ndarray
+        ``(n,)``.
     """
     if coarse is None:
         coarse = shooting.positions(values[None], states, substeps)[0]

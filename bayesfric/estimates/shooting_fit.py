@@ -1,4 +1,4 @@
-"""Gauss-Newton with bounds on simulated positions, initial states taken out (section 4.3)."""
+"""How the output error is minimised: bounded Gauss-Newton, initial states taken out."""
 
 from __future__ import annotations
 
@@ -32,24 +32,48 @@ _SMALL = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What stays the same while one fit descends."""
+    """What stays the same while one fit descends.
+
+    Attributes
+    ----------
+    shooting
+        The simulation, K segments with n samples.
+    columns
+        ``(d,)`` the free parameters among the chain's.
+    units
+        ``(d,)`` changes of them that change the torque by all of itself.
+    limits
+        Lower and upper, ``(d,)`` each.
+    scalings
+        Those that nothing known takes away (section 4.2).
+    told, targets
+        ``(k, d)`` rows 1/sd of what is known besides, and ``(k,)`` mean/sd of it.
+    speed, span
+        Typical speed and range of the position, for the size of state steps, rad or m, SI.
+    rows, sigma
+        How residuals count: ``(n,)`` a factor on each, and their standard deviation times that.
+    deadline
+        CPU time of the process, s, at which a descent ends where it is.
+    """
 
     shooting: Shooting
-    columns: NDArray[np.int64]  # (d,) the free parameters among the chain's
-    units: Array  # (d,) changes of them that change the torque by all of itself
+    columns: NDArray[np.int64]
+    units: Array
     limits: tuple[Array, Array]
-    scalings: tuple[Scaling, ...]  # that nothing known takes away
-    told: Array  # (k, d) rows 1/sd of what is known besides
-    targets: Array  # mean/sd of it
-    speed: float  # typical speed and range of the position, for the size of state steps
+    scalings: tuple[Scaling, ...]
+    told: Array
+    targets: Array
+    speed: float
     span: float
-    # how residuals count: (n,) a factor on each, and their sd times that
     rows: Array
     sigma: float
-    deadline: float = math.inf  # CPU time of the process, s, at which a descent ends where it is
+    deadline: float = math.inf
 
     def tangents(self, values: Array) -> Array:
-        """Directions along the scalings, ``(d, g)``, orthonormal in units."""
+        """Directions along the scalings, orthonormal in units, ``(d, g)`` for g scalings.
+
+        ``values`` is ``(n_parameters,)``. No simulated position changes along them, to first order.
+        """
         found = np.zeros((self.columns.size, len(self.scalings)))
         for i, scaling in enumerate(self.scalings):
             found[:, i] = scaling.tangent(values)[self.columns] / self.units
@@ -58,14 +82,28 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a descent ended."""
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    values, states
+        ``(n_parameters,)`` and ``(K, 2)``.
+    residual
+        ``(n,)`` measured minus simulated position, not weighted, rad or m.
+    cost
+        Sum of the weighted squares, of what is known besides too.
+    gain
+        By how much a further step would lower it, in residual variances.
+    converged
+        Whether the last step was as small as wanted, or nothing smaller was found; not where time
+        ran out.
+    """
 
     values: Array
     states: Array
-    residual: Array  # (n,) measured minus simulated position, not weighted
-    cost: float  # sum of the squares, of what is told too
-    gain: float  # by how much a further step would lower it, in residual variances
-    # the last step was as small as wanted, or nothing smaller was found; not where time ran out
+    residual: Array
+    cost: float
+    gain: float
     converged: bool
 
 
@@ -77,13 +115,22 @@ def residual_of(frame: Frame, values: Array, states: Array) -> Array:
 class Linearised:
     """The problem around one point: derivatives, states taken out.
 
-    The derivatives are blind along :meth:`Frame.tangents`. ``central``: whether to take the more
-    exact of the two kinds of differences.
+    The derivatives are blind along :meth:`Frame.tangents`.
+
+    Parameters
+    ----------
+    frame, values, states
+        What is held, ``(n_parameters,)`` and ``(K, 2)``.
+    central
+        Whether to take the more exact of the two kinds of differences.
 
     Attributes
     ----------
     elimination
         Of the weighted residual ``(n,)``, its first column, and its derivatives ``(n, d)``.
+    target
+        ``(d + k,)`` right-hand side of the linear problem for the parameters' step, known values
+        last.
     """
 
     def __init__(self, frame: Frame, values: Array, states: Array, *, central: bool = True) -> None:
@@ -140,7 +187,10 @@ class Linearised:
         return bounded_step(a, b, np.minimum(low, 0.0), high, room=1e-12, tol=1e-10)
 
     def states(self, step: Array) -> Array:
-        """Change of the states that goes with a step of the parameters, ``(K, 2)``."""
+        """Change of the states ``(K, 2)`` that goes with a step of the parameters.
+
+        ``step`` is ``(d,)`` in units; a step of zero fits the states alone.
+        """
         onto = self.elimination.onto
         return np.asarray(onto[:, :, 0] - onto[:, :, 1:] @ (step * self._frame.units))
 
@@ -156,10 +206,25 @@ class Linearised:
 def descend(frame: Frame, values: Array, states: Array) -> Solution:
     """Find the least cost over free parameters, within limits, and initial states.
 
-    Levenberg and Marquardt's steps on the problem without its states. Several dampings
-    are simulated side by side. Given the parameters, segments do not depend on each
-    other, so each takes the share of its own states' step that suits it best.
-    The cost is infinite if the start cannot be simulated.
+    Parameters
+    ----------
+    frame
+        What is held.
+    values, states
+        ``(n_parameters,)`` and ``(K, 2)`` to start from.
+
+    Returns
+    -------
+    Solution
+        Its cost is infinite if the start cannot be simulated.
+
+    Notes
+    -----
+    Levenberg and Marquardt's steps on the problem without its states. Several dampings are
+    simulated side by side. Given the parameters, segments do not depend on each other, so each
+    takes the share of its own states' step that suits it best. Converged where a further step would
+    lower the cost by less than 1e-4 residual variances, or by less than 1e-2 where kinks and
+    rounding stop it.
     """
     columns = frame.columns
     residual = residual_of(frame, values, states)
@@ -198,7 +263,18 @@ def descend(frame: Frame, values: Array, states: Array) -> Solution:
 
 
 def settle_states(frame: Frame, values: Array, states: Array) -> Array:
-    """Fit the initial states alone, ``(K, 2)``, the parameters held."""
+    """Fit the initial states alone, the parameters held.
+
+    Parameters
+    ----------
+    frame, values, states
+        As for :func:`descend`.
+
+    Returns
+    -------
+    ndarray
+        ``(K, 2)``.
+    """
     low, high = frame.limits
     held = replace(
         frame,
@@ -216,7 +292,7 @@ def descend_afresh(frame: Frame, values: Array, states: Array) -> Solution:
 
     A bad start of the parameters can drive a segment's state into a minimum of its own (a
     joint that stops where the measured one passes) that no small step leaves. At the end
-    each segment is tried from its measured state once more.
+    each segment is tried from its measured state once more, up to three times over.
     """
     at = descend(frame, values, states)
     for _ in range(_AFRESH):

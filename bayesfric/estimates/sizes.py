@@ -1,4 +1,4 @@
-"""Sizes of what was measured: what default priors, and the values to try, are scaled by."""
+"""How large torque, speed and acceleration are: what default priors are scaled by."""
 
 from __future__ import annotations
 
@@ -22,17 +22,36 @@ _NEARLY_ALL = 0.999
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of what was measured."""
+    """Sizes of what was measured.
 
-    torque: float  # largest measured of the motor (99.9th percentile), N m or N
-    speed: float  # root mean square at the joint
+    Attributes
+    ----------
+    torque
+        Largest measured of the motor (99.9th percentile), N m or N.
+    speed, acceleration
+        Root mean square at the joint, rad or m and s.
+    lean
+        Largest sine of the joint's angle that gravity was seen at.
+    exchanged
+        Torque that one term surely takes, from another maybe, N m or N.
+    position
+        Range of the joint's, rad or m.
+    duration
+        Of the longest recording, s.
+    position_step
+        Finest that one was read in, rad or m; 0 where it is not known.
+    columns
+        Root mean square torque of each term with a shape of its own, for a value of one.
+    """
+
+    torque: float
+    speed: float
     acceleration: float
-    lean: float = 1.0  # largest sine of the joint's angle that gravity was seen at
-    exchanged: float = 0.0  # torque that one term surely takes, from another maybe
-    position: float = 1.0  # range of the joint's, rad or m
-    duration: float = 1.0  # of the longest recording, s
-    position_step: float = 0.0  # finest that one was read in; 0 where it is not known
-    # root mean square torque of each term with a shape of its own, for a value of one
+    lean: float = 1.0
+    exchanged: float = 0.0
+    position: float = 1.0
+    duration: float = 1.0
+    position_step: float = 0.0
     columns: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -42,7 +61,14 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     Parameters
     ----------
     chain, observations
-        The mechanism, and at least one recording of it; only samples where outputs are count.
+        The mechanism, and at least one recording of it; samples away from outputs, as excluded
+        ones, do not count.
+
+    Returns
+    -------
+    Scales
+        With an acceleration that at least changes the speed once in all recordings, and a lean of 1
+        where gravity's angle is unknown.
     """
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
@@ -67,7 +93,20 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
 
 
 def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
-    """Give the sizes at the input of an element, or of ``load``."""
+    """Give the sizes at the input of an element, or of ``load``.
+
+    Parameters
+    ----------
+    chain, owner
+        The mechanism, and the element's name.
+    scales
+        Of its recordings, at the joint and, the torque, at the motor.
+
+    Returns
+    -------
+    Sizes
+        Speeds go with the ratio, torque against it; losses on the way are not counted.
+    """
     to_joint = chain.reaches[owner]
     return Sizes(
         scales.torque * (chain.ratio / to_joint),
@@ -88,7 +127,7 @@ def _lean(chain: Joint, observations: Sequence[Observation]) -> float:
 
 
 def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
-    """Give the largest torque that least squares finds in one term, less two of its sds."""
+    """Give the largest torque of one term by least squares, less two standard deviations."""
     projection = TotalsProjection(chain, observations)
     with suppress(BadInput):
         found = least_squares(chain, observations, projection)

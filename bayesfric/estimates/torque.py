@@ -1,4 +1,4 @@
-"""Modelled torque behind the same parallel filter as the measured one, and its derivatives."""
+"""What the modelled torque is behind the filter of the measured one, and its derivatives."""
 
 from __future__ import annotations
 
@@ -152,9 +152,18 @@ def typical_load(chain: Joint, observations: Sequence[Observation], values: Arra
 
 
 def places(observations: Sequence[Observation]) -> NDArray[np.int64]:
-    """Position of every output ``(n_outputs,)`` on an even grid of time, rising.
+    """Position of every output on an even grid of time.
 
-    Segments and recordings are far apart.
+    Parameters
+    ----------
+    observations
+        Of the recordings, in their order.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs,)`` of int, rising; segments and recordings are far apart, so that correlation
+        in time is not taken to reach from one to the next.
     """
     found, begin = [], 0
     for o in observations:

@@ -1,7 +1,7 @@
 """The torque as ``psi Theta1 + sign(qd) |psi Theta2|``, eq. (13), and the way back to parameters.
 
-Chains with at most one load loss and no Stribeck rise have this form wherever they move;
-at exact rest the mechanism takes no loss, while eq. (13) leaves ``lambda_1``.
+Chains with at most one load-dependent element and no Stribeck rise have this form wherever they
+move; at exact rest the mechanism takes no loss, while eq. (13) leaves ``lambda_1``.
 """
 
 from __future__ import annotations
@@ -30,21 +30,49 @@ POSITIVE = tuple(total.name for total in TOTALS.values() if total.positive)
 
 @dataclass(frozen=True, eq=False)
 class TorqueForm:
-    """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13)."""
+    """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
+
+    Attributes
+    ----------
+    chain
+        The mechanism.
+    names1, names2
+        Columns of psi that ``Theta1`` and ``Theta2`` multiply, those of TOTALS in motor units as
+        the paper's; ``offset.<recording>`` is one in that recording, ``added_load`` the torque of
+        the known load at the motor, whose coefficients are ``lambda_1`` and ``lambda_2``.
+    front, behind
+        Of each column the parameters up to the gearbox, and behind it, with their torque at the
+        motor for a value of one.
+    loss
+        Name of the element with load-dependent friction; empty for none.
+
+    Notes
+    -----
+    ``lambda_1 = (1/alpha_1 + 1/alpha_2)/2``, ``lambda_2 = (1/alpha_1 - 1/alpha_2)/2``, and ``Theta1
+    = front + lambda_1 behind``, ``Theta2 = lambda_2 behind``, column by column. ``-Theta2`` makes
+    the same torque.
+    """
 
     chain: Joint
-    # Columns of psi that Theta1 and Theta2 multiply, those of TOTALS in motor units, as the
-    # paper's: offset is one, offset.<recording> one in that one; added_load the torque of the
-    # known mass at the motor, whose coefficients are lambda_1 and lambda_2. A term with a shape of
-    # its own has a column by the name of its parameter.
     names1: tuple[str, ...]
     names2: tuple[str, ...]
-    front: Mapping[str, list[Term]] = field(repr=False)  # in each column, up to the gearbox
-    behind: Mapping[str, list[Term]] = field(repr=False)  # and behind it
-    loss: str  # name of the element with load loss; empty for none
+    front: Mapping[str, list[Term]] = field(repr=False)
+    behind: Mapping[str, list[Term]] = field(repr=False)
+    loss: str
 
     def thetas(self, values: Array) -> tuple[Array, Array]:
-        """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector ``(n_parameters,)``."""
+        """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector.
+
+        Parameters
+        ----------
+        values
+            ``(n_parameters,)`` in the order of ``chain.names``.
+
+        Returns
+        -------
+        theta1, theta2 : ndarray
+            ``(len(names1),)`` and ``(len(names2),)``, in motor units.
+        """
         lambda1, lambda2 = 1.0, 0.0
         if self.loss:
             at = dict(zip(self.chain.names, values.tolist(), strict=True))
@@ -62,11 +90,25 @@ class TorqueForm:
     ) -> Array:
         """Parameters behind ``Theta1`` and ``Theta2``; exact where these have one.
 
+        Parameters
+        ----------
+        theta1, theta2
+            As of :meth:`thetas`.
+        fixed
+            Known values by name, which the result has.
+
+        Returns
+        -------
+        ndarray
+            ``(n_parameters,)``. Where more parameters than one fill a column, they share it evenly;
+            negative values stay.
+
+        Notes
+        -----
         ``lambda_1/lambda_2`` comes from the columns that only the load fills
         (``theta5/theta10``), then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and
         leg = ``Theta2/lambda_2``. The scale comes from the known mass, a ``fixed``
-        parameter, or is the middle of what a passive gearbox allows. Where more
-        parameters than one fill a column, they share it evenly; negative values are not mended.
+        parameter, or is the middle of what a passive gearbox allows.
         """
         one = dict(zip(self.names1, theta1.tolist(), strict=True))
         two = dict(zip(self.names2, theta2.tolist(), strict=True))
@@ -91,6 +133,7 @@ class TorqueForm:
         return values
 
     def _sums(self, terms: Mapping[str, list[Term]], values: Array) -> dict[str, float]:
+        """Sum up each column; an angle turns gravity into a sine and a cosine column."""
         out = {k: sum(values[i] * c for i, c in found) for k, found in terms.items()}
         if "gravity_cosine" in out:
             angle = float(values[_turning(self.chain)[0]])
@@ -131,7 +174,20 @@ class TorqueForm:
 def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Array:
     """Move a vector along its scalings until a fixed parameter has its value.
 
-    Where none is fixed it goes to the middle of what a passive gearbox allows.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    fixed
+        Known values by name.
+
+    Returns
+    -------
+    ndarray
+        ``(n_parameters,)``; where none is fixed, or no factor reaches it, in the middle of what a
+        passive gearbox allows.
     """
     for scaling in scalings(chain):
         factors = (scaling.factor_to(values, n, fixed[n]) for n in scaling.names if n in fixed)
@@ -163,8 +219,10 @@ def torque_form(
     Returns
     -------
     TorqueForm or None
-        None for a chain with several load losses, a Stribeck rise or an unknown gain, or with a
-        known mass at an unknown angle: these are not of the form.
+        None for a chain with several load-dependent elements, or with a known load at an unknown
+        angle; unless ``any_shape``, also with an unknown gain or whatever shapes a term (Stribeck
+        rise, exponent, load-dependent friction by direction or growing with speed): these are not
+        of the form.
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
     angled = bool(_turning(chain))
@@ -206,8 +264,22 @@ def torque_form(
 def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Columns one parameter fills, and its torque at the motor there for a value of one.
 
-    A term that does not grow with a power of speed, or has no total, has a column of its own.
-    Load losses have none: ``lambda_1`` and ``lambda_2`` hold them.
+    Parameters
+    ----------
+    chain, p
+        The mechanism, and one of its parameters.
+
+    Returns
+    -------
+    tuple of (str, float)
+        Name of each column and that torque. A term that does not grow with a power of speed, or has
+        no total, has a column of its own name. Load-dependent friction has none:
+        ``lambda_1`` and ``lambda_2`` hold it.
+
+    Notes
+    -----
+    Through a ratio of n from motor to owner, a term of the power k of motion, ``power`` of its row,
+    comes to ``n**-(k + 1)`` at the motor: an inertia to ``J/n²``, Coulomb friction to ``C/n``.
     """
     if p.row.role != "own":
         return ()

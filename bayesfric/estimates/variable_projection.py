@@ -1,4 +1,4 @@
-"""Fit of Theta2 with Theta1 in closed form, section 4.2, eqs. (12) and (14) to (19)."""
+"""Which ``Theta2`` fits best, ``Theta1`` in closed form: section 4.2, eqs. (12), (14) to (19)."""
 
 from __future__ import annotations
 
@@ -18,19 +18,48 @@ _SAME = 1e-6  # two minima closer than this, relatively, are one
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where the criterion (12) is smallest."""
+    """Where the criterion (12) is smallest.
 
-    theta1: Array  # coefficients of the columns of the form, in motor units
-    theta2: Array  # of this and its negative, the same torque, the one that a mechanism can have
+    Attributes
+    ----------
+    theta1
+        ``(n1,)`` coefficients of the columns of the form, in motor units.
+    theta2
+        ``(n2,)``; of this and its negative, the same torque, the one that a mechanism can have.
+    starts, starts_agreeing
+        How many searches there were, and how many reached this minimum.
+    """
+
+    theta1: Array
+    theta2: Array
     starts: int
-    starts_agreeing: int  # how many reached this minimum
+    starts_agreeing: int
 
 
 class VariableProjection:
     """The criterion (12) as a function of ``Theta2`` alone.
 
+    Parameters
+    ----------
+    form
+        Of the chain with the same observations.
+    observations
+        Recordings, prepared.
+
+    Attributes
+    ----------
+    scale
+        ``(n2,)`` norm of each column of psi that ``Theta2`` multiplies.
+
+    Notes
+    -----
     Model and measurement have passed the same linear filter, so (18) holds with filtered
-    regressors. The form is that with the same observations.
+    regressors. The columns of ``Theta1`` do not depend on ``Theta2``, so the derivative of the
+    projected residual is the projected derivative, exactly.
+
+    References
+    ----------
+    Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973.
     """
 
     def __init__(self, form: TorqueForm, observations: Sequence[Observation]) -> None:
@@ -53,11 +82,15 @@ class VariableProjection:
         self.scale: Array = np.where(norms > 0.0, norms, 1.0)
 
     def theta1(self, theta2: Array) -> Array:
-        """``Theta1`` that fits best beside ``Theta2``, eq. (18)."""
+        """``Theta1`` ``(n1,)`` that fits best beside ``Theta2`` ``(n2,)``, eq. (18).
+
+        ``(psi' psi)^-1 psi' (torque - sign(qd) |psi Theta2|)``; the shortest one where columns are
+        alike.
+        """
         return np.asarray(self._solution @ (self._target - self._folded(theta2)))
 
     def residual(self, theta2: Array) -> Array:
-        """Measured minus modelled torque at the best ``Theta1``, ``(n_outputs,)``."""
+        """Measured minus modelled torque at the best ``Theta1``, ``(n_outputs,)``, N m or N."""
         return self._outside(self._target - self._folded(theta2))
 
     def jacobian(self, theta2: Array) -> Array:
@@ -74,7 +107,18 @@ class VariableProjection:
         return float(residual @ residual)
 
     def minimise(self, starts: Sequence[Array]) -> Minimum:
-        """Search from several ``Theta2`` (Levenberg-Marquardt) and keep the best."""
+        """Search from several ``Theta2`` (Levenberg-Marquardt) and keep the best.
+
+        Parameters
+        ----------
+        starts
+            ``(n2,)`` each; zeros are moved off the fold of ``|psi Theta2|``.
+
+        Returns
+        -------
+        Minimum
+            With ``Jc > 0`` and ``alpha_2 > alpha_1``. It solves eq. (19).
+        """
         settings: Any = {"method": "lm", "x_scale": 1.0 / self.scale, "max_nfev": 100}
         settings |= {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-14}
         # a start of zero would sit on the fold of |psi Theta2|

@@ -1,4 +1,8 @@
-"""A chain of elements from the motor to the load, laid out for the kernels."""
+"""Which parameters a joint has from motor to load, and how the compiled kernels read them.
+
+A :class:`Chain` names its parameters (``element.quantity``), orders them, and lays parameter
+vectors (:class:`Tables`) and motions (:class:`bayesfric.mechanism.kernels.Samples`) out as arrays.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +26,22 @@ from bayesfric.recordings.inputs import Inputs
 
 
 class Tables(NamedTuple):
-    """Parameter vectors laid out for the compiled kernels."""
+    """Parameter vectors laid out for the compiled kernels.
 
-    elements: Array  # (n, n_elements, n_slots); columns are kernels.ELEMENT_SLOTS
-    load: Array  # (n, n_slots); columns are kernels.LOAD_SLOTS
-    # (n, n_carried, 2) of the terms that have no slot, Chain.felt: the coefficient, and the
-    # value that shapes it, 0 where none does
+    Attributes
+    ----------
+    elements
+        ``(n, n_elements, n_slots)`` values of :data:`~bayesfric.mechanism.kernels.ELEMENT_SLOTS`,
+        elements from the motor to the load.
+    load
+        ``(n, n_slots)`` values of :data:`~bayesfric.mechanism.kernels.LOAD_SLOTS`.
+    carried
+        ``(n, n_carried, 2)`` of the terms without a slot, in the order of :meth:`Chain.felt`:
+        coefficient, and value of the parameter that shapes the term (0 where none does).
+    """
+
+    elements: Array
+    load: Array
     carried: Array
 
 
@@ -60,9 +74,17 @@ class Chain:
     Raises
     ------
     ValueError
-        If names repeat or a ratio is not positive.
+        If there is no element, names repeat or are reserved (``load``, ``drive``, ``total``), a
+        ratio is not positive, or a term belongs to no element.
     KeyError
-        If no form of the model knows a quantity.
+        If neither the kernels nor a column know a quantity.
+
+    Notes
+    -----
+    A torque goes from the load to the motor element by element: with ``N_k`` the ratio of element
+    ``k``, its input moves ``N_k`` times as fast as its output and takes ``1/N_k`` of the torque
+    there, plus its own inertia and losses (:class:`bayesfric.mechanism.element.Element`). The
+    measured torque is ``(torque at the motor + offset) / gain``.
     """
 
     elements: Sequence[Element]
@@ -95,7 +117,11 @@ class Chain:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, motor first."""
+        """All parameters, motor first, then load, offsets, ``drive.gain`` and ``drive.delay``.
+
+        ``mu_1, mu_2`` bear no subscript where only one element has load-dependent friction, as in
+        the paper.
+        """
         # the paper writes mu_1, mu_2 without a name behind them
         several = sum(element.load_loss != "none" for element in self.elements) > 1
         found: list[Parameter] = []
@@ -136,18 +162,29 @@ class Chain:
         return next((p.name for p in self.parameters if p.quantity == "delay"), "")
 
     def delays(self, values: Array) -> Array:
-        """Delay of each parameter vector ``(n, n_parameters)``, s; none counts as zero."""
+        """Delay of each parameter vector.
+
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)`` in the order of :attr:`names`.
+
+        Returns
+        -------
+        ndarray
+            ``(n,)``, s; zeros for a chain without ``drive.delay``.
+        """
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
 
     @property
     def motor_motion(self) -> Motion:
-        """Whether the motor turns or slides."""
+        """Whether the motor turns or slides, which sets the unit of its torque (N m or N)."""
         return self.elements[0].motion
 
     @cached_property
     def ratio(self) -> float:
-        """Motor speed over joint speed."""
+        """Motor speed over joint speed, ``N`` of eq. (6): the product of all ratios."""
         return float(np.prod([element.ratio for element in self.elements]))
 
     @cached_property
@@ -164,7 +201,11 @@ class Chain:
 
     @cached_property
     def carried(self) -> tuple[CarriedTerm, ...]:
-        """Terms that the kernels do not write out."""
+        """Terms that the kernels do not write out, in the order of :attr:`parameters`.
+
+        They are those of the table without slots (such as viscous friction by direction,
+        temperature, warming up, a power of speed, springs, cogging, delay) and :attr:`terms`.
+        """
         places = {e.name: k for k, e in enumerate(self.elements)}
         places |= {"load": len(self.elements), "drive": len(self.elements) + 1}
         return tuple(
@@ -180,14 +221,29 @@ class Chain:
         )
 
     def felt(self, inputs: Inputs | None) -> tuple[CarriedTerm, ...]:
-        """Give :attr:`carried`, and behind them a load torque that a recording has."""
+        """Give :attr:`carried`, and behind them a load torque that a recording has.
+
+        Parameters
+        ----------
+        inputs
+            Of the recording; without them there is no load torque.
+
+        Returns
+        -------
+        tuple of CarriedTerm
+            The measured load torque counts once, with no parameter (``index`` of -1).
+        """
         if inputs is None or inputs.load_torque is None:
             return self.carried
         return (*self.carried, CarriedTerm(-1, len(self.elements), 1.0, PUSH))
 
     @property
     def unseen_inertia(self) -> tuple[str, ...]:
-        """Inertias that a load loss does not see, all of them standing before it; else empty."""
+        """Names of the inertias where none is behind load-dependent friction; else empty.
+
+        Empty, too, without load-dependent friction. An element's own inertia is before its own
+        friction.
+        """
         lossy = [k for k, e in enumerate(self.elements) if e.load_loss != "none"]
         if not lossy or self.load.has("inertia"):
             return ()
@@ -199,6 +255,11 @@ class Chain:
     def with_term(self, term: Term) -> Self:
         """Add a term of one's own to an element or the load, in place of one of the same name.
 
+        Returns
+        -------
+        Chain
+            A new one, of the same class.
+
         Raises
         ------
         ValueError
@@ -208,9 +269,18 @@ class Chain:
         return replace(self, terms=(*kept, term))
 
     def vector(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Put named values in the order of :attr:`names`, one each or ``(n,)``, a row each.
+        """Put named values in the order of :attr:`names`.
 
-        Those of the noise may be among them, and are left out.
+        Parameters
+        ----------
+        values
+            A number, or ``(n,)`` draws, for each parameter, in SI units. Those of the noise
+            (``noise.*``) may be among them, and are left out.
+
+        Returns
+        -------
+        ndarray
+            ``(n_parameters,)`` of numbers, ``(n, n_parameters)`` of draws.
 
         Raises
         ------
@@ -232,7 +302,14 @@ class Chain:
         values
             ``(n, n_parameters)`` in the order of :attr:`names`.
         inputs
-            Of a recording, whose own offset is meant; without them there is none.
+            Of a recording: where recordings have offsets of their own, its offset is put in, else
+            0. A load torque measured in it is one more carried term.
+
+        Returns
+        -------
+        Tables
+            What the chain does not have stands at its default, such as 0 for a loss and 1 for the
+            gain.
         """
         defaults, sources, targets = self._layout
         flat = np.tile(defaults.astype(values.dtype), (values.shape[0], 1))
@@ -265,11 +342,17 @@ class Chain:
         Parameters
         ----------
         q, qd, qdd
-            ``(N,)`` rad or m and s.
+            ``(N,)`` position, speed and acceleration of the joint (rad or m, SI).
         inputs
-            What the joint feels besides.
+            What the joint feels besides: known mass, temperature, load torque, rate of the torque.
         time
             ``(N,)`` s; without it a term that depends on time is NaN.
+
+        Returns
+        -------
+        Samples
+            With the columns ``(n_carried, N)`` of the carried terms; a column that a parameter
+            shapes is left at zero, and computed by the kernels.
 
         Raises
         ------
@@ -304,6 +387,11 @@ class Chain:
 
     @cached_property
     def _layout(self) -> tuple[Array, Sequence[int], Sequence[int]]:
+        """Values of all slots in one row, and which parameter goes to which of them.
+
+        Gives defaults ``(n_slots,)`` and the pairs of parameter index and slot index. An offset of
+        one recording's own is not among them: :meth:`tables` puts it in.
+        """
         slots = [f"{e.name}.{slot}" for e in self.elements for slot in ELEMENT_SLOTS]
         slots += [f"load.{slot}" for slot in LOAD_SLOTS]
         where = {slot: i for i, slot in enumerate(slots)}

@@ -1,4 +1,8 @@
-"""The joint moved by a drive whose torque hangs on the motion: position control, back-EMF."""
+"""How a joint moves under a drive whose torque depends on the motion: position control, back-EMF.
+
+The drive's law is closed over the forward model of :mod:`bayesfric.mechanism.integrate` at short
+steps, so simulated twins of a recording react to their own motion as the real joint did.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,11 @@ from bayesfric.recordings.inputs import Inputs
 
 
 class _Drive(NamedTuple):
-    """A :class:`Law` for the compiled functions, ``(N,)`` arrays."""
+    """A :class:`Law` for the compiled functions, ``(N,)`` arrays.
+
+    ``on (scale clip(command - kp q - kd qd, limit) - back_emf qd)``, in units of the measured
+    torque.
+    """
 
     command: Array
     scale: Array
@@ -44,7 +52,7 @@ def follow(
     held: bool = False,
     step: float = 2e-3,
 ) -> tuple[Array, Array]:
-    """Motion of the joint while a drive follows its command, anew in every segment.
+    """Simulate the joint while a drive follows its command, anew in every segment.
 
     Parameters
     ----------
@@ -53,7 +61,7 @@ def follow(
     values
         ``(n, n_parameters)`` in the order of ``chain.names``.
     law
-        Of N samples.
+        Of the drive, ``(N,)`` samples.
     period, begin
         s from one sample to the next, and the time of the first.
     segments
@@ -61,20 +69,31 @@ def follow(
     q0, qd0
         ``(K,)``: position and speed at the first sample of each, rad or m, SI.
     push
-        ``(n, N)`` motor torque besides, N m or N, as if measured.
+        ``(n, N)``, or ``(1, N)`` for all, motor torque besides, N m or N, as if measured; it goes
+        straight between samples.
     inputs
         What the joint feels besides.
     held
         Whether the command is held until the next sample; else it goes straight.
     step
-        The loop is closed at least so often, s: the torque goes straight between its values
-        at the ends of a step (Heun's method).
+        The loop is closed at least so often, s.
 
     Returns
     -------
     q, qd : ndarray
         ``(n, N)``, rad or m, SI; NaN outside the segments, for a vector that has no motion, and
         from where the joint runs away.
+
+    Raises
+    ------
+    ValueError
+        If a term is multiplied by a signal that the inputs do not hold.
+
+    Notes
+    -----
+    Between two closings of the loop the torque goes straight from its value at the begin to that at
+    the end. The latter depends on the motion: it is predicted with a constant torque and corrected
+    once (Heun's method).
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
     ranges = np.asarray(segments, dtype=np.int64)
@@ -136,6 +155,12 @@ def _follow(
     q_out: Array,
     qd_out: Array,
 ) -> tuple[Array, Array]:
+    """Integrate every vector and segment in parallel; one job has one vector and one segment.
+
+    ``elements`` ``(n, n_elements, n_slots)`` and ``load`` ``(n, n_slots)`` are of :class:`Tables`,
+    ``added`` the known mass's inertia and first moment, ``steps`` the closings of the loop a
+    sample.
+    """
     n, pieces = elements.shape[0], segments.shape[0]
     h = period / steps
     for job in prange(n * pieces):

@@ -1,4 +1,8 @@
-"""The ``[mechanism]`` table of a configuration, and the chain it describes."""
+"""Which joint a configuration describes: the ``[mechanism]`` table, and the chain it makes.
+
+Tables of elements and load have a key for each option of the table of quantities, so a new term
+needs no line here. What no joint can be is refused with the key that says it.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +50,7 @@ class _Options(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     def given(self) -> dict[str, Any]:
-        """Only what the configuration says."""
+        """Only what the configuration says, by key: what is left out is the preset's."""
         return self.model_dump(exclude_unset=True)
 
 
@@ -141,12 +145,12 @@ class MechanismOptions(_Options):
 
     @property
     def auto(self) -> bool:
-        """Whether what else explains the torque is put in before a fit."""
+        """Whether what else explains the torque is put in before a fit, ``terms = "auto"``."""
         return self.terms == "auto"
 
     @property
     def named_terms(self) -> tuple[str, ...]:
-        """Names of terms of one's own."""
+        """Names of terms of one's own, which only Python can give; empty for a word."""
         return () if isinstance(self.terms, str) else self.terms
 
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
@@ -155,12 +159,19 @@ class MechanismOptions(_Options):
         Parameters
         ----------
         terms
-            Of one's own; those that the table names.
+            Terms of one's own; every one that the table names must be there.
+
+        Returns
+        -------
+        Joint
+            The preset with the changes that the table holds, or the chain of its elements.
 
         Raises
         ------
         BadInput
-            If the preset or one of its elements does not exist, or nothing is described.
+            If nothing is described, the preset or one of its elements does not exist, a named term
+            is missing, an option changes load-dependent friction that the element does not have, a
+            sliding load is given a gravity moment, or the chain refuses its names.
         """
         if missing := [
             name for name in self.named_terms if name not in {term.name for term in terms}

@@ -1,8 +1,8 @@
-"""What parameters amount to: transfer coefficients, totals, efficiencies.
+"""What parameters amount to: transfer coefficients, totals seen at the motor, efficiencies.
 
-The totals are the combinations that eq. (13) sees. They do not change when leg
-parameters and alpha are scaled together, so they are known even where the
-parameters behind them are not.
+The totals are the combinations that eq. (13) sees (base parameters). They do not change when leg
+parameters and alpha are scaled together (section 4.2), so data identify them even where they
+do not identify the parameters behind them.
 """
 
 from __future__ import annotations
@@ -33,16 +33,26 @@ _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """One derived quantity."""
+    """One derived quantity.
 
-    # name, unit, symbol, meaning: as for parameters; the symbol is LaTeX without dollar signs
+    Attributes
+    ----------
+    name, unit, symbol, meaning
+        As for parameters; the symbol is LaTeX without dollar signs.
+    values
+        ``(n,)``, one for each parameter vector.
+    gauge_free
+        Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2).
+    of_motion
+        Whether it is the motion's as much as the joint's: another motion has another value.
+    """
+
     name: str
     unit: str
     symbol: str
     meaning: str
-    values: Array  # (n,), one for each parameter vector
-    gauge_free: bool  # whether scaling leg parameters and alpha together leaves it unchanged
-    # whether it is the motion's as much as the joint's: another motion has another value
+    values: Array
+    gauge_free: bool
     of_motion: bool = False
 
 
@@ -54,11 +64,11 @@ def efficiencies(
     Parameters
     ----------
     mu_drive, mu_back
-        Load losses ``mu_1`` and ``mu_2``.
+        Load-dependent friction ``mu_1`` (driving) and ``mu_2`` (back-driving), without unit.
     constant_loss
-        ``Fr`` in the unit of ``torque``.
+        Coulomb friction ``Fr`` in the unit of ``torque``.
     torque
-        Transmitted torque ``Ts``, positive.
+        Transmitted torque ``Ts``, positive, N m or N.
 
     Returns
     -------
@@ -67,6 +77,11 @@ def efficiencies(
     back : ndarray
         ``1 - mu_2 - Fr/Ts``, the load driving the motor; ``nan`` where it would be
         negative: there the transmission is irreversible.
+
+    Notes
+    -----
+    Arguments are broadcast against each other. Both efficiencies fall with the load, because ``Fr``
+    does not (section 2.3).
     """
     share = np.asarray(constant_loss) / np.asarray(torque)
     drive = 1.0 / (1.0 + np.asarray(mu_drive) + share)
@@ -84,7 +99,28 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
     values
         ``(n, n_parameters)`` in the order of ``chain.names``.
     load_torque
-        Joint torque at which efficiencies are stated, N m or N.
+        Joint torque at which efficiencies are stated, N m or N; none are where it is zero.
+
+    Returns
+    -------
+    tuple of Derived
+        Totals ``total_drive.*`` and ``total_back.*`` (``total.*`` without load-dependent friction),
+        then, for every element with load-dependent friction, ``alpha_drive``, ``alpha_back``,
+        ``efficiency_drive`` and ``efficiency_back``; where it differs by power flow also
+        ``lambda_1``, ``lambda_2`` and ``lambda_ratio``.
+
+    Notes
+    -----
+    With ``mu_1, mu_2`` of the element,
+
+    - eq. (6): ``alpha_1 = 1/(1 + mu_1)``, ``alpha_2 = 1/(1 - mu_2)``; NaN for ``mu_2 >= 1``;
+    - eq. (13): ``lambda_1 = (1/alpha_1 + 1/alpha_2)/2``, ``lambda_2 = (1/alpha_1 - 1/alpha_2)/2``;
+    - totals are ``Theta1 + Theta2`` while the motor drives and ``Theta1 - Theta2`` while the load
+      does. There are none where load-dependent friction grows with speed or load: what the motor
+      feels of one term then depends on all others.
+
+    Coulomb friction in an efficiency is that of the element and of all behind it, brought to the
+    joint, as in section 4.4. Viscous friction is not counted.
     """
     at = {name: values[:, i] for i, name in enumerate(chain.names)}
     lossy = (element for element in chain.elements if element.load_loss != "none")
@@ -93,7 +129,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
 
 
 def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
-    """Sum up what the motor feels, Theta1 +- Theta2 of eq. (13) and their mean."""
+    """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
     if any(o.startswith("load_") and o not in _STEADY for e in lossy for o in e.choices):
         return  # what the motor feels of a term then depends on all the others
@@ -151,7 +187,7 @@ def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
 
 
 def _losses(element: Element, at: dict[str, Array]) -> tuple[Array | float, Array | float]:
-    """Load losses while the motor drives and while the load does; none is zero."""
+    """Load-dependent friction while the motor drives and while the load does; zero for none."""
     if element.load_loss == "none":
         return 0.0, 0.0
     ways = ("_drive", "_back") if element.load_loss == "two" else ("", "")
@@ -162,7 +198,7 @@ def _losses(element: Element, at: dict[str, Array]) -> tuple[Array | float, Arra
 def _of_loss(
     chain: Chain, element: Element, at: dict[str, Array], load_torque: float
 ) -> Iterator[Derived]:
-    """Derive what the load loss of an element amounts to."""
+    """Derive alphas, lambdas and efficiencies of one element, eqs. (4), (6) and (13)."""
     name, two = element.name, element.load_loss == "two"
 
     def one(

@@ -1,8 +1,8 @@
-"""Acceleration of the joint for a motor torque, in closed form, and when it sticks.
+"""Which acceleration a motor torque gives the joint, in closed form, and when the joint sticks.
 
 At a given direction of motion the motor torque is a piecewise linear, rising
 function of the acceleration with one kink for each load-dependent element, so it
-is inverted without iteration.
+is inverted without iteration (but for a loss with the square of the load: Newton's method).
 """
 
 from __future__ import annotations
@@ -33,32 +33,64 @@ from bayesfric.recordings.arrays import Array
 
 
 class CarriedValues(NamedTuple):
-    """Terms without a slot in the kernels."""
+    """Terms without a slot in the kernels.
 
-    values: Array  # (n, n_carried, 2) coefficients and what shapes each, of several vectors
-    places: NDArray[np.int64]  # (n_carried,) index of the element of each, as in kernels.Samples
-    addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
-    stamps: Array  # (K,) times of what some are multiplied by, s
-    levels: Array  # (n_carried, K) what each is multiplied by
+    Attributes
+    ----------
+    values
+        ``(n, n_carried, 2)`` coefficient and value of what shapes each, of several vectors.
+    places
+        ``(n_carried,)`` index of the element of each, as in
+        :class:`~bayesfric.mechanism.kernels.Samples`.
+    addresses
+        ``(n_carried,)`` of their compiled columns.
+    stamps
+        ``(K,)`` times of the signals that some are multiplied by, s.
+    levels
+        ``(n_carried, K)`` what each is multiplied by at these times.
+    """
+
+    values: Array
+    places: NDArray[np.int64]
+    addresses: NDArray[np.int64]
+    stamps: Array
+    levels: Array
 
 
 class Moved(NamedTuple):
-    """What the compiled functions of the forward model need of a joint; one parameter vector."""
+    """What the compiled functions of the forward model need of a joint; one parameter vector.
 
-    elements: Array  # a vector's of Chain.tables; every further array here would cost time
+    Attributes
+    ----------
+    elements
+        ``(n_elements, n_slots)``, a vector's of :meth:`Chain.tables`.
+    gain, offset
+        True motor torque is ``gain * measured - offset``, N m or N.
+    inertia
+        Of the load, known added mass included, kg m² or kg.
+    weight, angle
+        Gravity torque of the load is ``weight sin(q + angle)``, added mass included, N m and rad.
+    kinks
+        Bit k is set where the torque at the input of element k has a kink as power changes
+        direction.
+    squares
+        Whether a loss grows with the square of the load.
+    carried
+        Terms without a slot; None for a joint that has none.
+    vector
+        Which of their vectors is meant.
+    """
+
+    elements: Array
     gain: float
     offset: float
-    inertia: float  # of the load, added mass included, kg m² or kg
-    # weight, angle: amplitude and angle of its gravity torque, added mass included, N m and
-    # rad
+    inertia: float
     weight: float
     angle: float
-    kinks: int  # bit k: the torque at the input of element k has one where power changes direction
-    squares: bool  # whether a loss grows with the square of the load
-    # terms without a slot; None for a joint that has none, which is compiled by itself: a
-    # third faster
+    kinks: int
+    squares: bool
     carried: CarriedValues | None
-    vector: int  # which vector's of these
+    vector: int
 
 
 # Steps of Newton's method, which ends earlier where it moves by rounding only.
@@ -87,6 +119,11 @@ def moved(
         Terms without a slot; of several vectors it is that of number ``vector``.
     added_inertia, added_moment
         Of a known mass on the load, kg m² (kg) and kg m.
+
+    Returns
+    -------
+    Moved
+        With gravity as one sine, ``weight sin(q + angle)``.
     """
     # one sine instead of a sine and a cosine
     sine = gravity_torque(load, added_moment, 1.0, 0.0)
@@ -117,7 +154,10 @@ def _level(stamps: Array, levels: Array, time: float) -> float:
 
 # without annotations: a compiled overload must look like what it stands for
 def _carried_torque(carried, vector, k, to_input, q, qd, sign, time) -> Any:  # type: ignore[no-untyped-def]
-    """Torque of the terms without a slot of element k, or of the load."""
+    """Torque of the terms without a slot of element k, or of the load, at its own input.
+
+    ``to_input`` is the speed there over the joint's, ``q`` and ``qd`` are the joint's.
+    """
     total = 0.0
     for t in range(carried.places.shape[0]):
         if carried.places[t] == k:
@@ -137,7 +177,7 @@ def _typed_carried_torque(carried, vector, k, to_input, q, qd, sign, time):  # t
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) -> float:
-    """Torque of the load at constant speed."""
+    """Torque of the load at constant speed: gravity and its carried terms, at the joint."""
     place = joint.elements.shape[0]
     own = _carried_torque(joint.carried, joint.vector, place, 1.0, q, qd, sign, time)
     return float(joint.weight * math.sin(q + joint.angle) + own)
@@ -147,7 +187,26 @@ def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) ->
 def motor_torque(
     joint: Moved, q: float, qd: float, qdd: float, sign: float, time: float, load_torque: float
 ) -> float:
-    """Carry the load's torque through every element to the motor: N m or N there."""
+    """Carry the load's torque through every element to the motor.
+
+    Parameters
+    ----------
+    joint
+        One parameter vector.
+    q, qd, qdd
+        Of the joint, rad or m, SI.
+    sign
+        Direction of motion, 1 or -1; at rest that of the motion about to begin.
+    time
+        s.
+    load_torque
+        Torque at the joint that moves the load, its inertia times ``qdd`` included, N m or N.
+
+    Returns
+    -------
+    float
+        True motor torque, N m or N, by the element equation of section 2.2.
+    """
     torque = load_torque
     to_input = 1.0
     for k in range(joint.elements.shape[0] - 1, -1, -1):
@@ -168,11 +227,6 @@ def acceleration(
 ) -> tuple[float, int]:
     """Acceleration for a motor torque, in closed form, and in which elements the motor side drives.
 
-    The motor torque rises with the acceleration, with one kink per load-dependent element.
-    Whether the solution lies above or below a kink is read off the torque at the kink, from the
-    load to the motor; then everything is one line. A loss with the square of the load is taken by
-    its tangent, and the line by Newton's method.
-
     Parameters
     ----------
     joint
@@ -184,13 +238,21 @@ def acceleration(
     sign
         Direction of motion, or in which the joint at rest is about to break away.
     lines
-        Scratch memory.
+        ``(n_elements, 2)`` scratch memory.
 
     Returns
     -------
     qdd : float
+        Of the joint, rad/s² or m/s².
     pattern : int
         Bit k is set where the motor side drives element k, of those with a kink.
+
+    Notes
+    -----
+    The motor torque rises with the acceleration, with one kink per load-dependent element. Whether
+    the solution lies above or below a kink is read off the torque at the kink, from the load to the
+    motor; then everything is one line ``torque = slope qdd + intercept``. A loss with the square of
+    the load is taken by its tangent, and the line by Newton's method.
     """
     found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, 0.0)
     if joint.squares:
@@ -215,8 +277,23 @@ def held_acceleration(
 ) -> float:
     """Acceleration as of :func:`acceleration` while direction and power flow are held.
 
-    ``lines`` are left with those of the transmitted torques, tangents where a loss grows with the
-    square of the load.
+    Between two events of :mod:`bayesfric.mechanism.integrate` the equation of motion is then
+    smooth.
+
+    Parameters
+    ----------
+    joint, q, qd, torque, time, sign
+        As for :func:`acceleration`.
+    pattern
+        Power flow: bit k is set where the motor side drives element k.
+    lines
+        ``(n_elements, 2)``; left with slope and intercept of each element's transmitted torque over
+        ``qdd``, tangents where a loss grows with the square of the load.
+
+    Returns
+    -------
+    float
+        rad/s² or m/s².
     """
     found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
     if joint.squares:
@@ -242,7 +319,12 @@ def _solved(
     lines: Lines,
     about: float,
 ) -> tuple[float, int]:
-    """Solve with losses by the square of the load linear around ``about``."""
+    """Solve with losses by the square of the load linear around ``about``, an acceleration.
+
+    Goes from load to motor: ``slope`` and ``intercept`` are those of the torque over ``qdd``.
+    ``free`` finds the power flow at every kink within ``low`` to ``high``; else ``pattern`` gives
+    it.
+    """
     elements = joint.elements
     still = _load_torque(joint, q, qd, sign, time)
     slope, intercept = joint.inertia, still
@@ -287,9 +369,21 @@ def _solved(
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(joint: Moved, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest at ``q`` sticks: ``(low, high)``, N m or N.
+    """Motor torques between which the joint at rest sticks.
 
-    They are those that a motion about to begin would take, either way.
+    Parameters
+    ----------
+    joint
+        One parameter vector.
+    q, time
+        Position of the joint, rad or m; s.
+
+    Returns
+    -------
+    low, high : float
+        True motor torque that a motion about to begin in negative and in positive direction would
+        take, N m or N: gravity with the friction of either direction at zero speed, any Stribeck
+        rise included.
     """
     down, up = _load_torque(joint, q, 0.0, -1.0, time), _load_torque(joint, q, 0.0, 1.0, time)
     return (

@@ -1,4 +1,7 @@
-"""One element of the transmission, and the load at its end (section 2.2)."""
+"""What one element of the transmission takes of the torque, and the load at its end (section 2.2).
+
+Options choose the terms: each choice brings rows of the table of quantities, and so parameters.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ class _Bearer:
             object.__setattr__(self, key, value)
 
     def has(self, *names: str) -> bool:
-        """Whether it has one of these quantities."""
+        """Whether it has at least one of these quantities, by their names in the table."""
         return any(q.name in names for q in self.quantities)
 
 
@@ -73,6 +76,12 @@ class Element(_Bearer):
     ------
     ValueError
         If there is no such option, or no such choice of one.
+
+    Notes
+    -----
+    Further options add to this equation: viscous friction by direction, a power of speed,
+    temperature, warming up, cogging, friction that depends on the angle, another exponent than 2 of
+    the Stribeck effect, and ``mu`` by direction or growing with speed or torque.
     """
 
     _options = CHOICES
@@ -96,7 +105,7 @@ class Element(_Bearer):
 
     @property
     def load_loss(self) -> str:
-        """How many losses per transmitted torque it has, ``none``, ``one`` or ``two``."""
+        """Kind of load-dependent friction: ``none``, ``one`` (mu) or ``two`` (mu_1 and mu_2)."""
         return str(self.choices.get("load_loss", "none"))
 
 
@@ -109,19 +118,20 @@ class Load(_Bearer):
     Parameters
     ----------
     gravity
-        m/s².
+        ``g``, m/s²; negative for a joint mounted upside down.
     motion
         Whether the load turns or slides, ``rotary`` or ``linear``.
     subscript
         For the LaTeX symbols.
     choices, **more
-        ``inertia``, ``first_moment``, ``gravity_angle``: whether the load has the term. Real
-        arms do not hang at ``q = 0``: that is what ``gravity_angle`` is for.
+        ``inertia``, ``first_moment``, ``gravity_angle``, ``spring``: whether the load has the term
+        (``spring="stiffening"`` adds a cube of the position). Real arms do not hang at ``q = 0``:
+        that is what ``gravity_angle`` is for.
 
     Raises
     ------
     ValueError
-        If there is no such option.
+        If there is no such option, or no such choice of one.
     """
 
     _options = LOAD_CHOICES

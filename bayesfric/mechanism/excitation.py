@@ -1,7 +1,8 @@
-"""Torque signals to move a simulated joint with, and what its electronics make of them.
+"""Which torque signals move a simulated joint, and what its electronics make of them.
 
-Every signal is a function of an array of times and returns an array, so signals add
-with ``+``.
+Every signal is a function of an array of times and returns an array, so signals add with ``+``.
+Square waves, as of the paper's 1 Hz tests, let the load drive the motor; sines alone hardly do,
+and leave ``alpha_2`` unseen.
 """
 
 from __future__ import annotations
@@ -14,16 +15,20 @@ from bayesfric.recordings.arrays import Array
 
 
 def square(time: ArrayLike, amplitude: float, frequency: float) -> Array:
-    """Torque ``amplitude`` for half a period of ``frequency`` (Hz), then its negative.
+    """Torque ``amplitude`` (N m or N) for half a period of ``frequency`` (Hz), then its negative.
 
-    A switch that falls on a sample, up to rounding, has happened at that sample.
+    Times and torques are ``(N,)``. A switch that falls on a sample, up to rounding, has happened at
+    that sample.
     """
     halves = np.floor(2.0 * frequency * np.asarray(time, dtype=np.float64) + 1e-9)
     return np.where(halves % 2 == 0, amplitude, -amplitude).astype(np.float64)
 
 
 def sine(time: ArrayLike, amplitude: float, frequency: float, phase: float = 0.0) -> Array:
-    """Sine of ``frequency`` (Hz), ``phase`` (rad) at time zero."""
+    """Sine of ``amplitude`` (N m or N) and ``frequency`` (Hz), with ``phase`` (rad) at time zero.
+
+    Times and torques are ``(N,)``.
+    """
     turns = frequency * np.asarray(time, dtype=np.float64)
     return np.asarray(amplitude * np.sin(2.0 * np.pi * turns + phase), dtype=np.float64)
 
@@ -40,14 +45,23 @@ def multisine(
     Parameters
     ----------
     time
-        s.
+        ``(N,)`` s.
     amplitude
-        Of each sine, or one for all.
+        Of each sine ``(k,)``, or one for all, N m or N.
     frequencies
-        Hz.
+        ``(k,)`` Hz.
     seed
         Of random phases; without it Schroeder's, which keep the peak low for equally
-        spaced frequencies.
+        spaced frequencies of one amplitude.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)``.
+
+    References
+    ----------
+    Schroeder, IEEE Transactions on Information Theory 16, 1970.
     """
     hertz = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
     each = np.broadcast_to(np.asarray(amplitude, dtype=np.float64), hertz.shape)
@@ -63,7 +77,10 @@ def multisine(
 
 
 def chirp(time: ArrayLike, amplitude: float, first: float, last: float) -> Array:
-    """Sine whose frequency rises evenly from ``first`` to ``last`` (Hz) over the times given."""
+    """Sine whose frequency rises evenly from ``first`` to ``last`` (Hz) over the ``(N,)`` times.
+
+    Its phase is zero at the first time; ``amplitude`` in N m or N.
+    """
     t = np.asarray(time, dtype=np.float64)
     since = t - t[0]
     turns = first * since + 0.5 * (last - first) * since**2 / (since[-1] or 1.0)
@@ -76,16 +93,27 @@ def current_loop(torque: ArrayLike, period: float, lag: float) -> Array:
     Parameters
     ----------
     torque
-        ``(N,)`` command, held over each ``period`` (s).
+        ``(N,)`` command, held over each ``period``.
     period
         s.
     lag
         Time constant in s; zero for a perfect loop.
 
+    Returns
+    -------
+    ndarray
+        ``(N,)``; ``y[i+1] = c y[i] + (1 - c) torque[i]`` with ``c = exp(-period/lag)``, which is
+        exact for a held command.
+
     Raises
     ------
     ValueError
         If ``lag`` is negative or ``period`` is not positive.
+
+    Notes
+    -----
+    The lag matters for identification: where the torque is piecewise constant, the equation of
+    motion itself makes the regressors linearly dependent.
     """
     command = np.asarray(torque, dtype=np.float64)
     if not (lag >= 0.0 and period > 0.0):

@@ -1,4 +1,7 @@
-"""A simulated recording: a known joint, moved and measured the way a bench would."""
+"""What a bench would record of a known joint: simulated torque, motion, encoder and noise.
+
+Stands in for measurements where the truth must be known, as for the demonstration and for checks.
+"""
 
 from __future__ import annotations
 
@@ -79,6 +82,16 @@ class Simulation(BaseModel):
     def true_values(self, chain: Chain) -> dict[str, float]:
         """Values of every parameter of the chain.
 
+        Parameters
+        ----------
+        chain
+            The mechanism; a preset's values count where none is given.
+
+        Returns
+        -------
+        dict
+            By name, in SI units, in the order of ``chain.names``.
+
         Raises
         ------
         BadInput
@@ -126,7 +139,8 @@ def record(chain: Chain, options: Simulation) -> tuple[dict[str, Array], Motion,
     Returns
     -------
     columns : dict
-        ``time`` s, ``position`` rad or m on the encoder's side, ``torque`` as measured.
+        ``(N,)`` each: ``time`` s, ``position`` rad or m on the encoder's side, ``torque`` as
+        measured.
     motion : Motion
         What really happened.
     values : dict
@@ -135,7 +149,8 @@ def record(chain: Chain, options: Simulation) -> tuple[dict[str, Array], Motion,
     Raises
     ------
     BadInput
-        If a value is impossible or the simulation runs away.
+        If a value is impossible, the recording is shorter than 10 samples, the joint cannot be
+        simulated or runs away.
     """
     values = options.true_values(chain)
     period = 1.0 / options.rate
@@ -180,11 +195,11 @@ def measure(
     command
         ``(N,)`` commanded motor torque, N m or N, ``options.rate`` samples a second.
     options
-        Current loop, encoder, noise and added mass are used.
+        Current loop, hold, encoder, noise and added mass are used.
     rng
         Source of the torque's noise.
     q0, qd0
-        Position and speed at the first sample, rad or m and s.
+        Position and speed of the joint at the first sample, rad or m and s.
 
     Returns
     -------
@@ -197,6 +212,11 @@ def measure(
     ------
     ValueError
         If the joint cannot be simulated or runs away.
+
+    Notes
+    -----
+    The encoder rounds the position to ``2 pi / encoder_counts``, rad (or that many m of what
+    slides). The torque's noise is white and Gaussian, added to what comes behind the current loop.
     """
     period = 1.0 / options.rate
     torque = excitation.current_loop(command, period, options.lag)
@@ -221,6 +241,7 @@ def measure(
 
 
 def _command(options: Simulation, time: Array, seed: int) -> Array:
+    """Make the commanded torque ``(N,)``; of k sines each has the amplitude over sqrt(k)."""
     a, f = options.amplitude, options.frequency
     if options.excitation == "square":
         return excitation.square(time, a, f)

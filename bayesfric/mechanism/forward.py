@@ -51,31 +51,48 @@ _MAX_SUBSTEPS = 64
 
 
 class RunsAway(ValueError):
-    """A simulated joint left every range that could be meant."""
+    """A simulated joint left every range that could be meant: 1e6 rad or m."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A simulated motion."""
+    """A simulated motion.
 
-    time: Array  # (N,), s, from zero
-    # q, qd, qdd: (N,) position, speed and acceleration of the joint (rad or m, SI). The
-    # acceleration is the one right after the sample
+    Attributes
+    ----------
+    time
+        ``(N,)`` s, from zero.
+    q, qd, qdd
+        ``(N,)`` position, speed and acceleration of the joint (rad or m, SI), the acceleration
+        right after the sample.
+    torque
+        ``(N,)`` measured motor torque, as given, N m or N.
+    sticking
+        ``(N,)`` of bool: where static friction holds the joint; speed and acceleration are then
+        zero.
+    events
+        Number of located stops, breakaways and sign changes of transmitted torques.
+    reversals
+        How often the joint moved off against the direction it had moved in before.
+    step_error
+        Estimated largest discretisation error of ``q``, rad or m; NaN where substeps were given.
+    substeps
+        Integration steps per sample.
+    unresolved
+        Steps with more events than are followed, their rest integrated without locating any; zero
+        unless the steps are far too coarse.
+    """
+
+    time: Array
     q: Array
     qd: Array
     qdd: Array
-    torque: Array  # (N,) measured motor torque, as given (N m or N)
-    # (N,), where static friction holds the joint; speed and acceleration are then exactly
-    # zero
+    torque: Array
     sticking: NDArray[np.bool_]
-    events: int  # located stops, breakaways and sign changes of transmitted torques
-    reversals: int  # how often the joint moved off against the direction it had moved in before
-    # estimated discretisation error of q (rad or m), largest over the samples; NaN where the
-    # number of steps was given
+    events: int
+    reversals: int
     step_error: float
-    substeps: int  # integration steps per sample
-    # steps with more events than the simulator follows; their rest was integrated without
-    # locating any. Zero unless the steps are far too coarse
+    substeps: int
     unresolved: int = 0
 
 
@@ -116,8 +133,9 @@ def simulate(
         Torque between samples: ``linear``, ``zero`` for held until the next, or ``cubic`` for
         the cubic through four samples, taken in quarters of a sample.
     substeps
-        Integration steps per sample. By default they are doubled, from 2, until
-        ``q`` changes by less than ``tolerance`` or there are 64.
+        Integration steps per sample, for ``cubic`` rounded up to a multiple of four. By default
+        they are doubled, from 2 (``cubic``: 8), until ``q`` changes by less than ``tolerance`` or
+        there are 64.
     tolerance
         rad or m; not used where ``substeps`` is given.
 
@@ -128,10 +146,17 @@ def simulate(
     Raises
     ------
     ValueError
-        If an input is not finite, has the wrong shape or is outside its support, if
-        the acceleration is not unique (no inertia, or a gearbox so irreversible
-        that the motor's inertia does not outweigh it), or if the joint runs away
-        beyond 1e6 rad or m.
+        If an input is not finite, has the wrong shape or is outside its support, if the
+        acceleration is not unique (no inertia, or a gearbox so irreversible that the motor's
+        inertia does not outweigh it), or (:class:`RunsAway`) if the joint runs away beyond 1e6 rad
+        or m.
+
+    Notes
+    -----
+    Classical Runge-Kutta steps between located events: the error falls with the fourth power of the
+    step, so ``step_error`` is a fifteenth of what the last doubling changed. At rest the joint
+    sticks while the torque lies within its breakaway torques
+    (:func:`bayesfric.mechanism.dynamics.breakaway_torques`); no friction law is smoothed.
     """
     given = _torque(torque, period, hold, substeps)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
@@ -195,7 +220,10 @@ def _motion(
     start: tuple[float, float],
     each: int,
 ) -> Motion:
-    """Integrate the ``fine`` torque in so many steps each; the error is not known."""
+    """Integrate the ``fine`` torque in ``each`` steps a sample of it; the error is not known.
+
+    Every ``finer``-th of its samples is one of ``torque``. Raises :class:`RunsAway`.
+    """
     out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
     now = (float(period) / finer, float(begin), linear, float(start[0]), float(start[1]), each)
     done = integrate(joint, fine, *now, out, counts)
@@ -297,10 +325,27 @@ def simulate_segments(
 
 
 def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues | None:
-    """Gather the terms without a slot, their table ``(n, n_carried, 2)``.
+    """Gather the terms without a slot for the forward model.
 
-    A delay is none of them here: the torque that acts is an earlier one, see :func:`_acting`.
-    Raises ``ValueError`` where the inputs do not hold the signal that one is multiplied by.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n, n_carried, 2)``, the table ``carried`` of :meth:`Chain.tables`.
+    inputs
+        Of the recording, with the signals that terms are multiplied by.
+
+    Returns
+    -------
+    CarriedValues or None
+        None without such terms. A delay is none of them: the torque that acts is an earlier one,
+        see :func:`_acting`.
+
+    Raises
+    ------
+    ValueError
+        If the inputs do not hold the signal that a term is multiplied by.
     """
     felt = chain.felt(inputs)
     kept = [k for k, c in enumerate(felt) if c.row.column is not None]
@@ -367,6 +412,12 @@ def possible(
     -------
     ndarray
         ``(n,)`` of bool.
+
+    Notes
+    -----
+    A motion is unique where the motor torque rises with the acceleration for every direction of
+    power. It does not where ``mu_2`` is so far above one that the inertia on the motor side does
+    not outweigh it. Growth of load-dependent friction with speed or load is left out of this.
     """
     lower = np.array([p.lower for p in chain.parameters])
     upper = np.array([p.upper for p in chain.parameters])
@@ -378,6 +429,7 @@ def possible(
 
 
 def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -> Array:
+    """Give samples ``(N,)`` as floats; refuse what is no torque, period, hold or step number."""
     samples = np.array(torque, dtype=np.float64)
     if samples.ndim != 1 or samples.size == 0:
         raise ValueError("torque must be a one-dimensional array of samples")
@@ -395,7 +447,7 @@ def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -
 def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
     """Smallest and largest motor torque per joint acceleration, over all power directions.
 
-    At rest and without load: what load losses grow by with speed and load is left out.
+    At rest and without load: what load-dependent friction grows by is left out.
     """
     low, high = inertia, inertia
     to_input = np.ones_like(inertia)

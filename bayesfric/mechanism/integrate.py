@@ -1,4 +1,9 @@
-"""Runge-Kutta steps between located events: reversals, breakaway, changes of power flow."""
+"""How the motion is integrated: Runge-Kutta steps from one event to the next.
+
+Within a step direction of motion and power flow are held, so the equation of motion is smooth; what
+ends that (an event: a reversal, breakaway, a change of power flow) is located to rounding, and
+integration begins anew there.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +37,21 @@ _REVERSAL, _NOTHING = -1, -2
 
 
 class At(NamedTuple):
-    """Where a step begins: the motion, the torque with its rate, and which way all goes."""
+    """Where a step begins: the motion, the torque with its rate, and which way all goes.
+
+    Attributes
+    ----------
+    q, qd, qdd
+        Of the joint, rad or m, SI.
+    torque, rate
+        True motor torque, N m or N, and its change per second.
+    time
+        s.
+    sign
+        Direction of motion, 1 or -1.
+    pattern
+        Bit k is set where the motor side drives element k.
+    """
 
     q: float
     qd: float
@@ -46,7 +65,7 @@ class At(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _step(joint: Moved, at: At, lines: Lines, h: float) -> tuple[float, float]:
-    """Take one Runge-Kutta step."""
+    """Take one classical Runge-Kutta step of ``h`` s, direction and power flow held."""
     q, qd, qdd, torque, rate, time, sign, pattern = at
     half = 0.5 * h
     middle = torque + rate * half
@@ -87,7 +106,8 @@ def _agreement(joint: Moved, at: At, lines: Lines, h: float, which: int) -> floa
 def _locate(joint: Moved, at: At, lines: Lines, h: float, which: int) -> float:
     """Time to an event known to come within ``h``, to rounding (Illinois method).
 
-    Zero if the value is not positive anywhere before, that is, if the event is now.
+    Zero if the value is not positive anywhere before, that is, if the event is now. See Dowell and
+    Jarratt, BIT 11, 1971.
     """
     a, b = 0.0, h
     fa = _agreement(joint, at, lines, a, which)
@@ -170,6 +190,7 @@ def _at_rest(
 def _moves_off(
     joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
 ) -> _Going:
+    """Give a joint that has a direction its acceleration and power flow, and count a reversal."""
     q, qd, _, sign, before, _, low, high = going
     counts[1] += before * sign < 0.0
     qdd, pattern = acceleration(joint, q, qd, torque, time, sign, lines)
@@ -286,25 +307,39 @@ def integrate(
     out: Array,
     counts: Counts,
 ) -> int:
-    """Integrate and write the samples; returns how many there are before a runaway.
+    """Integrate and write the samples.
 
     Parameters
     ----------
     joint
         Whose torques allow one motion.
     measured
-        ``(N,)`` motor torque every ``period`` (s), held or ``linear`` between samples.
+        ``(N,)`` motor torque every ``period`` (s), held or ``linear`` between samples; what acts is
+        ``gain * measured - offset``.
     begin
-        Time of the first sample, for terms that depend on time; while the joint
+        Time of the first sample, s, for terms that depend on time; while the joint
         sticks, these count as they were at the last sample.
     q, qd
         At the first sample, rad or m, SI.
     substeps
         Steps a sample.
     out
-        ``(4, N)``: position, speed, the acceleration right after a sample, and 1 where it sticks.
+        ``(4, N)``, written: position, speed, the acceleration right after a sample, and 1 where it
+        sticks.
     counts
-        Events, reversals and unresolved steps are added to these.
+        ``(3,)``: events, reversals and unresolved steps are added to these.
+
+    Returns
+    -------
+    int
+        How many samples there are before a runaway; N if there is none.
+
+    Notes
+    -----
+    At rest the joint sticks while the torque lies within its breakaway torques. A torque that goes
+    straight leaves them at a time that is found in closed form; reversals and sign changes of a
+    transmitted torque are located by root finding. Of a step with more than 64 events the rest is
+    integrated without locating any, and counted.
     """
     gain, offset = joint.gain, joint.offset
     lines = np.empty((joint.elements.shape[0], 2))
@@ -357,10 +392,33 @@ def integrate_segments(
     substeps: int,
     valid: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Integrate many parameter vectors, each anew at the start of every segment.
+    """Integrate many parameter vectors, each anew at the start of every segment, in parallel.
 
-    ``torque`` is ``(n, N)``, or ``(1, N)`` for one that acts on all. Gives positions and speeds,
-    ``(n, N)``, as :func:`bayesfric.mechanism.forward.simulate_segments` does.
+    Parameters
+    ----------
+    elements, load
+        ``(n, n_elements, n_slots)`` and ``(n, n_slots)``, of :meth:`Chain.tables`.
+    carried
+        Terms without a slot, of all vectors.
+    added
+        Inertia and first moment of a known mass, kg m² (kg) and kg m.
+    torque
+        ``(n, N)`` measured motor torque, or ``(1, N)`` for one that acts on all.
+    period, begin, linear
+        As for :func:`integrate`.
+    starts, ends
+        ``(K,)`` half-open ranges of samples.
+    q0, qd0
+        ``(n, K)`` state at the first sample of each segment, rad or m, SI.
+    substeps
+        Steps a sample.
+    valid
+        ``(n,)`` of bool: which vectors to integrate.
+
+    Returns
+    -------
+    q, qd : ndarray
+        ``(n, N)``; NaN outside the segments, for vectors that are not valid, and from a runaway on.
     """
     n, segments = elements.shape[0], starts.shape[0]
     q = np.full((n, torque.shape[1]), np.nan)

@@ -1,4 +1,7 @@
-"""Inverse model: the motor torque that a motion takes, eqs. (3) to (9) and (13)."""
+"""Which motor torque a motion takes: the inverse model, eqs. (3) to (9) and (13).
+
+Everything that compares torques evaluates it: least squares, the input error and the likelihood.
+"""
 
 from __future__ import annotations
 
@@ -42,6 +45,18 @@ def inverse_torque(
     -------
     ndarray
         ``(N,)`` or ``(n, N)``, N m or N.
+
+    Raises
+    ------
+    ValueError
+        If a term is a signal that the inputs do not hold: the rate of the torque for an unknown
+        delay, or the temperature.
+
+    Notes
+    -----
+    From the load's torque, eq. (3), less a measured torque on the load, through every element by
+    the equation of section 2.2; then ``(torque + offset)/gain``, and an unknown delay ``d`` as ``+
+    d dtorque/dt``, to first order. For the Rabbit knee this is eq. (13).
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
     samples = chain.samples(q, qd, qdd, inputs, time)
@@ -60,7 +75,24 @@ def load_torque(
 ) -> Array:
     """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss.
 
-    Parameters and shapes as in :func:`inverse_torque`, for one parameter vector.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    q, qdd
+        ``(N,)`` position and acceleration of the joint (rad or m, SI).
+    inputs
+        Whose known mass is moved, too, and whose measured torque on the load is taken off.
+    time
+        ``(N,)`` s, at which that torque is looked up.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)`` N m or N at the joint: ``(Jc + J_added) qdd + g (ml + ml_added) sin(q + q_g)``,
+        less the measured torque. Springs and terms of one's own are not in it.
     """
     load = chain.tables(np.atleast_2d(np.asarray(values, dtype=np.float64))).load
     inertia, moment = inputs.load(chain.load.motion)
@@ -78,12 +110,25 @@ def load_torque(
 def load_reach(
     chain: Chain, values: Array, *, open_scale: bool, passed: int | None = None
 ) -> Array:
-    """Factors ``(n,)`` from the load's torque at the joint to its loss-free torque at the motor.
+    """Factors from the load's torque at the joint to its loss-free torque at the motor.
 
-    ``1/N``, or ``lambda_1/N`` where the scale between leg and alpha is open: the mean of what the
-    motor feels of the load while it drives and while it is driven, which no scaling changes. Of the
-    true torque: ``drive.gain`` has no part in it. ``values`` are ``(n, n_parameters)``; ``passed``
-    is how many elements the torque passes, all if left out.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    values
+        ``(n, n_parameters)`` in the order of ``chain.names``.
+    open_scale
+        Whether nothing known fixes the scale between leg and alpha (section 4.2).
+    passed
+        How many elements, counted from the motor, the torque passes; all if left out.
+
+    Returns
+    -------
+    ndarray
+        ``(n,)``. ``1/N``, or ``lambda_1/N`` where the scale is open: the mean of what the motor
+        feels of the load while it drives and while it is driven, which no scaling changes. Of the
+        true torque: ``drive.gain`` has no part in it.
     """
     elements = chain.tables(values).elements[:, :passed]
     ratio = np.prod(elements[:, :, kernels.RATIO], axis=1)

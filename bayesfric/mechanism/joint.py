@@ -1,4 +1,4 @@
-"""A joint: a chain of elements, and what people ask of it."""
+"""What people ask of a joint: a preset by name, a simulated recording, the torque of a motion."""
 
 from __future__ import annotations
 
@@ -24,11 +24,22 @@ if TYPE_CHECKING:
 
 
 class Joint(Chain):
-    """A :class:`Chain`, by its elements or by name, that can be moved, simulated and shown."""
+    """A :class:`Chain`, by its elements or by name, that can be moved, simulated and shown.
+
+    Examples
+    --------
+    >>> joint = Joint.preset("rabbit-knee")
+    >>> recording = joint.simulate(duration=10.0, seed=2)
+    """
 
     @classmethod
     def preset(cls, name: str) -> Self:
         """Make the joint of that name, such as ``rabbit-knee``.
+
+        Parameters
+        ----------
+        name
+            Of :data:`bayesfric.mechanism.presets.PRESETS`.
 
         Raises
         ------

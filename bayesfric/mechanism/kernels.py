@@ -1,7 +1,8 @@
-"""The element equation, compiled: everything that evaluates the model calls these.
+"""What torque an element takes: the element equation, compiled, once for all that evaluates it.
 
-Inverse and forward model share them, so they cannot disagree. Rows of
-``elements`` and entries of ``load`` are laid out by :meth:`Chain.tables`.
+Inverse and forward model share these functions, so they cannot disagree; exports and the law in
+formulas are made of their source. Rows of ``elements`` and entries of ``load`` are laid out by
+:meth:`Chain.tables`.
 """
 
 from __future__ import annotations
@@ -50,31 +51,55 @@ _as_tuple: Any = to_fixed_tuple
 
 
 class Samples(NamedTuple):
-    """A motion and what the joint feels besides, as the kernels read it; made by a chain."""
+    """A motion and what the joint feels besides, as the kernels read it; made by a chain.
 
-    added_inertia: float  # added_inertia, added_moment: of a known mass on the load, kg m² and kg m
+    Attributes
+    ----------
+    added_inertia, added_moment
+        Of a known mass on the load, kg m² (kg) and kg m.
+    sin_q, cos_q, speed, acceleration, position
+        ``(N,)`` of the joint, rad or m, SI.
+    time
+        ``(N,)`` s.
+    columns
+        ``(n_carried, N)`` torque of each term without a slot for a coefficient of one; not used
+        where a parameter shapes it.
+    places
+        ``(n_carried,)`` index of its element; that of the load is the number of elements, one more
+        what comes on top of the measured torque.
+    reaches
+        ``(n_carried,)`` speed of its element's input over the joint's.
+    addresses
+        ``(n_carried,)`` of its compiled column where a parameter shapes it; 0 where none does.
+    """
+
+    added_inertia: float
     added_moment: float
-    sin_q: Array  # sin_q, cos_q, speed, acceleration: (N,) of the joint
+    sin_q: Array
     cos_q: Array
     speed: Array
     acceleration: Array
     position: Array
     time: Array
-    # (n_carried, N) torque of each term without a slot, for a coefficient of one; not used where
-    # a parameter shapes it
     columns: Array
-    # (n_carried,) index of its element; that of the load is the number of elements, and one more
-    # what comes on top of the torque measured
     places: NDArray[np.int64]
-    # (n_carried,) speed of its element's input over the joint's
     reaches: Array
-    # (n_carried,) of its compiled column where a parameter shapes it; 0 where none does
     addresses: NDArray[np.int64]
 
 
 @njit(cache=True, inline="always")
 def low_speed(speed: float, width: float, exponent: float) -> float:
-    """Share ``exp(-|v/v0|^a)`` of the Stribeck rise of eq. (2), where ``a`` is 2."""
+    """Share ``exp(-|v/v0|^a)`` of the Stribeck rise of eq. (2), where ``a`` is 2.
+
+    Parameters
+    ----------
+    speed
+        ``v``, rad/s or m/s.
+    width
+        Stribeck velocity ``v0``; at zero the share is zero.
+    exponent
+        ``a``.
+    """
     # a width of zero is the limit in which no speed is low enough for a rise
     if width <= 0.0:
         return 0.0
@@ -84,7 +109,20 @@ def low_speed(speed: float, width: float, exponent: float) -> float:
 
 @njit(cache=True, inline="always")
 def rises(element: Row, speed: float) -> Factors:
-    """Factors ``1 + c exp(-|v/v0|^a)`` of the constant and of the load loss, at the input speed."""
+    """Factors ``1 + c exp(-|v/v0|^a)`` of Coulomb and of load-dependent friction, eq. (2).
+
+    Parameters
+    ----------
+    element
+        Row of the table, :data:`ELEMENT_SLOTS`; each of the two has a ``c`` of its own.
+    speed
+        Of its input, rad/s or m/s.
+
+    Returns
+    -------
+    constant, load : float
+        1 without a Stribeck effect.
+    """
     constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
     if constant == 0.0 and load == 0.0:
         return 1.0, 1.0
@@ -94,7 +132,24 @@ def rises(element: Row, speed: float) -> Factors:
 
 @njit(cache=True, inline="always")
 def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[float, float]:
-    """Loss per transmitted torque while the motor side drives, and while the load does (eq. 6)."""
+    """Loss per transmitted torque while the motor side drives, and while the load does, eq. (6).
+
+    Parameters
+    ----------
+    element
+        Row of the table, :data:`ELEMENT_SLOTS`.
+    sign
+        Direction of motion, which half the difference by direction goes with.
+    speed
+        Of its input, rad/s or m/s; friction grows by ``load_speed |speed|``.
+    rise
+        Factor of :func:`rises` at low speed, which multiplies all but this growth.
+
+    Returns
+    -------
+    drive, back : float
+        ``mu_1`` and ``mu_2`` at this speed and direction.
+    """
     grown = element[LOAD_SPEED] * abs(speed)
     drive = element[LOAD_DRIVE] + sign * element[LOAD_DRIVE_DIFFERENCE]
     back = element[LOAD_BACK] + sign * element[LOAD_BACK_DIFFERENCE]
@@ -115,9 +170,16 @@ def element_torque(
         At its output, brought to the input side, N m or N.
     sign
         Direction of motion, apart from ``speed`` because at rest it is the direction in which
-        the joint is about to break away.
+        the joint is about to break away; 0 at rest leaves out what depends on direction.
     speed, acceleration
         Of its input, rad or m, SI.
+
+    Returns
+    -------
+    float
+        N m or N; with ``T`` the torque, ``s`` the sign and ``r, r_l`` the factors of :func:`rises`,
+        ``T + J a + (C r + mu |T| + mu_T T²) s + f v + f3 v|v|``, where ``mu`` is ``mu_1`` for
+        ``T s > 0`` and ``mu_2`` else, each times ``r_l``.
     """
     return risen_torque(element, torque, sign, speed, acceleration, rises(element, speed))
 
@@ -126,7 +188,15 @@ def element_torque(
 def risen_torque(
     element: Row, torque: float, sign: float, speed: float, acceleration: float, risen: Factors
 ) -> float:
-    """Give the same with the factors of :func:`rises`."""
+    """Give :func:`element_torque` where the factors of :func:`rises` are known already.
+
+    Parameters
+    ----------
+    element, torque, sign, speed, acceleration
+        As for :func:`element_torque`.
+    risen
+        Factors of Coulomb and of load-dependent friction.
+    """
     rise, load_rise = risen
     drive, back = load_losses(element, sign, speed, load_rise)
     power = torque * sign
@@ -143,7 +213,22 @@ def risen_torque(
 
 @njit(cache=True, inline="always")
 def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float) -> float:
-    """Gravity on the load, ``g ml sin(q + q_g)``, with the known added mass."""
+    """Gravity on the load, ``g (ml + ml_added) sin(q + q_g)``.
+
+    Parameters
+    ----------
+    load
+        ``(n_slots,)`` of :data:`LOAD_SLOTS`.
+    added_moment
+        First moment of a known mass, kg m.
+    sin_q, cos_q
+        Of the joint's position.
+
+    Returns
+    -------
+    float
+        N m at the joint.
+    """
     angle = load[GRAVITY_ANGLE]
     sine = sin_q if angle == 0.0 else sin_q * math.cos(angle) + cos_q * math.sin(angle)
     return float(load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine)
@@ -156,7 +241,8 @@ def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples)
     Parameters
     ----------
     elements, load, carried
-        Of :meth:`Chain.tables`.
+        ``(n, n_elements, n_slots)``, ``(n, n_slots)`` and ``(n, n_carried, 2)`` of
+        :meth:`Chain.tables`.
     samples
         Of :meth:`Chain.samples`.
 
@@ -203,9 +289,21 @@ def inverse_one(
     first: Array,
     out: Array,
 ) -> None:
-    """Write the measured motor torque of one parameter vector into ``out`` ``(N,)``.
+    """Write the measured motor torque of one parameter vector into ``out``.
 
-    ``first`` are the elements of which ``low`` is, see :func:`_low_speeds`.
+    Parameters
+    ----------
+    elements, load, carried
+        ``(n_elements, n_slots)``, ``(n_slots,)`` and ``(n_carried, 2)`` of :meth:`Chain.tables`.
+    samples
+        Of :meth:`Chain.samples`.
+    low
+        ``(n_elements, N)`` shares of the Stribeck rise of ``first``, see :func:`_low_speeds`.
+    first
+        ``(n_elements, n_slots)``; an element with another Stribeck velocity or exponent has its
+        share computed anew.
+    out
+        ``(N,)``, written, N m or N.
     """
     n = out.shape[0]
     sin_q, cos_q = samples.sin_q, samples.cos_q

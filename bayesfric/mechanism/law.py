@@ -43,7 +43,16 @@ class Unwritten(Exception):
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A number that remembers how it came about."""
+    """A number that remembers how it came about.
+
+    NumPy's functions and operators on it, those of :data:`OPERATIONS`, make a formula instead of a
+    number; another one, or a decision by its value, raises :class:`Unwritten`.
+
+    Parameters
+    ----------
+    formula
+        A name, a number or an operation with what it is of.
+    """
 
     def __init__(self, formula: Formula) -> None:
         self.formula = formula
@@ -58,7 +67,11 @@ class Traced(NDArrayOperatorsMixin):
 
 
 class Varying(Traced):
-    """A parameter that has many values, and none in particular."""
+    """A parameter that has many values, and none in particular.
+
+    No shortcut for one value, such as a friction of zero, is taken: it is equal to and below
+    nothing.
+    """
 
     def __eq__(self, other: object) -> bool:
         return False
@@ -78,7 +91,10 @@ def _formula(x: Any) -> Formula:
 
 
 def _made(operation: str, *inputs: Any) -> Any:
-    """Make an operation of what it is of; what is zero is not written."""
+    """Make an operation of what it is of; what is zero is not written.
+
+    So ``x + 0``, ``x - 0``, ``x 1`` and ``x/1`` are ``x``, and ``x 0`` is 0.
+    """
     if operation not in OPERATIONS:
         raise Unwritten(operation)
     of = [_formula(x) for x in inputs]
@@ -115,6 +131,7 @@ class _Told(ast.NodeTransformer):
 
 @cache
 def _code() -> CodeType:
+    """Compile the source of the kernels, undecorated, to run with names in place of numbers."""
     tree = ast.parse(inspect.getsource(kernels))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
     for one in functions:
@@ -128,6 +145,11 @@ class Statements:
 
     They start from :data:`MOTION` and what else is given. Of a recording is nothing in them: a
     term of temperature or of time is that of 20 degC as a recording begins, a delay is none.
+
+    Parameters
+    ----------
+    *given
+        Names that are taken besides, as those of parameters.
 
     Attributes
     ----------
@@ -145,7 +167,20 @@ class Statements:
         exec(_code(), self.kernels)
 
     def put(self, name: str, value: Any) -> Any:
-        """Give a formula a name, or one much like it; several have theirs with commas between."""
+        """Give a formula a name, or one much like it where that is taken.
+
+        Parameters
+        ----------
+        name
+            Wanted name; several, with commas between, for a tuple of formulas.
+        value
+            A number stays one; a formula that has a name already keeps that.
+
+        Returns
+        -------
+        Traced, number or tuple
+            What stands for the value from now on.
+        """
         if isinstance(value, tuple):
             return tuple(map(self.put, name.split(", "), value))
         if not isinstance(value, Traced) or isinstance(value.formula, str):
@@ -159,7 +194,7 @@ class Statements:
         return Traced(name)
 
     def torque(self, chain: Chain, vector: Array, outside: Any = 0.0) -> Any:
-        """Torque at the motor, without the offset of what is measured.
+        """Work out the torque at the motor, without gain and offset of what is measured.
 
         Parameters
         ----------
@@ -168,7 +203,12 @@ class Statements:
         vector
             ``(n_parameters,)``, numbers or :class:`Varying`.
         outside
-            Torque that pushes the load from outside.
+            Torque that pushes the load from outside, at the joint.
+
+        Returns
+        -------
+        Traced or number
+            The statements that lead to it are in :attr:`all`.
 
         Raises
         ------
@@ -190,18 +230,38 @@ class Statements:
         return torque
 
     def weight(self, load: Array, outside: Any) -> Any:
-        """Torque that moves the load itself, eq. (3), less what pushes it; a row of tables."""
+        """Torque that moves the load itself, eq. (3), less what pushes it from outside.
+
+        Parameters
+        ----------
+        load
+            ``(n_slots,)``, a row of :meth:`Chain.tables`.
+        outside
+            That torque, at the joint.
+
+        Returns
+        -------
+        Traced or number
+            Known added masses are not in it.
+        """
         q, _, a, _ = map(Traced, MOTION)
         weight = self.kernels["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
         return load[kernels.LOAD_INERTIA] * a + weight - outside
 
     def at(self, reach: float) -> State:
-        """State, of nothing carried, where the speed is so many times the joint's."""
+        """State at an element's input, of nothing carried, at time zero.
+
+        Parameters
+        ----------
+        reach
+            Speed there over the joint's.
+        """
         q, v, a, s = map(Traced, MOTION)
         position, speed = self.put("position", reach * q), self.put("speed", reach * v)
         return State(position, speed, self.put("acceleration", reach * a), s, 0.0)
 
     def _carried(self, chain: Chain, vector: Array, place: int, at: State) -> Any:
+        """Sum up the terms without a slot at one place, but for those with a signal."""
         total: Any = 0.0
         for term in chain.carried:
             if term.place == place and not term.row.signal:
@@ -217,7 +277,7 @@ class Statements:
         self.all.append(("", text))
 
     def tell(self, name: str, value: Any) -> None:
-        """Give what is asked for its name, a number or a formula."""
+        """Give what is asked for, a number or a formula, its name as one more statement."""
         self.all.append((name, _formula(value)))
 
     def used(self, *read: str) -> list[tuple[str, Formula]]:
@@ -233,10 +293,23 @@ class Statements:
 def torque_of(row: Quantity, at: State, *shape: Any) -> Any:
     """Torque of a row at a state for a coefficient of one.
 
+    Parameters
+    ----------
+    row
+        With a column, of the table or of a term of one's own.
+    at
+        State of :class:`Traced` values.
+    *shape
+        Value of the parameter that shapes the column, where one does.
+
+    Returns
+    -------
+    Traced or number
+
     Raises
     ------
     Unwritten
-        If no formula says it.
+        If no formula says it, as for a column with ``math`` functions or decisions.
     """
     assert row.column is not None
     try:
@@ -247,7 +320,11 @@ def torque_of(row: Quantity, at: State, *shape: Any) -> Any:
 
 
 def formula_of(row: Quantity) -> Formula:
-    """Give a row in the names of a :class:`State` and, where one shapes it, ``shape``."""
+    """Write a row's torque for a coefficient of one.
+
+    In the names of a :class:`State` and, where a parameter shapes it, ``shape``. Raises
+    :class:`Unwritten` where there is none.
+    """
     at = State(*map(Traced, State._fields))
     return _formula(torque_of(row, at, *((Traced("shape"),) if row.shape else ())))
 
@@ -260,7 +337,10 @@ def names_in(formula: Formula) -> set[str]:
 
 
 def of_time(row: Quantity) -> bool:
-    """Whether a term changes with temperature or time."""
+    """Whether a term changes with temperature or time, so that one moment does not speak for all.
+
+    Raises :class:`Unwritten` for a column that no formula says.
+    """
     return row.signal == "temperature" or (
         row.role == "own" and row.column is not None and "time" in names_in(formula_of(row))
     )

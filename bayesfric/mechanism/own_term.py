@@ -1,4 +1,4 @@
-"""Terms that the compiled kernels do not write out: carried by the column of their row.
+"""How terms that the compiled kernels do not write out take part: by the column of their row.
 
 A term is compiled once to a function of position, speed, direction and time of its element, and
 of the parameter that shapes it, where one does. The forward model calls it at every step. The
@@ -81,7 +81,7 @@ class Term:
 
     @property
     def row(self) -> Quantity:
-        """The term as a row of the table of quantities."""
+        """The term as a row of the table; without a symbol it is ``k`` with its name."""
         name = self.name.partition(".")[2]
         label = r"\mathrm{" + name.replace("_", r"\_") + "}"
         symbol = self.symbol or f"k_{{{label}}}"
@@ -105,24 +105,49 @@ PUSH = Quantity(
 
 @dataclass(frozen=True)
 class CarriedTerm:
-    """A term of a chain that the kernels do not write out."""
+    """A term of a chain that the kernels do not write out.
 
-    index: int  # of its parameter among the chain's; -1 for what counts once, without one
-    # index of its element; the load's is the number of elements, and one more is outside of all
+    Attributes
+    ----------
+    index
+        Of its parameter among the chain's; -1 for what counts once, without one.
+    place
+        Index of its element; the load's is the number of elements, one more is outside of all.
+    reach
+        Speed of its element's input over the joint's.
+    row
+        In the table of quantities, or of a term of one's own.
+    shape
+        Index of the parameter that shapes its column; -1 where none does.
+    """
+
+    index: int
     place: int
-    reach: float  # speed of the element's input over the joint's
-    row: Quantity  # in the table of quantities, or a term of one's own
-    shape: int = -1  # index of the parameter that shapes its column; -1 where none does
+    reach: float
+    row: Quantity
+    shape: int = -1
 
     @property
     def address(self) -> int:
-        """Of the compiled column."""
+        """Of the compiled column, by which kernels call it."""
         assert self.row.column is not None
         return int(compiled(self.row.column, shaped=bool(self.row.shape)).address)
 
 
 def signal_of(row: Quantity, inputs: Inputs) -> Signal:
     """Give the signal that a term is, or is multiplied by.
+
+    Parameters
+    ----------
+    row
+        With a ``signal``: the rate of the torque, the temperature or the torque on the load.
+    inputs
+        Of the recording.
+
+    Returns
+    -------
+    Signal
+        Looked up by time; ``row.zero`` is not taken off yet.
 
     Raises
     ------
@@ -138,11 +163,25 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
 def along(
     row: Quantity, reach: float, position: Array, speed: Array, time: Array, inputs: Inputs
 ) -> Array:
-    """Torque for a coefficient of one along a motion of the joint, each ``(N,)``.
+    """Torque of a term for a coefficient of one along a motion of the joint.
 
-    ``reach`` is the speed of the element's input over the joint's. A parameter that shapes the
-    column counts as where a search for it starts. What is a signal of the recording is looked up
-    in its ``inputs``.
+    Parameters
+    ----------
+    row
+        Of the term. A parameter that shapes its column counts as where a search for it starts.
+    reach
+        Speed of its element's input over the joint's.
+    position, speed
+        ``(N,)`` of the joint, rad or m, SI.
+    time
+        ``(N,)`` s.
+    inputs
+        Where a signal of the recording is looked up.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)`` at the element's input, N m or N per unit of the coefficient.
 
     Raises
     ------
@@ -164,9 +203,18 @@ def along(
 
 @lru_cache(maxsize=16)
 def written_out(function: Callable[[float, float, float, float, float], float]) -> Any:
-    """Compile a column of a module of ours, of position, speed, direction, time, once and for all.
+    """Compile a column of a module of ours once and for all: it is kept on disk.
 
-    A function of a :class:`State` is compiled by every process anew.
+    Parameters
+    ----------
+    function
+        Of position, speed, direction and time of the element, and of what shapes the column.
+
+    Returns
+    -------
+    Any
+        Numba's ``cfunc``. A function of a :class:`State`, in contrast, is compiled by every process
+        anew.
     """
     return cfunc(_SIGNATURE, cache=True)(function)
 
@@ -174,7 +222,7 @@ def written_out(function: Callable[[float, float, float, float, float], float]) 
 class _Motion(NamedTuple):
     """The part of a :class:`State` that a carried term may depend on.
 
-    Inertia, load losses and gravity are terms that every element or load can have.
+    Inertia, load-dependent friction and gravity are terms that every element or load can have.
     """
 
     position: float
@@ -186,6 +234,18 @@ class _Motion(NamedTuple):
 @lru_cache(maxsize=256)
 def compiled(column: Column, *, shaped: bool) -> Any:
     """Compile a column to a function of position, speed, direction, time and what shapes it.
+
+    Parameters
+    ----------
+    column
+        Of a :class:`State`; one of :func:`written_out` stays as it is.
+    shaped
+        Whether it takes the value of a parameter that shapes it, besides.
+
+    Returns
+    -------
+    Any
+        Numba's ``cfunc`` of five numbers; its ``address`` is what kernels call.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""A parameter: a quantity of one element of one chain, with its name, unit and symbol."""
+"""Which name, unit, symbol and support a parameter has: a quantity of one element of one chain.
+
+Names are ``element.quantity``; what slides has forces and metres in place of torques and angles.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +23,34 @@ _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number the joint is described by."""
+    """One number the joint is described by.
 
-    name: str  # element.quantity, for example motor.inertia
-    row: Quantity  # its row in the table of quantities
-    owner: str  # name of the element, load, drive, or empty for what the whole chain has
-    unit: str  # unit as printed, in SI
-    symbol: str  # laTeX symbol without dollar signs, the paper's where it has one
-    meaning: str  # one line for people
+    Attributes
+    ----------
+    name
+        ``element.quantity``, for example ``motor.inertia``.
+    row
+        Its row in the table of quantities.
+    owner
+        Name of the element, ``load``, ``drive``, or empty for what the whole chain has.
+    unit
+        As printed, in SI.
+    symbol
+        LaTeX without dollar signs, the paper's where it has one.
+    meaning
+        One line for people.
+    """
+
+    name: str
+    row: Quantity
+    owner: str
+    unit: str
+    symbol: str
+    meaning: str
 
     @property
     def quantity(self) -> str:
-        """The part behind the dot."""
+        """The part behind the dot of its name, its row's: ``inertia`` of ``motor.inertia``."""
         return self.row.name
 
     @property
@@ -85,13 +104,25 @@ def parameter(
 
 
 def turned(value: Angle, towards: float) -> Angle:
-    """Add whole turns to an angle until it lies at most half a turn from another one."""
+    """Add whole turns to an angle until it lies at most half a turn from another one.
+
+    Parameters
+    ----------
+    value
+        rad, a number or an array.
+    towards
+        rad.
+    """
     out: Angle = value + TURN * np.round((towards - value) / TURN)
     return out
 
 
 def scales_with_torque(unit: str) -> bool:
-    """Whether a wrong scale of the torque multiplies it; a loss per torque, or a speed, not."""
+    """Whether a wrong scale of the torque multiplies a number of this unit.
+
+    A wrong torque constant multiplies inertia, friction and offsets; not a loss per torque, a speed
+    or an angle.
+    """
     return bool({"kg", "N"} & set(unit.replace("²", "").split()))
 
 

@@ -1,4 +1,4 @@
-"""Chains that have a name."""
+"""Which joints can be named: the paper's knee, a motor axis, a servo pendulum."""
 
 from __future__ import annotations
 
@@ -10,19 +10,33 @@ from bayesfric.mechanism.element import Element, Load
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with."""
+    """A named chain with values to simulate it with.
 
-    name: str  # as written in a configuration
-    meaning: str  # one line for people
-    when: str  # what kind of joint to choose it for
+    Attributes
+    ----------
+    name
+        As written in a configuration.
+    meaning, when
+        What it is, and what kind of joint to choose it for; one line each.
+    elements, load, offset
+        Of the chain, see :class:`bayesfric.mechanism.chain.Chain`.
+    values
+        True parameter values for simulation, by name, SI.
+    source
+        Where these are from.
+    """
+
+    name: str
+    meaning: str
+    when: str
     elements: tuple[Element, ...]
     load: Load
-    values: dict[str, float]  # parameter values for simulation, with their source in source
-    source: str  # where the values come from
+    values: dict[str, float]
+    source: str
     offset: bool = False
 
     def chain(self) -> Chain:
-        """Make the chain."""
+        """Make the chain, which keeps the preset's name as ``made_from``."""
         return Chain(self.elements, self.load, self.offset, made_from=self.name)
 
 

@@ -1,4 +1,4 @@
-"""The table of what a joint is described by: each quantity is declared here, and read by all.
+"""Which terms a joint may have: the table in which each quantity is declared once, and read by all.
 
 A term of the friction law is one :class:`Quantity`. What it adds to the torque, its *column*,
 is a function of the state of its own element; ratios, totals, regressors, default priors,
@@ -109,7 +109,7 @@ class Quantity:
     by_direction
         The totals it is part of instead, where other elements tell the directions apart.
     scaled_by
-        Where load and load losses are scaled together (section 4.2), the power of the factor
+        Where load and load friction are scaled together (section 4.2), the power of the factor
         that divides it.
     rises
         Whether the rise at low speed multiplies it.
@@ -127,9 +127,9 @@ class Quantity:
     prior_upper
         Where default priors end if before ``upper``.
     tries
-        Values at which what it shapes is tried, where nothing tells it yet.
+        Values at which what it shapes is tried, where nothing is known of it yet.
     start
-        Where a search starts that nothing has told anything; ``None`` for its share of a total.
+        Where a search starts that knows nothing of it; ``None`` for its share of a total.
     alone
         Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
     """
@@ -174,7 +174,7 @@ class Quantity:
 
     @property
     def bends(self) -> bool:
-        """Whether totals of least squares are another number where it is: a loss, or a shape."""
+        """Whether totals of eq. (11) are another number where it is: a loss, or a shape."""
         return self.role == "loss" or (
             self.role == "form" and self.option != "" and not self.circular
         )
@@ -187,7 +187,7 @@ class Quantity:
 
     @property
     def fills(self) -> tuple[tuple[str, float], ...]:
-        """Columns of ``psi`` and weights."""
+        """Columns of ``psi``, eq. (13), that it fills, and the weight in each."""
         return self.shares or ((self.name, 1.0),)
 
     def unit(self, motion: Motion) -> str:
@@ -215,10 +215,12 @@ class Total:
 
 
 def _drives(state: State) -> Any:
+    """Torque of a loss per transmitted torque of one, while the motor side drives."""
     return np.maximum(state.transmitted * state.direction, 0.0) * state.direction
 
 
 def _is_driven(state: State) -> Any:
+    """Torque of a loss per transmitted torque of one, while the load drives."""
     return np.maximum(-state.transmitted * state.direction, 0.0) * state.direction
 
 

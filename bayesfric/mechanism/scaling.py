@@ -1,8 +1,8 @@
-"""The scaling that no torque can see: everything behind a gearbox, and its alphas, together.
+"""Which scaling no torque can see: everything behind a gearbox, and its alphas, together.
 
 Section 4.2 of the paper notes it (with a misprint, see the notes): leg parameters and
 ``alpha_1, alpha_2`` times one factor leave eq. (13) as it was. A known mass on the
-load, or a known parameter behind the gearbox, takes the freedom away.
+load, or a known parameter behind the gearbox, takes the freedom away; dissipation bounds it.
 """
 
 from __future__ import annotations
@@ -24,12 +24,20 @@ class Scaling:
 
     Attributes
     ----------
+    chain
+        The mechanism.
     element
-        The element with two load losses.
+        The element with load-dependent friction ``mu_1`` (driving) and ``mu_2`` (back-driving).
     rules
         Of every parameter that takes part the shift and the power with which ``value + shift`` is
         multiplied by ``factor**power``. The shift of what is behind the element is the known
         amount that comes on top of it; those of the losses make alphas of them, eq. (6).
+
+    Notes
+    -----
+    With factor k: ``leg -> k leg``, ``1 + mu_1 -> (1 + mu_1)/k``, ``1 - mu_2 -> (1 - mu_2)/k``,
+    which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes, unless a
+    Stribeck rise multiplies ``mu_1`` and ``mu_2``: the scaling then holds away from low speed only.
     """
 
     chain: Chain
@@ -57,10 +65,22 @@ class Scaling:
         return tuple(self.rules)
 
     def factor_to(self, values: ArrayLike, name: str, value: float) -> float:
-        """Factor at which a parameter that takes part reaches a value; zero or infinite for none.
+        """Factor at which a parameter that takes part reaches a value.
 
-        ``values`` is ``(n_parameters,)`` in the order of ``chain.names``; what counts as zero
-        there reaches no other value, and has a factor of NaN.
+        Parameters
+        ----------
+        values
+            ``(n_parameters,)`` in the order of ``chain.names``.
+        name
+            Of that parameter, among :attr:`names`.
+        value
+            To reach, in its unit.
+
+        Returns
+        -------
+        float
+            Zero or infinite where no factor reaches it; NaN for what counts as zero in ``values``
+            and so reaches no other value.
         """
         shift, power = self.rules[name]
         now = np.asarray(values, dtype=np.float64)[self.chain.names.index(name)] + shift
@@ -73,9 +93,6 @@ class Scaling:
     ) -> tuple[float, float]:
         """Smallest and largest factor that a passive gearbox allows.
 
-        ``1/alpha_2 <= k <= 1/alpha_1``, from ``alpha_1 <= 1 <= alpha_2``; load and known mass
-        together do not shrink below the known mass.
-
         Parameters
         ----------
         values
@@ -83,6 +100,12 @@ class Scaling:
         limits
             Lower and upper limits of parameters, which ``values`` keeps; those of scaled
             ones narrow the factor further.
+
+        Returns
+        -------
+        low, high : float
+            ``1/alpha_2 <= k <= 1/alpha_1``, from ``alpha_1 <= 1 <= alpha_2``; load and known mass
+            together do not shrink below the known mass. For Table 3 it is 0.71 to 1.35.
         """
         low, high = 0.0, math.inf
         for name, (shift, _) in self.rules.items():
@@ -116,7 +139,19 @@ class Scaling:
         return out if k.shape else out.reshape(-1)
 
     def tangent(self, values: ArrayLike) -> Array:
-        """Differentiate :meth:`scaled` by the factor's logarithm at one, ``(n_parameters,)``."""
+        """Differentiate :meth:`scaled` by the factor's logarithm at one.
+
+        Parameters
+        ----------
+        values
+            ``(n_parameters,)`` in the order of ``chain.names``.
+
+        Returns
+        -------
+        ndarray
+            ``(n_parameters,)``, the null direction of the torque's Jacobian; zero for what takes no
+            part.
+        """
         at = np.asarray(values, dtype=np.float64)
         out = np.zeros_like(at)
         for name, (shift, power) in self.rules.items():
@@ -125,7 +160,10 @@ class Scaling:
         return out
 
     def middle(self, values: ArrayLike) -> float:
-        """Factor in the (geometric) middle of its bounds; one where there is no lower bound."""
+        """Factor in the (geometric) middle of its bounds; one where these leave no middle.
+
+        ``values`` is ``(n_parameters,)`` in the order of ``chain.names``.
+        """
         low, high = self.bounds(values)
         return math.sqrt(low * high) if 0.0 < low < high else 1.0
 
@@ -135,15 +173,20 @@ def scalings(
 ) -> tuple[Scaling, ...]:
     """Find the scalings a chain has while nothing behind the gearbox is known.
 
-    One for every element with two load losses that has something behind it.
-
     Parameters
     ----------
     chain
         The mechanism.
     added_inertia, added_moment
-        Of a known mass on the load in every recording, kg m² (kg) and kg m. It is one with
-        the load where this has both as parameters, and else takes the scaling away.
+        Of a known mass on the load in every recording, kg m² (kg) and kg m. It is one with the load
+        where this has what the mass brings (inertia, first moment) as parameters, and else takes
+        the scaling away.
+
+    Returns
+    -------
+    tuple of Scaling
+        One for every element with ``mu_1`` and ``mu_2`` that has something behind it. One mu for
+        both power flows leaves none: ``lambda_1`` is 1 then.
     """
     known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
     known = {name: amount for name, amount in known.items() if amount}
