@@ -57,10 +57,11 @@ class GearboxCoordinates(Coordinates):
       is sampled: only a recording in which the load drives determines them, and where none does
       they fill their range. (In Theta1 and Theta2 themselves that range is a cone, whose tip, a
       gearbox without loss, has a density without end: searches ended and walkers hung on there.)
-    - the scale, which no torque determines. A passive gearbox, ``mu_1 >= 0`` and ``0 <= mu_2 <=
-      1``, confines it to ``0 <= log A <= -log(1 - m)``; the normal quantile of its place there is
-      sampled. Where the prior states ``ml`` or ``mu_1`` well, the logarithm of ``ml`` or of ``A``
-      takes its place, in which such a posterior is straight; one that is known leaves no scale.
+    - the scale, which no torque determines. A passive gearbox, ``mu_1 >= 0`` and
+      ``0 <= mu_2 <= 1``, confines it to ``0 <= log A <= -log(1 - m)``; the normal quantile of its
+      place there is sampled. Where the prior states ``ml`` or ``mu_1`` well, the logarithm of
+      ``ml`` or of ``A`` takes its place, in which such a posterior is straight; one that is known
+      leaves no scale.
 
     Where the data tell much of what is missing when the load drives they tell sums of ``D`` times
     share times ``m``, and the posterior is bent in shares and ``m``. In ``D`` and these products it
