@@ -46,9 +46,9 @@ class GearboxCoordinates(Coordinates):
 
     Notes
     -----
-    With ``A = 1 + mu_1`` the motor feels ``D = a c_a + A b c_b`` of a parameter ``a`` in front of
-    the load loss and the one behind it of the same kind, ``b``, brought to the motor by ``c``; of
-    one that is only behind it, ``D = A b c_b``. The coordinates are
+    With ``A = 1 + mu_1``, a parameter ``a`` in front of the load loss and the one behind it of the
+    same kind, ``b``, brought to the motor by ``c``, are seen there as ``D = a c_a + A b c_b``; one
+    that is only behind it as ``D = A b c_b``. The coordinates are
 
     - every ``D``, a sum of columns of ``Theta1 + Theta2`` of eq. (13), which any recording in which
       the motor drives determines, and in which the likelihood is close to normal;

@@ -91,7 +91,14 @@ class _Loss:
 
 
 class LinearTorque:
-    """Columns and coefficients of a chain's torque; made by :func:`linear_torque`.
+    """Columns and coefficients of a mechanism's torque; made by :func:`linear_torque`.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and what was recorded of it.
+    draws
+        ``(n, n_parameters)`` where shapes that are not known are looked for, SI units.
 
     Attributes
     ----------
@@ -100,13 +107,18 @@ class LinearTorque:
         :class:`bayesfric.estimates.torque_form.TorqueForm`; a known mass always has its own. Where
         a function of speed multiplies one, it is there once more for each.
     rest
-        Whether there are columns for samples at rest.
+        Whether there are columns for samples at standstill.
     size
         ``K``, all columns together with the measured torque.
     functions_of_speed
         How many functions of speed the load loss is a sum of, one without any loss.
     shapes
         What stands for shapes that are not known.
+
+    Raises
+    ------
+    ValueError
+        If the torque has not the form of eq. (13).
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
@@ -218,6 +230,7 @@ class LinearTorque:
         return _each(low, nodes), lambda values: values[:, [of]] * weights(values)
 
     def _nodes(self, name: str, column: Callable[[Observation, float], Array]) -> ShapeNodes:
+        """Choose nodes for an unknown shape by its name, once for all terms that it is in."""
         index = self._at[name]
         for known in self.shapes:
             if known.index == index:
