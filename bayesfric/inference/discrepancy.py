@@ -111,10 +111,10 @@ class Discrepancy:
         ``(k, k)`` of that estimate.
     """
 
-    chance: float  # that something is missing
-    moves: Array  # (n, k) draws of how far the numbers of the model then are off
-    shift: Array  # (k,) from the mean of the posterior to what the data say without bounds
-    covariance: Array  # (k, k) of that
+    chance: float
+    moves: Array
+    shift: Array
+    covariance: Array
 
     @property
     def shown(self) -> bool:
@@ -232,8 +232,8 @@ class Pull:
         The fit as a linear regression.
     """
 
-    chance: float  # that something is missing
-    drawn: Array  # (n, k) scores
+    chance: float
+    drawn: Array
     around: _Around
 
     def scores(self, rows: Index, sides: Array) -> Array:

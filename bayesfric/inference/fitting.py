@@ -76,13 +76,10 @@ class Fit:
 
     target: Target
     posterior: Posterior
-    estimates: tuple[Estimate, ...]  # of the same recordings, least squares first
-    held_out: tuple[Prediction, ...] = ()  # of what the likelihood did not see
-    # What linearisation_change said before sampling; far below 1 it does not matter. None where
-    # nothing is linearised.
+    estimates: tuple[Estimate, ...]
+    held_out: tuple[Prediction, ...] = ()
     linearisation: float | None = None
-    discrepancy: Discrepancy | None = None  # how far the model may be off
-    # (n, d) draws with room for the model's error, as a finished run holds them; else they are made
+    discrepancy: Discrepancy | None = None
     told: Array | None = None
 
     @cached_property

@@ -41,13 +41,11 @@ class LocalUnits:
         ``(d,)`` where it is the prior's sd.
     """
 
-    names: tuple[str, ...]  # free parameters of the chain
-    labels: tuple[str, ...]  # what a change of one is called: the parameter, or its alpha
-    ways: NDArray[np.int_]  # (d,) 1 and -1 for losses with alpha_1 and alpha_2, else 0
-    # (d,) change of each parameter that counts as one: its own value, so that ones are changes of
-    # logarithms; something else where the value is next to zero
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    ways: NDArray[np.int_]
     units: Array
-    shifted: Flags  # (d,) where it is something else
+    shifted: Flags
 
     def moved(self, values: Array, step: Array) -> Array:
         """Move parameters by a step in these units, along logarithms.

@@ -56,23 +56,22 @@ class Diagnostics:
         Largest ``rhat`` that the settings accepted.
     """
 
-    # reliable: every criterion met; tentative: stopped early, but the ensembles agree roughly
     status: Status
-    problems: tuple[str, ...]  # one plain sentence each, with the mend; empty when reliable
-    rhat: Array  # nested R-hat
-    tau: Array  # autocorrelation time in steps
-    ess: Array  # effective sample size
-    acceptance: Array  # accepted share of proposals, (ensembles, walkers)
+    problems: tuple[str, ...]
+    rhat: Array
+    tau: Array
+    ess: Array
+    acceptance: Array
     ensembles: int
     walkers: int
     warmup: int
-    steps: int  # after warm-up, before thinning
-    thin: int  # which steps are kept in the draws
-    not_finite: int  # likelihoods that came out as no number, those of warm-up included
-    seconds: float  # wall-clock time of sampling
-    not_finite_share: float = 0.0  # of the proposals after warm-up
-    warnings: tuple[str, ...] = ()  # on a sample that has converged, with the mend
-    max_rhat: float = 1.01  # largest nested R-hat that was accepted
+    steps: int
+    thin: int
+    not_finite: int
+    seconds: float
+    not_finite_share: float = 0.0
+    warnings: tuple[str, ...] = ()
+    max_rhat: float = 1.01
 
     def sound(self, rhat: Array, ess: Array) -> NDArray[np.bool_]:
         """Tell which numbers may be reported, whatever the diagnostics of others are.
@@ -115,9 +114,9 @@ class Posterior:
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
-    draws: Array  # (ensembles, walkers, steps, d), in physical units, thinned
-    log_density: Array  # in sampling coordinates, (ensembles, walkers, steps)
-    diagnostics: Diagnostics  # of the whole sample, before thinning
+    draws: Array
+    log_density: Array
+    diagnostics: Diagnostics
     seed: int
 
     def flat(self, most: int | None = None) -> Array:

@@ -49,10 +49,8 @@ class Prediction:
     """
 
     held_out: HeldOut
-    torque: Array  # (n, M) modelled by each draw, filtered like the measured
-    noise: Any  # SciPy's distribution of a residual in each draw, of shape (n, 1)
-    # What the recording would have of its own but no fit has seen, "noise scale" or "offset":
-    # each draw takes them from one fitted recording, picked at random.
+    torque: Array
+    noise: Any
     borrowed: tuple[str, ...]
 
     @property

@@ -45,11 +45,11 @@ class RestsBeyond:
     """
 
     recording: str
-    share: float  # of all its rests
-    start: float  # s from the file's first stamp, of the first
-    stop: float  # and of the last
-    beyond: float  # how far the torque is out, the worst of them, N m or N at the motor
-    held: float  # friction that held it there, the most: static friction is at least this
+    share: float
+    start: float
+    stop: float
+    beyond: float
+    held: float
 
 
 def rests_beyond(

@@ -45,13 +45,13 @@ class Outputs:
     """
 
     name: str
-    quantity: str  # motor torque or force, or joint position
+    quantity: str
     unit: str
-    time: Array  # s
+    time: Array
     measured: Array
-    period: float  # from one output to the next of the same segment, s
-    segment_of: NDArray[np.int64]  # number of the segment each belongs to
-    follows: NDArray[np.bool_]  # (M - 1,) whether the next comes one period after
+    period: float
+    segment_of: NDArray[np.int64]
+    follows: NDArray[np.bool_]
 
 
 class Likelihood(ABC):

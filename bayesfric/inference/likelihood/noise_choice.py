@@ -62,12 +62,10 @@ class Evidence:
         Root mean square of the residuals that it then has, over that of least squares.
     """
 
-    order: int  # predecessors that each residual remembers
-    bic: float  # Bayesian information criterion over that of white noise; the smallest is chosen
-    innovation_share: float  # root mean square of the innovations over that of the residuals
-    p_value: float  # of the Ljung-Box test that the innovations are white
-    # by how much it moves the estimate at most, in robust standard deviations, and the root mean
-    # square of the residuals that it then has, over that of least squares
+    order: int
+    bic: float
+    innovation_share: float
+    p_value: float
     shift: float = 0.0
     rise: float = 1.0
 
@@ -95,10 +93,8 @@ class Choice:
 
     order: int
     tried: tuple[Evidence, ...]
-    memory: tuple[
-        float, ...
-    ] = ()  # partial autocorrelations of the residuals, as many as the order
-    sd: float = 0.0  # to which the residuals tell them
+    memory: tuple[float, ...] = ()
+    sd: float = 0.0
 
     def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
         """Give priors in which the autocorrelation is that of these residuals.

@@ -56,13 +56,10 @@ class Coefficients:
         ``(n,)`` whether unknown shapes are where the columns hold.
     """
 
-    # (n, K): one for the measured torque, minus Theta1, then minus Theta2 and minus the rest
-    # of lambda_1 with each function of speed, minus those of the squared load, and, where a sample
-    # is at rest, minus (1 - lambda_1) l
     all: Array
-    leg: Array  # (n, n2) l, whose product with psi2 has the direction of the load's torque
-    lambda2: Array  # (n, m) with each function of speed
-    inside: NDArray[np.bool_]  # (n,) whether shapes are where the columns hold
+    leg: Array
+    lambda2: Array
+    inside: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,17 +65,12 @@ class MomentMatrices:
         Distance up to which all this is complete.
     """
 
-    # (K, k) A': coefficients (n, K) times this are z; k is K, or less where columns for one shape
-    # are nearly the same
     to_columns: Array
-    # (U,) of the kept samples, rising: at a distance below it a sample has the centre's sign
     ratios: Array
-    # as bayesfric.inference.moments.fast_moments has them compiled. Many, not one named tuple:
-    # with that runs with many edges take a fifth longer
     arrays: tuple[Any, ...]
-    padded: int  # length of rows, a multiple of four
-    entries: int  # how many moments
-    radius: float  # distance up to which all this is complete
+    padded: int
+    entries: int
+    radius: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,12 +43,7 @@ class Moments:
         the first ``p`` outputs or fewer if the run is shorter, has the length ``l``.
     """
 
-    # (n, R, p + 1, p + 1): entry j, k is the sum of r[m - j] r[m - k] over the outputs m that
-    # have at least p predecessors in their run. Torque unit squared
     lagged: Array
-    # for l = 1..p an (n, R, l, l) array: entry j, k is the sum of r_j r_k of the first l
-    # residuals r_0, r_1, .. in time, over the runs whose head, the first p outputs or fewer
-    # if the run is shorter, has the length l
     heads: tuple[Array, ...]
 
     @property
@@ -89,9 +84,9 @@ class Runs:
         ``(M,)`` length of its run's head: its outputs, up to the order.
     """
 
-    age: Short  # outputs before it in its run
-    remaining: Short  # outputs after it in its run
-    head: Short  # length of its run's head
+    age: Short
+    remaining: Short
+    head: Short
 
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:

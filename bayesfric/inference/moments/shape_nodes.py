@@ -52,12 +52,11 @@ class ShapeNodes:
         sums are enough.
     """
 
-    index: int  # of the shape among the chain's parameters
+    index: int
     low: float
     high: float
-    nodes: Array  # (K,)
+    nodes: Array
     logarithmic: bool
-    # (K, r), and its inverse: columns at nodes lie close together, so few of their sums do
     mixed: Array
     unmixed: Array
 

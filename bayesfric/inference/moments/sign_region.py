@@ -35,8 +35,8 @@ class SignRegion:
         ``(n2, n2)`` such that ``root root'`` is the draws' covariance about it.
     """
 
-    centre: Array  # (n2,)
-    root: Array  # (n2, n2) lower triangular
+    centre: Array
+    root: Array
 
     @cached_property
     def _inverse(self) -> Array:

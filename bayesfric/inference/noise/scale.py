@@ -45,17 +45,14 @@ class Scale:
         Whether the residuals of an estimate say if the noise has it, and how much.
     """
 
-    name: str  # behind "noise." in the parameter's name
-    symbol: str  # LaTeX without dollar signs
-    meaning: str  # one line for people, worded for what turns
-    prior: Callable[[Scales], PriorText]  # the default one, for the sizes of what was measured
+    name: str
+    symbol: str
+    meaning: str
+    prior: Callable[[Scales], PriorText]
     lower: float = 0.0
     upper: float = np.inf
-    unit: Literal["torque", "position", ""] = "torque"  # what it is measured like
-    # whether all recordings have the same in any case: how noise is shaped, its memory or its
-    # tails, comes from one bench
+    unit: Literal["torque", "position", ""] = "torque"
     shared: bool = False
-    # whether the residuals of an estimate say if the noise has it, and how much
     chosen: bool = False
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:
@@ -136,12 +133,11 @@ class Noise:
         ``(R, Q)`` which of the names each recording's scales are.
     """
 
-    # noise.sigma, or noise.sigma.<recording>; the quantities of the first recording first
     names: tuple[str, ...]
-    symbols: tuple[str, ...]  # in LaTeX
-    quantities: tuple[str, ...]  # Scale.name of each
+    symbols: tuple[str, ...]
+    quantities: tuple[str, ...]
     priors: tuple[Prior, ...]
-    places: NDArray[np.int64]  # (n_recordings, quantities): which name each one's scales are
+    places: NDArray[np.int64]
 
     def scales(self, parameters: Array) -> Array:
         """Scales of every recording, ``(n, len(names))`` to ``(n, R, Q)``."""

@@ -106,14 +106,14 @@ class Prior:
         Whether values a turn apart are the same.
     """
 
-    text: str  # as printed: fixed at 0.33, uniform(0, 1), halfnorm(loc=0, scale=0.5)
-    distribution: Any  # SciPy's frozen distribution, None where the parameter is fixed
-    value: float  # the fixed value, nan where the parameter is free
-    lower: float  # support: the distribution's, cut to the parameter's
+    text: str
+    distribution: Any
+    value: float
+    lower: float
     upper: float
-    mass: float = 1.0  # of the distribution inside the support; the density is divided by it
-    default: bool = False  # whether the package chose it
-    circular: bool = False  # whether values a turn apart are the same
+    mass: float = 1.0
+    default: bool = False
+    circular: bool = False
 
     @property
     def fixed(self) -> bool:
