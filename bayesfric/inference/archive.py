@@ -1,6 +1,7 @@
 """ArviZ in both its shapes: InferenceData up to 0.23, DataTree from 1.0.
 
-Every difference between the two lives here, and nowhere else.
+Every difference between the two lives here, and nowhere else. A finished run's draws, predictions
+and data go to one NetCDF file, ``posterior.nc``, that any tool around ArviZ or xarray reads.
 """
 
 from __future__ import annotations
@@ -34,9 +35,25 @@ def make_archive(
 ) -> Any:
     """Put groups of named arrays together as the installed ArviZ has them.
 
-    Variables of sampled groups begin with the dimensions ``chain`` and ``draw``; ``dims`` names
-    those behind, ``coords`` labels them. ``attrs`` are root attributes, ``variable_attrs`` what
-    variables say of themselves, by group and name.
+    Parameters
+    ----------
+    groups
+        Arrays by group, such as ``posterior``, and name. Those of sampled groups begin with the
+        dimensions ``chain`` and ``draw``.
+    dims
+        Names of the dimensions behind these, by variable.
+    coords
+        Labels by dimension.
+    attrs
+        Root attributes; what ArviZ would put there itself is left out.
+    variable_attrs
+        What variables say of themselves, such as their units, by group and name; unknown names
+        are passed over.
+
+    Returns
+    -------
+    InferenceData or DataTree
+        Without time stamps, so that two runs of one seed give the same file.
     """
     options = {"dims": dict(dims), "coords": dict(coords)}
     named = {group: dict(variables) for group, variables in groups.items()}
@@ -68,9 +85,19 @@ def make_archive(
 
 
 def write_archive(path: Path, groups: Groups, **named: Any) -> None:
-    """Write what :func:`make_archive` makes of the same arguments, as NetCDF that any ArviZ reads.
+    """Write what :func:`make_archive` makes, as NetCDF that any ArviZ reads.
 
-    OSError if there is no room for it, or the folder of ``path`` cannot be written to.
+    Parameters
+    ----------
+    path
+        Of the file, in an existing folder.
+    groups, **named
+        As for :func:`make_archive`.
+
+    Raises
+    ------
+    OSError
+        If there is no room for it, or the folder cannot be written to.
     """
     data = make_archive(groups, **named)
     arrays = [array for variables in groups.values() for array in variables.values()]
@@ -79,7 +106,10 @@ def write_archive(path: Path, groups: Groups, **named: Any) -> None:
 
 
 def _try_room(path: Path, size: int) -> None:
-    """Raise the system's error where there is no room; HDF5 would crash on a full disk."""
+    """Raise the system's error where there is no room; HDF5 would crash on a full disk.
+
+    As many zeros as the file may need are written in its place, and taken away again.
+    """
     try:
         with path.open("wb") as file:
             for begin in range(0, size, _PIECE):
@@ -98,7 +128,7 @@ def read_archive(path: Path) -> Any:
 
 
 def as_chains(draws: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lay ensembles and walkers side by side: ``(e, w, s, ...)`` to ``(e * w, s, ...)``."""
+    """Make ArviZ' chains of ensembles and walkers: ``(e, w, s, ...)`` to ``(e * w, s, ...)``."""
     return draws.reshape(-1, *draws.shape[2:])
 
 

@@ -2,7 +2,8 @@
 
 A walker lives in unconstrained coordinates ``u``; a target turns ``u`` into
 parameters and adds the logarithm of the Jacobian determinant, so that priors are
-stated, and results reported, in physical parameters.
+stated, and results reported, in physical parameters. Good coordinates make the posterior look
+like a normal one: that is what the sampler's proposals follow best.
 """
 
 from __future__ import annotations
@@ -24,24 +25,49 @@ _NEAR = -4.0
 
 
 class Coordinates(ABC):
-    """A one-to-one map between ``u`` and the free parameters."""
+    """A one-to-one map between unconstrained ``u`` and the ``d`` free parameters.
+
+    There may be a second set, straight ones ``v``, which bounds cut and in which the torque is
+    closer to linear; the sampler moves walkers in both.
+    """
 
     @property
     def bends(self) -> bool:
-        """Whether there are others, in which a posterior that is bent here is straight."""
+        """Whether there are straight coordinates, in which a posterior that is bent here is not."""
         return False
 
     @property
     @abstractmethod
     def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
-        """Coordinates of parameters that go each by itself, which these are, and how."""
+        """The parameters that go each by itself.
+
+        Returns
+        -------
+        here
+            Their place among the coordinates.
+        own
+            Their indices among the free parameters.
+        bounded
+            Their map.
+        """
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
-        """Map ``(n, d)`` to those, with the log Jacobian of that ``(n,)``."""
+        """Map to straight coordinates.
+
+        Parameters
+        ----------
+        u
+            ``(n, d)``.
+
+        Returns
+        -------
+        v, slope
+            ``(n, d)`` and ``log|dv/du|`` ``(n,)``; the same and zero where nothing bends.
+        """
         return u, np.zeros(len(u))
 
     def bend(self, v: Array) -> Array:
-        """Map back; rows without a counterpart are not finite."""
+        """Map straight coordinates ``(n, d)`` back; rows without a counterpart are not finite."""
         return v
 
     @abstractmethod
@@ -59,14 +85,21 @@ class Coordinates(ABC):
 class BoundedCoordinates(Coordinates):
     """Each parameter by itself: bounded ones bent, free ones as they are.
 
-    A parameter above a bound is ``lower + w h(u)``, ``h`` what a half-normal variable is where a
-    normal one is ``u``: a straight line where the posterior lies several widths ``w`` above the
-    bound, a normal's distribution function next to it. So a normal stays one that keeps away from
-    the bound, and becomes one that is cut by it in its middle. (A logarithm would give either a
-    long left tail, in which walkers hang on.) Of a parameter between two bounds that are not far
-    apart the normal quantile of its place between them is sampled, for the same reason.
+    Parameters
+    ----------
+    lower, upper
+        ``(d,)`` bounds, infinite where there are none.
+    widths
+        ``(d,)`` about the posterior's standard deviations; plain logarithms of the distance from a
+        bound if they are not known yet.
 
-    ``widths`` ``(d,)`` are about the posterior sds; plain logarithms if they are not known yet.
+    Notes ----- A parameter above a bound is ``lower + w h(u)``, with the half-normal quantile
+    ``h(u) = Phi^-1((1 + Phi(u))/2)``: a straight line where the posterior lies several widths ``w``
+    above the bound, a normal's distribution function next to it. So a normal stays one that keeps
+    away from the bound, and becomes one that is cut by it in its middle. (A logarithm would give
+    either a long left tail, in which walkers hang on.) Of a parameter between two bounds less than
+    ten widths apart the normal quantile of its place between them, ``lower + span Phi(u)``, is
+    sampled, for the same reason.
     """
 
     def __init__(
@@ -141,7 +174,7 @@ class BoundedCoordinates(Coordinates):
         return np.where(self._alone, self.from_parameters(v), v)
 
     def ends(self) -> tuple[Array, Array]:
-        """Give the bounds of straight values, ``(d,)`` each."""
+        """Bounds of the straight values, ``(d,)`` each; infinite where a quantile is sampled."""
         between = self._between
         return np.where(between, -np.inf, self.lower), np.where(between, np.inf, self.upper)
 
@@ -155,7 +188,10 @@ class BoundedCoordinates(Coordinates):
 
 
 def half_normal(u: Array) -> Array:
-    """Give what a half-normal variable is where a normal one is ``u``."""
+    """Give the half-normal variable at the probability of a normal one.
+
+    ``h(u) = Phi^-1((1 + Phi(u))/2)``, of ``u`` of any shape, without cancellation in either tail.
+    """
     below = ndtr(u)
     near = math.sqrt(math.pi / 2.0) * (below + math.pi / 12.0 * below**3)
     return np.where(u < _NEAR, near, -ndtri_exp(log_ndtr(-u) - math.log(2.0)))

@@ -1,6 +1,7 @@
 r"""How far the numbers may be off because the model is not exactly right: model discrepancy.
 
-A posterior takes the model for true. What else may explain the torque stands in a table of
+A posterior takes the model for true; its intervals then may miss parameters that another cause of
+torque biases [2]_. What else may explain the torque stands in a table of
 candidates (:mod:`bayesfric.diagnostics.candidates`), each a few columns beside the model's own.
 Here they are marginalised: each kind of candidate has one of its shapes and a size of unknown
 scale, half Cauchy around one scale for all kinds, so that most are nothing and one may be large
@@ -19,10 +20,9 @@ recording's simulated twins, and are taken off first.
 References
 ----------
 .. [1] C. M. Carvalho, N. G. Polson, J. G. Scott, "The horseshoe estimator for sparse signals",
-   Biometrika 97 (2010) 465-480; J. Brynjarsdóttir, A. O'Hagan, "Learning about physical
-   parameters: the importance of model discrepancy", Inverse Problems 30 (2014) 114007.
-.. [2] J. Geweke, "Efficient simulation from the multivariate normal and Student-t distributions
-   subject to linear constraints", Computing Science and Statistics 23 (1991) 571-578.
+   Biometrika 97 (2010) 465-480.
+.. [2] J. Brynjarsdóttir, A. O'Hagan, "Learning about physical parameters: the importance of model
+   discrepancy", Inverse Problems 30 (2014) 114007.
 """
 
 from __future__ import annotations
@@ -73,14 +73,15 @@ class Missing:
     Attributes
     ----------
     columns
-        ``(n, m)`` of all outputs, filtered as they are; at most as large as the torque's rms.
+        ``(M, m)`` of all outputs, filtered as they are, N m or N; their largest value is the
+        torque's rms, or for friction what the model loses. A size of one is then as large as that.
     kinds
         Names of candidates, and of each the columns of every shape that it may have.
     gram, scores, power
         ``(m, m)``, ``(m,)`` and a number: products of what is left of columns and residual beside
         the model's own, whitened; scores of a right model are taken off.
     spread
-        ``(m,)`` sd of a right model's scores, in those of white noise.
+        ``(m,)`` sd of a right model's scores, in those of white noise; at least one.
     free
         Outputs beyond the model's own parameters.
     """
@@ -96,16 +97,28 @@ class Missing:
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """How far the model may be off, in a target's unbounded coordinates."""
+    """How far the model may be off, in a target's unbounded coordinates.
 
-    chance: float  # that something is missing
-    moves: Array  # (n, k) draws of how far the numbers of the model then are off
-    shift: Array  # (k,) from the mean of the posterior to what the data say without bounds
-    covariance: Array  # (k, k) of that
+    Attributes
+    ----------
+    chance
+        Probability that something is missing; 0 where the recording speaks against it.
+    moves
+        ``(n, k)`` draws of how far the ``k`` free parameters of the model then are off.
+    shift
+        ``(k,)`` from the mean of the posterior to what the data say without bounds.
+    covariance
+        ``(k, k)`` of that estimate.
+    """
+
+    chance: float
+    moves: Array
+    shift: Array
+    covariance: Array
 
     @property
     def shown(self) -> bool:
-        """Whether there is any."""
+        """Whether there is any, so that intervals are widened."""
         return self.chance > 0.0
 
     @property
@@ -114,8 +127,24 @@ class Discrepancy:
         return _TAKEN * self.chance
 
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
-        """Move draws of the posterior ``(n, d)`` by as much as the model may be off.
+        """Move draws of the posterior by as much as the model may be off.
 
+        Parameters
+        ----------
+        target
+            Whose unbounded coordinates the moves are in.
+        parameters
+            ``(n, d)`` draws, SI units.
+        rng
+            Says which draws are moved, with probability ``chance``, and by which of the moves.
+
+        Returns
+        -------
+        ndarray
+            ``(n, d)``; noise scales stay as they are.
+
+        Notes
+        -----
         What the data say is moved, and bounds cut it afterwards: a draw that ends beyond one is
         moved anew. Where hardly a move ends inside, all that data and moves say together is taken
         for a normal that bounds cut.
@@ -142,9 +171,28 @@ def cut_normal(
     start: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Draw from a normal ``(k,)`` that bounds cut, one from each start inside them ``(n, k)``.
+    """Draw from a normal that bounds cut, by Gibbs sampling [1]_.
 
-    By Gibbs sampling, one number given the others after the other [2]_.
+    Parameters
+    ----------
+    mean, covariance
+        ``(k,)`` and ``(k, k)`` before it is cut.
+    limits
+        Lower and upper bounds, ``(k,)`` each, infinite where there are none.
+    start
+        ``(n, k)`` inside the bounds, one for each draw.
+    rng
+        Random numbers.
+
+    Returns
+    -------
+    ndarray
+        ``(n, k)``, after twenty rounds of drawing each number given all the others.
+
+    References
+    ----------
+    .. [1] J. Geweke, "Efficient simulation from the multivariate normal and Student-t distributions
+       subject to linear constraints", Computing Science and Statistics 23 (1991) 571-578.
     """
     x, precision, (low, high) = start.copy(), np.linalg.inv(covariance), limits
     sds = np.diagonal(precision) ** -0.5
@@ -171,23 +219,59 @@ def _put(target: Target, found: Array, rows: Index, moved: Array) -> NDArray[np.
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """What may be missing pulls a recording's estimate by, in its target's coordinates."""
+    """What may be missing pulls a recording's estimate by, in its target's coordinates.
 
-    chance: float  # that something is missing
-    drawn: Array  # (n, k) scores
+    Attributes
+    ----------
+    chance
+        Probability that something is missing.
+    drawn
+        ``(n, k)`` draws of the score that it adds, of likelihood and ``k`` free parameters: times
+        the posterior's covariance it is a move.
+    around
+        The fit as a linear regression.
+    """
+
+    chance: float
+    drawn: Array
     around: _Around
 
     def scores(self, rows: Index, sides: Array) -> Array:
-        """Give scores of these rows of the drawn, by sides ``(rows, 1)``, standard normals.
+        """Give scores of the pull, centred as far as they are taken for a shift.
 
-        Their mean is taken in part, and for the rest may be there or not, to either side.
+        Parameters
+        ----------
+        rows
+            Which of the drawn.
+        sides
+            ``(rows, 1)`` standard normal numbers.
+
+        Returns
+        -------
+        ndarray
+            ``(rows, k)``. Of the mean half is taken, and the rest may be there or not, to either
+            side.
         """
         mean = self.drawn.mean(axis=0)
         return np.asarray(self.drawn[rows] - mean + (_TAKEN + (1.0 - _TAKEN) * sides) * mean)
 
 
 def pull(target: Target, posterior: Posterior, missing: Missing | None) -> Pull | None:
-    """Marginalise what may be missing; nothing is where nobody could ask, or it hardly may."""
+    """Marginalise what may be missing from the torque.
+
+    Parameters
+    ----------
+    target, posterior
+        Of a fit.
+    missing
+        Candidates; ``None`` where nobody could ask.
+
+    Returns
+    -------
+    Pull or None
+        ``None`` without candidates, for positions, for an unusable sample, or where the probability
+        that something is missing is below the one before the recording is asked, 0.1.
+    """
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":
         return None
@@ -204,7 +288,18 @@ def _stream(posterior: Posterior, *more: int) -> np.random.Generator:
 
 
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
-    """Say how far what may be missing moves the numbers."""
+    """Say how far what may be missing moves the numbers.
+
+    Parameters
+    ----------
+    target, posterior, missing
+        As for :func:`pull`.
+
+    Returns
+    -------
+    Discrepancy
+        Of chance 0 where :func:`pull` gives none.
+    """
     k = len(target.free)
     one = pull(target, posterior, missing)
     if one is None:
@@ -219,6 +314,20 @@ def chance_missing(missing: Missing) -> float:
     """Give the probability that any candidate is there, each by itself against none.
 
     Scores beyond what twins show count in the twins' own standard deviations.
+
+    Parameters
+    ----------
+    missing
+        Candidates, their scores and the residual's power.
+
+    Returns
+    -------
+    float
+        0 without candidates.
+
+    Notes ----- For a candidate of sd ``s`` the evidence against none is that of a linear regression
+    with a normal size, the noise's variance integrated out, averaged over the grid of ``s``, over
+    its shapes, and over kinds. Prior odds are 1 to 9.
     """
     variance = missing.power / missing.free
     scores = missing.scores / missing.spread
@@ -266,7 +375,13 @@ class _Kind:
 
 
 class Sizes:
-    """Gibbs sampler of candidates' shapes and scales; sizes are integrated out."""
+    """Gibbs sampler of candidates' shapes and scales; sizes are integrated out.
+
+    Parameters
+    ----------
+    missing
+        Candidates, their Gram matrix and scores; at least one.
+    """
 
     def __init__(self, missing: Missing) -> None:
         zero, shapes = missing.scores.size, missing.kinds.values()
@@ -280,7 +395,18 @@ class Sizes:
         self.variance = missing.power / missing.free
 
     def drawn(self, rng: np.random.Generator) -> Array:
-        """Draw sizes ``(n, m)``, shares of the torque; zero of shapes that are not taken."""
+        """Draw sizes of all candidates together.
+
+        Parameters
+        ----------
+        rng
+            Random numbers.
+
+        Returns
+        -------
+        ndarray
+            ``(n, m)`` factors of the columns; zero of shapes that are not taken.
+        """
         ratio = _GRID[:, None] / _GRID
         around = np.log(ratio) - np.log1p(ratio**2)  # half Cauchy, a logarithm's
         around -= logsumexp(around, axis=0)  # (scale, typical scale)
@@ -370,6 +496,10 @@ class _Around:
 
     @classmethod
     def of(cls, target: Target, posterior: Posterior) -> _Around:
+        """Linearise the outputs about the posterior's mean, and take off what bounds hold.
+
+        ``rows`` are central differences of the whitened outputs along the posterior's own axes.
+        """
         k, likelihood = len(target.free), target.likelihood
         assert isinstance(likelihood, TorqueLikelihood)
         draws = posterior.flat(_DRAWS)

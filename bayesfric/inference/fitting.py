@@ -1,4 +1,9 @@
-"""The whole way from prepared recordings to a posterior."""
+"""The whole way from prepared recordings to a posterior.
+
+Priors are read, a likelihood is put on the recordings, point estimates give places to start from,
+the mode is climbed to, coordinates are chosen for the posterior's widths there, and the posterior
+is sampled.
+"""
 
 from __future__ import annotations
 
@@ -47,22 +52,44 @@ _MOST_SIMULATED = 20
 
 @dataclass(frozen=True)
 class Fit:
-    """A finished fit; the target's likelihood holds chain and observations."""
+    """A finished fit; the target's likelihood holds mechanism and observations.
+
+    Attributes
+    ----------
+    target
+        The log-posterior, in the coordinates that were sampled.
+    posterior
+        Draws, the model taken for true.
+    estimates
+        Point estimates of the same recordings, least squares first.
+    held_out
+        Predictions of what the likelihood did not see.
+    linearisation
+        What :func:`linearisation_change` said before sampling; far below 1 it does not matter.
+        ``None`` where nothing is linearised.
+    discrepancy
+        How far the model may be off, where that was asked.
+    told
+        ``(n, d)`` reported draws, widened by model discrepancy, as a finished run holds them; they
+        are made from ``discrepancy`` where left out.
+    """
 
     target: Target
     posterior: Posterior
-    estimates: tuple[Estimate, ...]  # of the same recordings, least squares first
-    held_out: tuple[Prediction, ...] = ()  # of what the likelihood did not see
-    # What linearisation_change said before sampling; far below 1 it does not matter. None where
-    # nothing is linearised.
+    estimates: tuple[Estimate, ...]
+    held_out: tuple[Prediction, ...] = ()
     linearisation: float | None = None
-    discrepancy: Discrepancy | None = None  # how far the model may be off
-    # (n, d) draws with room for the model's error, as a finished run holds them; else they are made
+    discrepancy: Discrepancy | None = None
     told: Array | None = None
 
     @cached_property
     def wide(self) -> Fit:
-        """The same with what the model may lack marginalised in its draws."""
+        """The same fit with what the model may lack marginalised in its draws.
+
+        At most about 8000 of the draws, thinned along steps, are moved by
+        :meth:`Discrepancy.widened`; the fit itself where there is no discrepancy. Draws of a
+        finished run have no log density: it is nan.
+        """
         posterior = self.posterior
         if self.told is not None:
             held = self.told[None, None]
@@ -95,16 +122,27 @@ class Fit:
 
     @cached_property
     def residuals(self) -> list[Array]:
-        """Measured minus posterior mean output of each recording."""
+        """Measured minus posterior mean output of each recording, ``(M,)`` in the outputs' unit.
+
+        The mean is over 200 draws.
+        """
         likelihood = self.target.likelihood
         predicted = likelihood.predict(self.chain_draws(200))
         pairs = zip(likelihood.outputs, predicted, strict=True)
         return [o.measured - rows.mean(axis=0) for o, rows in pairs]
 
     def chain_draws(self, n: int | None = None) -> Array:
-        """Draws of all chain parameters, fixed ones included, ``(n, n_parameters)``.
+        """Draws of all parameters of the mechanism, fixed ones included.
 
-        At most ``n``, evenly spread; all if left out.
+        Parameters
+        ----------
+        n
+            At most so many, evenly spread; all if left out.
+
+        Returns
+        -------
+        ndarray
+            ``(n, n_parameters)`` in the order of ``chain.names``, SI units.
         """
         return self.target.chain_values(self.posterior.flat(n))
 
@@ -115,23 +153,29 @@ def read_priors(
     observations: Sequence[Observation],
     noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
-    """Give priors of every parameter of the chain: those that a configuration gives, and defaults.
+    """Give priors of every parameter and noise scale: a configuration's, and defaults for the rest.
 
     Parameters
     ----------
     chain
         The mechanism.
     texts
-        What is said of parameters, by name.
+        What is said of parameters, by name. ``offset`` stands for those of all recordings that have
+        their own.
     observations
         The recordings, whose size sets the scale of defaults.
     noise
         Scales that the likelihood has: ``sigma`` makes ``noise.sigma``.
 
+    Returns
+    -------
+    dict
+        By name, the mechanism's parameters first.
+
     Raises
     ------
     BadInput
-        If a name is unknown or a prior cannot be.
+        If a name is unknown, a prior cannot be, a noise scale is fixed, or nothing is left free.
     """
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
@@ -168,14 +212,36 @@ def make_target(
     noise_scale: NoiseScale,
     noise: Autoregressive | None = None,
 ) -> Target:
-    """Put the likelihood of the torque, priors and noise together; white if left out."""
+    """Put the likelihood of the torque, priors and noise together.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism, and prepared recordings of it.
+    priors
+        As :func:`read_priors` gives them, for the noise's scales too.
+    noise_scale
+        Whether recordings share their noise's size.
+    noise
+        Model of the torque's noise; white if left out.
+    """
     return target_of(TorqueLikelihood(chain, observations, noise), priors, noise_scale)
 
 
 def target_of(
     likelihood: Likelihood, priors: Mapping[str, Prior], noise_scale: NoiseScale
 ) -> Target:
-    """Put any likelihood and what :func:`read_priors` gives for its noise scales together."""
+    """Put any likelihood and its priors together.
+
+    Parameters
+    ----------
+    likelihood
+        Of torque or position.
+    priors
+        As :func:`read_priors` gives them for the likelihood's noise scales.
+    noise_scale
+        Whether recordings share their noise's size.
+    """
     recordings = [o.name for o in likelihood.observations]
     noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
@@ -210,8 +276,13 @@ def fit(
     Raises
     ------
     BadInput
-        If the motion cannot tell the totals of eq. (11) apart, or the priors leave no place the
-        search could start from.
+        If the motion cannot tell the totals of eq. (11) apart, the priors leave no place the search
+        could start from, a simulation's linearisation does not hold over the posterior, or a
+        checkpoint is of another target.
+
+    Notes ----- Estimates that simulate, and only stand beside a posterior of the torque, are not
+    started from: they may be cut off by the clock, and a fit must be repeatable. Everything else
+    random comes from ``sampling.seed``.
     """
     likelihood = target.likelihood
     if not estimates:
@@ -314,7 +385,11 @@ def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
 
 
 def _points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, float]]:
-    """Parameters to start from: estimates, and totals split in several ways."""
+    """Parameters to start from, by name: estimates, and base parameters split in several ways.
+
+    Least squares gives the quantities seen at the motor; coefficients of load-dependent friction
+    and the leg's share of each are tried on a grid.
+    """
     points = [dict(e.point) for e in estimates if e.point]
     # a simulation costs more than an inverse model, and starts from a simulation's estimate
     if target.likelihood.method == "input-error" or not points:
@@ -340,7 +415,11 @@ def _candidates(
     points: Sequence[Mapping[str, float]],
     prior_draws: Array,
 ) -> Array:
-    """Places to start from: points, and draws from the priors."""
+    """Places to start from, ``(n, d)`` in coordinates: points, and draws from the priors.
+
+    Each with several noise scales. What lies on a bound is put inside of it, where coordinates are
+    finite.
+    """
     likelihood = target.likelihood
     k = len(target.free)
     rows = _on_turn(target, np.array([[p[name] for name in target.free] for p in points]))

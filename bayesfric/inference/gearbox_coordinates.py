@@ -1,4 +1,10 @@
-"""Coordinates for a joint with a load loss: what data determine apart from what they do not."""
+"""Coordinates for a joint with load-dependent friction: what data determine apart from what not.
+
+No torque tells the leg's parameters from the gearbox' alphas (section 4.2 of the paper: scaled
+together they change nothing), and motion in which the load never drives tells even less. In
+parameters as they are named such a posterior is a bent ridge. Here each direction that the data
+may leave open has a coordinate of its own, and fills its range in it.
+"""
 
 from __future__ import annotations
 
@@ -27,23 +33,35 @@ Scale = Literal[
 
 
 class GearboxCoordinates(Coordinates):
-    """What the motor feels while it drives, and how motor, leg and gearbox share it.
+    """Torques seen at the motor while it drives, and how motor, leg and gearbox share them.
 
-    With ``A = 1 + mu_1`` the motor feels ``D = a c_a + A b c_b`` of a parameter ``a`` in front of
-    the load loss and the one behind it of the same kind, ``b``, brought to the motor by ``c``; of
-    one that is only behind it, ``D = A b c_b``. The coordinates are
+    Parameters
+    ----------
+    chain
+        A mechanism with one element of load-dependent friction and something behind it.
+    priors
+        By name, of every parameter; where mu_2 is free its prior ends at 1 or below.
+    widths
+        ``(d,)`` about the posterior's standard deviations, for those that go each by itself.
 
-    - every ``D``, a sum of columns of ``Theta1 + Theta2`` of eq. (13), which any recording that
-      drives its load tells, and in which the likelihood is close to normal;
+    Notes
+    -----
+    With ``A = 1 + mu_1``, a parameter ``a`` in front of the load loss and the one behind it of the
+    same kind, ``b``, brought to the motor by ``c``, are seen there as ``D = a c_a + A b c_b``; one
+    that is only behind it as ``D = A b c_b``. The coordinates are
+
+    - every ``D``, a sum of columns of ``Theta1 + Theta2`` of eq. (13), which any recording in which
+      the motor drives determines, and in which the likelihood is close to normal;
     - the leg's share ``A b c_b/D``, and ``m = 1 - (1 - mu_2)/(1 + mu_1)``, what of a torque behind
       the loss is missing when the load drives. They lie between 0 and 1, and their normal quantile
-      is sampled: only a recording in which the load drives tells them, and where none does they
-      fill their range. (In Theta1 and Theta2 themselves that range is a cone, whose tip, a gearbox
-      without loss, has a density without end: searches ended and walkers hung on there.);
-    - the scale, which no torque tells. A passive gearbox, ``mu_1 >= 0`` and ``0 <= mu_2 <= 1``,
-      confines it to ``0 <= log A <= -log(1 - m)``; the normal quantile of its place there is
-      sampled. Of the ``ml`` or ``mu_1`` told well by a prior, the logarithm (that of ``A``) takes
-      its place, in which such a posterior is straight; one that is known leaves no scale.
+      is sampled: only a recording in which the load drives determines them, and where none does
+      they fill their range. (In Theta1 and Theta2 themselves that range is a cone, whose tip, a
+      gearbox without loss, has a density without end: searches ended and walkers hung on there.)
+    - the scale, which no torque determines. A passive gearbox, ``mu_1 >= 0`` and
+      ``0 <= mu_2 <= 1``, confines it to ``0 <= log A <= -log(1 - m)``; the normal quantile of its
+      place there is sampled. Where the prior states ``ml`` or ``mu_1`` well, the logarithm of
+      ``ml`` or of ``A`` takes its place, in which such a posterior is straight; one that is known
+      leaves no scale.
 
     Where the data tell much of what is missing when the load drives they tell sums of ``D`` times
     share times ``m``, and the posterior is bent in shares and ``m``. In ``D`` and these products it
@@ -148,10 +166,15 @@ class GearboxCoordinates(Coordinates):
         return slice(int(self._ends[3]), int(self._ends[4])), self._others, self._bounded
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
-        """Map to coordinates in which the torque is linear, and ``log|d straight / d u|``.
+        """Map to coordinates in which the torque is linear.
 
-        Shares give way to what is missing of the leg's torques when the load drives, and ``m`` to
-        that of the first torque that is only behind the loss.
+        Shares give way to what is missing of the leg's torques when the load drives,
+        ``D share m``, and ``m`` to that of the first torque that is only behind the loss.
+
+        Returns
+        -------
+        v, slope
+            ``(n, d)`` and ``log|dv/du|`` ``(n,)``.
         """
         v, (here, _, bounded) = u.copy(), self.apart
         v[:, here], cut = bounded.straighten(u[:, here])
@@ -191,7 +214,11 @@ class GearboxCoordinates(Coordinates):
     def _losses(
         self, out: Array, alone: Array, lost: Array, scale: Array
     ) -> tuple[Array, Array, Array]:
-        """Give ``log A``, ``log(1 - m)`` and what both add to the log Jacobian, ``(n,)`` each."""
+        """Give ``log A``, ``log(1 - m)`` and what both add to the log Jacobian, ``(n,)`` each.
+
+        ``lost`` is the quantile of ``m`` in what a known loss leaves of its range, ``scale`` the
+        coordinate of the scale; which of them there are, and how they are meant, is ``_scale``.
+        """
         none, kind = np.zeros(out.shape[0]), self._scale
         if kind == "one":
             loss = out[:, self._drive] if self._drive >= 0 else self._known_drive + none
@@ -271,7 +298,11 @@ def _scale_by(
     alone: list[str],
     priors: Mapping[str, Prior],
 ) -> Scale:
-    """Say what the scale of leg and alpha goes by."""
+    """Say what the scale of leg and alpha goes by, given which losses are free or known.
+
+    ``losses`` are the names of one mu or two, ``at`` places of free parameters, ``reference`` a
+    known leg parameter, and ``alone`` the free ones with no partner in front of the loss.
+    """
     if len(losses) == 1:
         mu = priors[losses[0]]
         return "one" if mu.fixed or mu.upper > 1.0 else "single"
@@ -319,7 +350,23 @@ def _tells(prior: Prior) -> bool:
 def choose_coordinates(
     chain: Joint, priors: Mapping[str, Prior], widths: Array | None = None
 ) -> Coordinates:
-    """Take the coordinates that suit the chain, its priors and posterior sds ``(d,)`` best."""
+    """Take the coordinates that suit a mechanism best.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    priors
+        By name, of every parameter.
+    widths
+        ``(d,)`` about the posterior's standard deviations of the free parameters, if known.
+
+    Returns
+    -------
+    Coordinates
+        :class:`GearboxCoordinates` where one element has load-dependent friction, something is
+        behind it, and it cannot be irreversible (mu_2 above one); else :class:`BoundedCoordinates`.
+    """
     lossy = [e for e in chain.elements if e.load_loss != "none"]
     if len(lossy) == 1 and _sides(chain)[1]:
         back = f"{lossy[0].name}.load_back"

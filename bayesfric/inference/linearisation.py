@@ -1,7 +1,7 @@
 """Whether a simulation's linearisation holds all over the posterior, asked before it is sampled.
 
 The output-error likelihood takes the derivatives of the motion by torque and initial states at the
-mode. A joint that comes to rest has none that last: whether and when it sticks differs from one
+mode. A joint that sticks has none that last: whether and when it sticks differs from one
 plausible parameter vector to the next, and so does the likelihood, if it is linearised there.
 """
 
@@ -27,10 +27,31 @@ _NARROWEST = 1e-3
 
 
 def linearisation_change(target: Target, start: Start, rng: np.random.Generator) -> float:
-    """Tell by how much the log-likelihood changes where it is linearised anew, as an sd.
+    """Tell by how much the log-likelihood changes where the simulation is linearised anew.
 
-    Over places where the posterior is expected to be. BadInput if that is so much that its
-    intervals would mean nothing.
+    At some places where the posterior is expected to be, the log-likelihood linearised there is
+    compared with the one linearised at the mode. A constant difference does not matter to a
+    posterior, so the standard deviation over the places is what counts.
+
+    Parameters
+    ----------
+    target
+        An output-error posterior, linearised at its mode.
+    start
+        A normal about where the posterior lies, in the target's coordinates.
+    rng
+        Draws the places.
+
+    Returns
+    -------
+    float
+        Standard deviation of the change, in units of the log-likelihood; far below 1 it is
+        harmless.
+
+    Raises
+    ------
+    BadInput
+        If it is above 2, or no number: intervals would mean nothing.
     """
     apart: list[float] = []
     # the sum of squares about the mean only grows: once it is too large, so is the final one
@@ -53,7 +74,11 @@ def linearisation_change(target: Target, start: Start, rng: np.random.Generator)
 
 
 def _places(target: Target, start: Start, rng: np.random.Generator) -> Array:
-    """Draw parameters ``(n, d)`` that are about as probable as the posterior's are."""
+    """Draw up to a dozen parameter vectors ``(n, d)`` about as probable as the posterior's are.
+
+    From the start's normal, narrowed until enough draws lie within the fall of log density that
+    99.9 % of a ``d``-dimensional normal stay within.
+    """
     d = start.mode.size
     root = np.linalg.cholesky(start.covariance)
     fall = stats.chi2.isf(_IMPROBABLE, d) / 2.0

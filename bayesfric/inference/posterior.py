@@ -1,4 +1,8 @@
-"""What sampling leaves: draws, and whether they can be trusted."""
+"""What sampling leaves: draws of the posterior, and whether they can be trusted.
+
+The sampler runs several ensembles of walkers. Walkers of one ensemble propose from each other
+and are not independent chains; ensembles are, and convergence is judged by comparing them.
+"""
 
 from __future__ import annotations
 
@@ -20,28 +24,70 @@ Status = Literal["reliable", "tentative", "unusable"]
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Whether the sampling can be trusted; arrays are of every sampled parameter, ``(d,)``."""
+    """Whether the sampling can be trusted; arrays are of every sampled parameter, ``(d,)``.
 
-    # reliable: every criterion met; tentative: stopped early, but the ensembles agree roughly
+    Attributes
+    ----------
+    status
+        ``reliable`` where every criterion is met, ``tentative`` where sampling ended before, but
+        the ensembles roughly agree, ``unusable`` otherwise.
+    problems
+        One sentence for each criterion that is not met, with a hint; empty when reliable.
+    rhat
+        ``(d,)`` nested R-hat: between-ensemble against within-ensemble variance, 1 where they
+        agree.
+    tau
+        ``(d,)`` integrated autocorrelation time in steps.
+    ess
+        ``(d,)`` effective sample size, walkers times steps over ``tau``.
+    acceptance
+        ``(ensembles, walkers)`` accepted share of each walker's proposals.
+    warmup, steps, thin
+        Steps of warm-up, steps after it, and how many of these one kept draw stands for.
+    not_finite, not_finite_share
+        How often the likelihood was no number, warm-up included; and the share of the proposals
+        after warm-up.
+    seconds
+        Wall-clock time, that of interrupted runs included.
+    warnings
+        Sentences on a sample that may have converged all the same, such as walkers that never
+        moved.
+    max_rhat
+        Largest ``rhat`` that the settings accepted.
+    """
+
     status: Status
-    problems: tuple[str, ...]  # one plain sentence each, with the mend; empty when reliable
-    rhat: Array  # nested R-hat
-    tau: Array  # autocorrelation time in steps
-    ess: Array  # effective sample size
-    acceptance: Array  # accepted share of proposals, (ensembles, walkers)
+    problems: tuple[str, ...]
+    rhat: Array
+    tau: Array
+    ess: Array
+    acceptance: Array
     ensembles: int
     walkers: int
     warmup: int
-    steps: int  # after warm-up, before thinning
-    thin: int  # which steps are kept in the draws
-    not_finite: int  # likelihoods that came out as no number, those of warm-up included
-    seconds: float  # wall-clock time of sampling
-    not_finite_share: float = 0.0  # of the proposals after warm-up
-    warnings: tuple[str, ...] = ()  # on a sample that has converged, with the mend
-    max_rhat: float = 1.01  # largest nested R-hat that was accepted
+    steps: int
+    thin: int
+    not_finite: int
+    seconds: float
+    not_finite_share: float = 0.0
+    warnings: tuple[str, ...] = ()
+    max_rhat: float = 1.01
 
     def sound(self, rhat: Array, ess: Array) -> NDArray[np.bool_]:
-        """Whether numbers with these diagnostics may be told, whatever the others do."""
+        """Tell which numbers may be reported, whatever the diagnostics of others are.
+
+        Parameters
+        ----------
+        rhat, ess
+            Nested R-hat and effective sample size of each number, sampled or derived, of one shape.
+
+        Returns
+        -------
+        ndarray of bool
+            All true for a reliable sample; else where ``rhat`` is accepted and ``ess`` at least
+            400, with which the ends of a 90 % interval are right to a tenth of a standard
+            deviation.
+        """
         if self.status == "reliable":
             return np.ones(rhat.shape, dtype=np.bool_)
         return np.asarray((rhat <= self.max_rhat) & (ess >= _SOUND_ESS))
@@ -49,20 +95,45 @@ class Diagnostics:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of the sampled parameters, noise scales last."""
+    """Draws of the sampled parameters, noise scales last.
+
+    Attributes
+    ----------
+    names, priors
+        Of the ``d`` sampled parameters: the free ones of the mechanism, then those of the noise.
+    draws
+        ``(ensembles, walkers, steps, d)`` in SI units, thinned.
+    log_density
+        ``(ensembles, walkers, steps)`` log posterior density in the sampler's coordinates, that is
+        with the Jacobian; up to a constant.
+    diagnostics
+        Of the whole sample, before thinning.
+    seed
+        That everything random came from; later steps derive their own streams from it.
+    """
 
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
-    draws: Array  # (ensembles, walkers, steps, d), in physical units, thinned
-    log_density: Array  # in sampling coordinates, (ensembles, walkers, steps)
-    diagnostics: Diagnostics  # of the whole sample, before thinning
+    draws: Array
+    log_density: Array
+    diagnostics: Diagnostics
     seed: int
 
     def flat(self, most: int | None = None) -> Array:
-        """All draws, ``(n, d)``; for quantiles, never for convergence checks.
+        """Lay all draws side by side, for quantiles, never for convergence checks.
 
-        With ``most``, at most so many of them, evenly spread. Walkers that never moved are
-        left out, unless none did: what they repeat is where they were put.
+        Walkers that never moved are left out, unless none did: what they repeat is where they were
+        put.
+
+        Parameters
+        ----------
+        most
+            At most so many draws, evenly spread; all if left out.
+
+        Returns
+        -------
+        ndarray
+            ``(n, d)``, SI units.
         """
         moved = self.diagnostics.acceptance > 0.0
         draws = self.draws if moved.all() or not moved.any() else self.draws[moved]
@@ -73,7 +144,7 @@ class Posterior:
 
     @cached_property
     def median(self) -> Array:
-        """Of every parameter by itself, ``(d,)``."""
+        """Median of every parameter by itself, ``(d,)``, SI units."""
         return np.asarray(np.median(self.flat(), axis=0))
 
     def __getitem__(self, name: str) -> Array:

@@ -1,4 +1,9 @@
-"""What a posterior predicts of measurements that its likelihood did not see."""
+"""What a posterior predicts of measurements that its likelihood did not see.
+
+A fit may follow the recordings it was made from and still predict others badly. So the torque of
+a held-out recording, or of a recording's end, is predicted from its motion by posterior draws,
+noise included, to be compared with what was measured.
+"""
 
 from __future__ import annotations
 
@@ -27,20 +32,30 @@ class Prediction:
     """Posterior predictive of a held-out part, each output by itself.
 
     It is a mixture with one component a draw: that draw's modelled torque, and about it
-    one residual of that draw's noise. What the noise remembers of neighbouring outputs is not
+    one residual of that draw's noise. The noise's correlation with neighbouring outputs is not
     used: the prediction is made from the motion alone.
+
+    Attributes
+    ----------
+    held_out
+        What is predicted, with its measured torque.
+    torque
+        ``(n, M)`` modelled by each of ``n`` draws, filtered like the measured one, N m or N.
+    noise
+        SciPy's distribution of a residual in each draw, of shape ``(n, 1)``.
+    borrowed
+        What the recording would have of its own but no fit has seen, ``noise scale`` or ``offset``:
+        each draw takes them from one fitted recording, picked at random.
     """
 
     held_out: HeldOut
-    torque: Array  # (n, M) modelled by each draw, filtered like the measured
-    noise: Any  # SciPy's distribution of a residual in each draw, of shape (n, 1)
-    # What the recording would have of its own but no fit has seen, "noise scale" or "offset":
-    # each draw takes them from one fitted recording, picked at random.
+    torque: Array
+    noise: Any
     borrowed: tuple[str, ...]
 
     @property
     def measured(self) -> Array:
-        """``(M,)``, N m or N."""
+        """Measured torque of the outputs, ``(M,)``, N m or N."""
         return self.held_out.observation.measured
 
     @property
@@ -50,14 +65,22 @@ class Prediction:
 
     @property
     def variance(self) -> Array:
-        """Predictive variance, ``(M,)``; infinite where the noise has none."""
+        """Predictive variance, ``(M,)``: of the torque over draws, plus the noise's mean one.
+
+        Infinite where the noise has none.
+        """
         return np.asarray(self.torque.var(axis=0) + np.mean(self.noise.var()))
 
     @cached_property
     def pit(self) -> Array:
-        """Predictive probability of less than was measured, ``(M,)``.
+        """Probability integral transform, ``(M,)``: the predicted one of less than was measured.
 
-        Uniform between 0 and 1 where predictions are right (Dawid, JRSS A 147, 1984).
+        Uniform between 0 and 1 where predictions are right [1]_.
+
+        References
+        ----------
+        .. [1] A. P. Dawid, "Statistical theory: the prequential approach", Journal of the Royal
+           Statistical Society A 147 (1984) 278-292.
         """
         found, at_once = np.empty(self.measured.size), max(1, _BLOCK // len(self.torque))
         for begin in range(0, found.size, at_once):
@@ -72,6 +95,25 @@ def predict_held_out(
 ) -> tuple[Prediction, ...]:
     """Predict what was held out, with the posterior of a finished fit of the torque.
 
+    Parameters
+    ----------
+    target, posterior
+        Of the fit.
+    held_out
+        Recordings or ends of recordings.
+
+    Returns
+    -------
+    tuple of Prediction
+        One for each, from up to 400 draws, fewer of very long recordings.
+
+    Raises
+    ------
+    TypeError
+        If the likelihood is of positions.
+
+    Notes
+    -----
     The end of a fitted recording is predicted with that recording's own noise scale and
     offset. Those of a recording that was held out as a whole are not known; where recordings
     have their own, the predictive is a mixture over those of the fitted ones.

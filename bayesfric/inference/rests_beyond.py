@@ -1,8 +1,8 @@
-"""Rests that a fit did not use, asked whether its law could hold the joint there.
+"""Whether a fit's friction law could hold the joint at standstill, where the fit did not use it.
 
-At rest the motor's torque lies between the two at which the joint would move. Where it lay beyond
-them, friction at standstill is more than the law says, which was learned in motion; unless
-something else held the joint.
+At standstill the motor's torque lies between the two at which the joint would move. Where it lay
+beyond them, static friction is more than the law says, which was learned in motion; unless
+something else, such as a brake, held the joint.
 """
 
 from __future__ import annotations
@@ -27,22 +27,56 @@ _NOISE, _SHARE, _LEAST = 3.0, 0.1, 3
 
 @dataclass(frozen=True)
 class RestsBeyond:
-    """Rests of one recording at which the law would have moved."""
+    """Standstills of one recording at which the law would have moved the joint.
+
+    Attributes
+    ----------
+    recording
+        Its name.
+    share
+        Of all outputs at standstill in it.
+    start, stop
+        Of the first and the last, s from the file's first stamp.
+    beyond
+        How far the torque lies outside what the law can hold, the worst, N m or N at the motor.
+    held
+        Most friction that held the joint there, N m or N at the motor: static friction is at least
+        this.
+    """
 
     recording: str
-    share: float  # of all its rests
-    start: float  # s from the file's first stamp, of the first
-    stop: float  # and of the last
-    beyond: float  # how far the torque is out, the worst of them, N m or N at the motor
-    held: float  # friction that held it there, the most: static friction is at least this
+    share: float
+    start: float
+    stop: float
+    beyond: float
+    held: float
 
 
 def rests_beyond(
     fit: Fit, recordings: Sequence[Measurement], processing: Processing
 ) -> Iterator[RestsBeyond]:
-    """Find them, recording by recording, at draws with room for the model's error.
+    """Find standstills at which the law would have moved, recording by recording.
 
-    Where the fit uses rests, or explains positions, there is nothing to ask.
+    Parameters
+    ----------
+    fit
+        A finished fit. Its draws with room for model discrepancy are asked.
+    recordings
+        As read, in the order of the fit's observations.
+    processing
+        As the fit had it.
+
+    Yields
+    ------
+    RestsBeyond
+        For each recording in which a tenth of the outputs at standstill, and at least three, lie
+        outside the limits of 95 % of the draws by more than three times the residuals' rms.
+
+    Notes
+    -----
+    Where the fit uses standstill, or explains positions, there is nothing to ask, and nothing is
+    found. The friction that holds is the distance of the torque from the middle of the limits: at
+    standstill the rest of the law, gravity and offset, is there in both.
     """
     if processing.rest or fit.target.likelihood.method != "input-error":
         return

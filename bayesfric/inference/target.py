@@ -1,4 +1,10 @@
-"""The log-posterior as the sampler sees it: coordinates in, one number a walker out."""
+r"""The log-posterior as the sampler sees it: coordinates in, one number a walker out.
+
+Priors are stated in physical parameters :math:`\theta`, walkers move in unconstrained coordinates
+:math:`u`, so the density that is sampled is
+
+.. math:: \log p(u) = \log p(\theta) + \log p(y \mid \theta) + \log|\partial\theta/\partial u|
+"""
 
 from __future__ import annotations
 
@@ -20,24 +26,48 @@ Array = NDArray[np.float64]
 
 
 class LogPosterior(ABC):
-    """A log-posterior in coordinates, made of its parts; ``not_finite`` as of :class:`Target`."""
+    """A log-posterior in coordinates, made of prior, likelihood and a change of variables.
+
+    Attributes
+    ----------
+    not_finite
+        How often the likelihood came out as no number so far; see :class:`Target`.
+    """
 
     not_finite: int
 
     @abstractmethod
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
+        """Map coordinates to physical parameters.
+
+        Parameters
+        ----------
+        u
+            ``(n, d)``, any real numbers.
+
+        Returns
+        -------
+        parameters
+            ``(n, d)``, SI units.
+        jacobian
+            ``(n,)`` log absolute determinant of their derivative by ``u``; not finite where a row
+            has no counterpart.
+        """
 
     @abstractmethod
     def log_prior(self, parameters: Array) -> Array:
-        """Log prior density of physical parameters ``(n, d)``."""
+        """Log prior density ``(n,)`` of parameters ``(n, d)``; ``-inf`` outside a support."""
 
     @abstractmethod
     def log_likelihood(self, parameters: Array) -> Array:
-        """Log-likelihood of physical parameters ``(n, d)``."""
+        """Log-likelihood ``(n,)`` of physical parameters ``(n, d)``."""
 
     def __call__(self, u: Array) -> Array:
-        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``."""
+        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``.
+
+        The likelihood, which is dear, is only asked where prior and Jacobian leave a probability.
+        Where it is no number the density is ``-inf``, and :attr:`not_finite` counts it.
+        """
         parameters, jacobian = self.to_parameters(u)
         out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
         out[~np.isfinite(parameters).all(axis=1)] = -np.inf
@@ -54,14 +84,32 @@ class LogPosterior(ABC):
 
 
 class Target(LogPosterior):
-    """Posterior of the free parameters and the noise scales, the chain's first.
+    """Posterior of the free parameters and the noise scales, the mechanism's first.
 
-    ``priors`` are of every parameter of the chain, fixed ones included, ``noise`` has its own;
-    ``widths`` ``(d,)`` are about the posterior sds, and shape the coordinates, not the posterior.
+    Parameters
+    ----------
+    likelihood
+        Of torque or position; holds the mechanism and its recordings.
+    priors
+        By name, of every parameter of the mechanism, fixed ones included.
+    noise
+        Which noise scales there are, with priors of their own.
+    widths
+        ``(d,)`` about the posterior's standard deviations, SI units. They shape the coordinates,
+        not the posterior; simpler coordinates are used where they are not known yet.
 
-    ``not_finite`` counts how often the likelihood came out as no number; such points are
-    impossible. So is the edge of a prior that is infinitely dense there: a walker that rounding
-    put on it would never leave.
+    Attributes
+    ----------
+    free
+        Names of the mechanism's parameters that are sampled.
+    names, priors
+        Of all ``d`` sampled parameters, ``free`` and then those of the noise.
+    coordinates
+        Of the free parameters.
+    not_finite
+        How often the likelihood came out as no number; such points are impossible. So is the edge
+        of a prior that is infinitely dense there: a walker that rounding put on it would never
+        leave.
     """
 
     def __init__(
@@ -98,19 +146,51 @@ class Target(LogPosterior):
         return Target(self.likelihood, self._all_priors, self.noise, widths)
 
     def uncut_at(self, values: Mapping[str, float]) -> Target:
-        """Make the same target, every angle that may be any cut opposite of a named value."""
+        """Make the same target, the circle of unknown angles cut opposite of likely values.
+
+        The ends of a prior over a whole turn mean nothing, so they are put where the posterior is
+        least likely to be, and do not tear it apart.
+
+        Parameters
+        ----------
+        values
+            Likely values by parameter's name, rad for angles; others are ignored.
+
+        Returns
+        -------
+        Target
+            Itself where no prior is a whole turn; else a new one, in coordinates without widths.
+        """
         cut = {name: self._all_priors[name].cut_opposite(value) for name, value in values.items()}
         if all(prior is self._all_priors[name] for name, prior in cut.items()):
             return self
         return Target(self.likelihood, {**self._all_priors, **cut}, self.noise)
 
     def about(self, parameters: Array) -> Target:
-        """Make the same target, the likelihood's approximations made at parameters ``(d,)``."""
+        """Make the same target, the likelihood's approximations made at another place.
+
+        Parameters
+        ----------
+        parameters
+            ``(d,)`` sampled parameters, SI units.
+
+        Returns
+        -------
+        Target
+            In coordinates without widths.
+        """
         likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
 
     def prepared(self, u: Array) -> Target:
-        """Make the same target, cheaper near coordinates ``(n, d)`` about as spread as it."""
+        """Make the same target, cheaper to evaluate near some places.
+
+        Parameters
+        ----------
+        u
+            ``(n, d)`` coordinates, about as spread as the posterior. They decide how fast the
+            result is, not what it is.
+        """
         parameters, jacobian = self.to_parameters(u)
         draws = self.chain_values(parameters[np.isfinite(jacobian)])
         out = copy(self)
@@ -138,7 +218,18 @@ class Target(LogPosterior):
         return np.concatenate([model, noise], axis=1)
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
-        """Map coordinates ``(n, d)`` to straight ones, and the log Jacobian ``(n,)`` of that."""
+        """Map coordinates to straight ones, in which the torque is closer to linear.
+
+        Parameters
+        ----------
+        u
+            ``(n, d)``.
+
+        Returns
+        -------
+        v, slope
+            ``(n, d)``, and ``(n,)`` the log Jacobian ``log|dv/du|``. Noise scales stay as they are.
+        """
         k = len(self.free)
         v, slope = self.coordinates.straighten(u[:, :k])
         return np.concatenate([v, u[:, k:]], axis=1), slope
@@ -149,11 +240,27 @@ class Target(LogPosterior):
         return np.concatenate([self.coordinates.bend(v[:, :k]), v[:, k:]], axis=1)
 
     def unbounded(self, parameters: Array) -> Array:
-        """Map parameters ``(n, d)`` to straight coordinates, which bounds cut and do not bend."""
+        """Map parameters ``(n, d)`` to straight coordinates, which bounds cut and do not bend.
+
+        There a posterior that leans on a bound is a normal one that is cut, and can be moved
+        beyond.
+        """
         return self.straighten(self.from_parameters(parameters))[0]
 
     def from_unbounded(self, v: Array) -> Array:
-        """Undo :meth:`unbounded`; rows that are impossible are not finite."""
+        """Undo :meth:`unbounded`.
+
+        Parameters
+        ----------
+        v
+            ``(n, d)``, anywhere.
+
+        Returns
+        -------
+        ndarray
+            ``(n, d)`` parameters, SI units; a row that is beyond a bound, or that the prior rules
+            out, is not finite as a whole.
+        """
         u, out = self.bend(v), np.full(v.shape, np.nan)
         possible = np.isfinite(u).all(axis=1)
         parameters, slope = self.to_parameters(u[possible])
@@ -166,7 +273,13 @@ class Target(LogPosterior):
         return out
 
     def limits(self) -> tuple[Array, Array]:
-        """Bounds of the model's unbounded coordinates, ``(k,)`` each."""
+        """Bounds of the free parameters' unbounded coordinates.
+
+        Returns
+        -------
+        low, high
+            ``(k,)`` each, ``k`` free parameters; infinite where a coordinate has no bound.
+        """
         low, high = np.full(len(self.free), -np.inf), np.full(len(self.free), np.inf)
         here, _, bounded = self.coordinates.apart
         low[here], high[here] = bounded.ends()

@@ -1,10 +1,16 @@
 """Stationary autoregressive series: coefficients, exact density, whitening, simulation.
 
-A series of order p is told by its partial autocorrelations, each between -1 and 1: every
-such vector is stationary and every stationary series has one (Barndorff-Nielsen and Schou,
-J. Multivariate Anal. 3, 1973). The Durbin-Levinson recursion turns the first k of them into
-the best predictor from k predecessors, which also gives the exact density of the beginning
-of a run.
+A series of order p is described by its partial autocorrelations, each between -1 and 1: every
+such vector is stationary and every stationary series has one [1]_. The Durbin-Levinson recursion
+[2]_ turns the first k of them into the best predictor from k predecessors, which also gives the
+exact density of the beginning of a run.
+
+References
+----------
+.. [1] O. Barndorff-Nielsen, G. Schou, "On the parametrization of autoregressive models by partial
+   autocorrelations", Journal of Multivariate Analysis 3 (1973) 408-419.
+.. [2] J. Durbin, "The fitting of time-series models", Review of the International Statistical
+   Institute 28 (1960) 233-244.
 """
 
 from __future__ import annotations
@@ -25,8 +31,21 @@ PASSES = 0.05
 def predictors(partial: Array) -> list[Array]:
     """Coefficients of the best predictors from 0, 1, .., p predecessors.
 
-    For ``(n, p)`` partial autocorrelations ``(n, k)`` each, the nearest predecessor first; the last
-    are the coefficients of the series.
+    Parameters
+    ----------
+    partial
+        ``(n, p)`` partial autocorrelations of ``n`` series.
+
+    Returns
+    -------
+    list of ndarray
+        ``(n, k)`` for each ``k`` from 0 to ``p``, the nearest predecessor first; the last are the
+        coefficients of the series.
+
+    Notes
+    -----
+    With ``a_(k-1)`` the coefficients before and ``r`` the k-th partial autocorrelation,
+    ``a_k = [a_(k-1) - r reversed(a_(k-1)), r]``.
     """
     found = [np.empty((partial.shape[0], 0))]
     for k in range(partial.shape[1]):
@@ -38,14 +57,26 @@ def predictors(partial: Array) -> list[Array]:
 def variances(partial: Array) -> Array:
     """Variances of what 0, 1, .., p predecessors leave, in those of the innovations.
 
-    ``(n, p)`` to ``(n, p + 1)``; the first is that of the series itself, the last is one.
+    Parameters
+    ----------
+    partial
+        ``(n, p)`` partial autocorrelations.
+
+    Returns
+    -------
+    ndarray
+        ``(n, p + 1)``, the k-th ``1 / prod(1 - r_j^2)`` over the lags ``j > k``: the first is that
+        of the series itself, the last is one.
     """
     left = np.cumprod(1.0 / (1.0 - partial[:, ::-1] ** 2), axis=1)[:, ::-1]
     return np.concatenate([left, np.ones((partial.shape[0], 1))], axis=1)
 
 
 def autocovariance(partial: Array) -> Array:
-    """Autocovariances at lags 0 to p in variances of the innovations, ``(p,)`` to ``(p + 1,)``."""
+    """Autocovariances at lags 0 to p, in variances of the innovations.
+
+    Partial autocorrelations ``(p,)`` to ``(p + 1,)``.
+    """
     known = predictors(partial[None])
     left = variances(partial[None])[0]
     found = np.zeros(partial.size + 1)
@@ -56,11 +87,21 @@ def autocovariance(partial: Array) -> Array:
 
 
 def whitened(x: Array, partial: Array, follows: Flags) -> Array:
-    """Take from every value ``(..., M)`` what its predecessors foretell, over the sd of the rest.
+    """Take from every value what its predecessors predict, and make what is left of one variance.
 
-    ``partial`` ``(p,)`` are partial autocorrelations, ``follows`` ``(M - 1,)`` whether each value
-    follows the one before in the same run. Gives uncorrelated values of the innovations' variance
-    for the right series.
+    Parameters
+    ----------
+    x
+        ``(..., M)`` values of all runs of one recording.
+    partial
+        ``(p,)`` partial autocorrelations.
+    follows
+        ``(M - 1,)`` whether each value is followed by the next in the same run.
+
+    Returns
+    -------
+    ndarray
+        ``(..., M)`` uncorrelated values of the innovations' variance, for the right series.
     """
     age = ages(follows, partial.size)
     coefficients = predictors(partial[None])
@@ -74,20 +115,48 @@ def whitened(x: Array, partial: Array, follows: Flags) -> Array:
 
 
 def runs(follows: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Give begins and lengths of runs, by whether each value follows the one before."""
+    """Find the runs of a series.
+
+    Parameters
+    ----------
+    follows
+        ``(M - 1,)`` whether each value is followed by the next in the same run.
+
+    Returns
+    -------
+    begins, lengths
+        Index of the first value of each run, and how many it has.
+    """
     begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
     return begins, np.diff(np.append(begins, follows.size + 1))
 
 
 def ages(follows: Flags, most: int) -> NDArray[np.int64]:
-    """Count the predecessors in its run of each value, counted up to ``most``, ``(M,)``."""
+    """Count the predecessors of each value in its run, up to ``most``, ``(M,)``."""
     begins, length = runs(follows)
     age = np.arange(follows.size + 1) - np.repeat(begins, length)
     return np.asarray(np.minimum(age, most))
 
 
 def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) -> Array:
-    """Draw ``n`` stationary series with innovations of variance one, ``(n, M)``."""
+    """Draw stationary series with innovations of variance one.
+
+    Parameters
+    ----------
+    partial
+        ``(p,)`` partial autocorrelations.
+    follows
+        ``(M - 1,)``; every run begins anew, from the stationary distribution.
+    n
+        How many series.
+    rng
+        Random numbers.
+
+    Returns
+    -------
+    ndarray
+        ``(n, M)``.
+    """
     p = partial.size
     noise = rng.standard_normal((n, follows.size + 1))
     if p == 0:
@@ -114,9 +183,25 @@ def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) 
 
 
 def burg(series: Sequence[Array], follows: Sequence[Flags], order: int) -> Array:
-    """Estimate partial autocorrelations by Burg's method, all runs together, ``(order,)``.
+    """Estimate partial autocorrelations by Burg's method, all runs together.
 
-    Always stationary, whatever the series.
+    Parameters
+    ----------
+    series
+        ``(M,)`` a recording, of mean zero.
+    follows
+        ``(M - 1,)`` a recording, whether each value is followed by the next in the same run.
+    order
+        How many to estimate.
+
+    Returns
+    -------
+    ndarray
+        ``(order,)``. Always stationary, whatever the series; fewer are the first of more.
+
+    Notes ----- The k-th is ``2 sum(f b) / sum(f^2 + b^2)``, of the errors ``f`` and ``b`` of
+    predicting forwards and backwards from ``k - 1`` values between (J. P. Burg, "Maximum entropy
+    spectral analysis", thesis, Stanford University, 1975).
     """
     runs = [
         part
@@ -138,10 +223,31 @@ def burg(series: Sequence[Array], follows: Sequence[Flags], order: int) -> Array
 def ljung_box(
     series: Sequence[Array], follows: Sequence[Flags], lags: int, fitted: int = 0
 ) -> float:
-    """p-value of the Ljung-Box test that values of all runs together are uncorrelated.
+    r"""Test that values of all runs together are uncorrelated.
 
-    ``lags`` correlations are tested; ``fitted`` coefficients that were fitted to the series are
-    taken off the degrees of freedom.
+    Parameters
+    ----------
+    series, follows
+        As for :func:`burg`.
+    lags
+        How many correlations are tested.
+    fitted
+        Coefficients fitted to the series, taken off the degrees of freedom.
+
+    Returns
+    -------
+    float
+        p-value: small where the values are correlated.
+
+    Notes
+    -----
+    The statistic is :math:`n(n+2) \sum_k \rho_k^2 / m_k` over lags, with :math:`m_k` pairs at each;
+    chi-squared for white series [1]_.
+
+    References
+    ----------
+    .. [1] G. M. Ljung, G. E. P. Box, "On a measure of lack of fit in time series models",
+       Biometrika 65 (1978) 297-303.
     """
     power = sum(float(x @ x) for x in series)
     statistic = 0.0

@@ -1,4 +1,9 @@
-"""What a likelihood is, whichever quantity it compares: torque or position."""
+"""What a likelihood is, whichever quantity it compares: torque or position.
+
+The input-error likelihood compares the measured motor torque with the inverse model along the
+measured motion; the output-error likelihood compares the measured position with a simulation
+driven by the measured torque.
+"""
 
 from __future__ import annotations
 
@@ -19,23 +24,55 @@ LikelihoodMethod = Literal["input-error", "output-error"]
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """The measured numbers ``(M,)`` of one recording that a likelihood is about."""
+    """The measured numbers of one recording that a likelihood is about.
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    quantity, unit
+        ``motor torque`` or ``motor force`` in N m or N, or ``joint position`` in rad or m.
+    time
+        ``(M,)`` s since the file's first stamp.
+    measured
+        ``(M,)``.
+    period
+        From one output to the next of the same segment, s.
+    segment_of
+        ``(M,)`` number of the segment each belongs to.
+    follows
+        ``(M - 1,)`` whether the next comes one period after.
+    """
 
     name: str
-    quantity: str  # motor torque or force, or joint position
+    quantity: str
     unit: str
-    time: Array  # s
+    time: Array
     measured: Array
-    period: float  # from one output to the next of the same segment, s
-    segment_of: NDArray[np.int64]  # number of the segment each belongs to
-    follows: NDArray[np.bool_]  # (M - 1,) whether the next comes one period after
+    period: float
+    segment_of: NDArray[np.int64]
+    follows: NDArray[np.bool_]
 
 
 class Likelihood(ABC):
     """How probable the measurements are, given the joint's parameters.
 
-    Noise scales are handed over as ``(n, R, Q)``: vectors, recordings, and
-    :attr:`noise`'s own.
+    Parameter vectors ``(n, n_parameters)`` are those of the whole mechanism, fixed ones included,
+    in the order of ``chain.names`` and in SI units. Noise scales come as ``(n, R, Q)``: vectors,
+    recordings, and :attr:`noise`'s own.
+
+    Attributes
+    ----------
+    chain
+        The mechanism.
+    observations
+        The ``R`` prepared recordings.
+    outputs
+        What is compared in each of them.
+    method
+        ``input-error`` for torque, ``output-error`` for position.
+    noise
+        What the noise is described by.
     """
 
     chain: Joint
@@ -46,7 +83,7 @@ class Likelihood(ABC):
 
     @property
     def outside(self) -> int:
-        """Vectors so far that lay where the likelihood is not prepared, and were dear."""
+        """Parameter vectors so far that lay where the likelihood is not prepared, and were dear."""
         return 0
 
     @property
@@ -55,40 +92,92 @@ class Likelihood(ABC):
         return False
 
     def about(self, values: Array) -> Likelihood:  # noqa: ARG002
-        """Give the same likelihood with its approximations made near ``(n_parameters,)``."""
+        """Give the same likelihood with its approximations made near ``(n_parameters,)``.
+
+        Itself where there are none.
+        """
         return self
 
     def prepared(self, draws: Array) -> Likelihood:  # noqa: ARG002
-        """Give the same likelihood, cheaper near draws ``(n, n_parameters)``."""
+        """Give the same likelihood, cheaper near draws ``(n, n_parameters)``.
+
+        The draws, about as wide as a posterior, decide how fast it is, not what it is. Itself where
+        nothing can be prepared.
+        """
         return self
 
     @abstractmethod
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Log-likelihood of parameter vectors ``(n, n_parameters)``, ``(n,)``."""
+        """Log-likelihood of all recordings together.
+
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)``.
+        scales
+            ``(n, R, Q)``.
+
+        Returns
+        -------
+        ndarray
+            ``(n,)``.
+        """
 
     @abstractmethod
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """Terms that sum to the log-likelihood, ``(n, terms)`` a recording."""
+        """Log densities of single outputs, ``(n, terms)`` a recording, for model comparison.
+
+        They sum to the log density of the outputs; ``values`` and ``scales`` as for
+        :meth:`log_density`.
+        """
 
     @abstractmethod
     def predict(self, values: Array) -> list[Array]:
-        """Modelled outputs, ``(n, M)`` a recording."""
+        """Modelled outputs of parameter vectors ``(n, n_parameters)``, ``(n, M)`` a recording."""
 
     @abstractmethod
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """Modelled outputs as linear combinations with unit noise, ``(n, terms)`` a recording.
+        """Modelled outputs as linear combinations with unit noise.
 
-        ``scales`` ``(R, Q)``. Their derivatives make up the Fisher information.
+        Their derivatives ``J`` by the parameters make up the Fisher information ``J'J``.
+
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)``.
+        scales
+            ``(R, Q)``, the same for all vectors.
+
+        Returns
+        -------
+        list of ndarray
+            ``(n, terms)`` a recording, up to constants and sign.
         """
 
     @abstractmethod
     def noise_information(self, scales: Array) -> Array:
-        """Fisher information of the noise scales ``(R, Q)``, ``(R, Q, Q)``."""
+        """Fisher information ``(R, Q, Q)`` of each recording's noise scales ``(R, Q)``."""
 
     @abstractmethod
     def noise_sd(self, scales: Array) -> list[Array]:
-        """Spread of each output about its prediction, ``(M,)``; ``scales`` ``(R, Q)``."""
+        """Marginal standard deviation of each output about its prediction, ``(M,)`` a recording.
+
+        ``scales`` ``(R, Q)``; in the outputs' unit.
+        """
 
     @abstractmethod
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """Noise of each output, ``(n, M)`` a recording."""
+        """Draw noise of the outputs, for posterior predictions.
+
+        Parameters
+        ----------
+        scales
+            ``(n, R, Q)``.
+        rng
+            Random numbers.
+
+        Returns
+        -------
+        list of ndarray
+            ``(n, M)`` a recording, in the outputs' unit.
+        """

@@ -1,10 +1,15 @@
 """Which noise model the residuals of an estimate ask for, and the evidence.
 
-A memory weighs frequencies: near one, it takes slow residuals for noise, and what it then believes
-is the end of the band, where an acceleration may be noise itself. Then it does not widen intervals
-but moves estimates, to any fit however bad. So an order counts only as long as weighted least
-squares with it stays where plain least squares is, within what plain least squares knows (the idea
-of Hausman's test, Econometrica 46, 1978), and leaves residuals as small.
+Autocorrelated noise weighs frequencies: with a partial autocorrelation near one slow residuals are
+taken for noise, and what is believed then is the end of the band, where an acceleration may be
+noise itself. Then it does not widen intervals but moves estimates, to any fit however bad. So an
+order counts only as long as weighted least squares with it stays where plain least squares is,
+within what plain least squares knows (the idea of Hausman's test [1]_), and leaves residuals as
+small.
+
+References
+----------
+.. [1] J. A. Hausman, "Specification tests in econometrics", Econometrica 46 (1978) 1251-1271.
 """
 
 from __future__ import annotations
@@ -39,39 +44,73 @@ _APART = 50
 
 @dataclass(frozen=True)
 class Evidence:
-    """How well residuals are autoregressive noise of one order."""
+    """How well residuals are autoregressive noise of one order.
 
-    order: int  # predecessors that each residual remembers
-    bic: float  # Bayesian information criterion over that of white noise; the smallest is chosen
-    innovation_share: float  # root mean square of the innovations over that of the residuals
-    p_value: float  # of the Ljung-Box test that the innovations are white
-    # by how much it moves the estimate at most, in robust standard deviations, and the root mean
-    # square of the residuals that it then has, over that of least squares
+    Attributes
+    ----------
+    order
+        Of the autoregression, 0 for white noise.
+    bic
+        Bayesian information criterion less that of white noise; the smallest is chosen.
+    innovation_share
+        Root mean square of the innovations over that of the residuals.
+    p_value
+        Of the Ljung-Box test that the innovations are white.
+    shift
+        By how much it moves the estimate at most, in robust standard deviations.
+    rise
+        Root mean square of the residuals that it then has, over that of least squares.
+    """
+
+    order: int
+    bic: float
+    innovation_share: float
+    p_value: float
     shift: float = 0.0
     rise: float = 1.0
 
     @property
     def harmless(self) -> bool:
-        """Whether the estimate stays where it was."""
+        """Whether the estimate stays where it was: a shift of at most 3, a rise of at most 1.1."""
         return self.shift <= _SHIFT and self.rise <= _RISE
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The order chosen, and every one that was tried."""
+    """The order chosen, and every one that was tried.
+
+    Attributes
+    ----------
+    order
+        Chosen one, 0 for white noise.
+    tried
+        Evidence by order, from white noise on.
+    memory
+        Partial autocorrelations of the residuals, as many as the order.
+    sd
+        Standard error of each of them.
+    """
 
     order: int
     tried: tuple[Evidence, ...]
-    memory: tuple[
-        float, ...
-    ] = ()  # partial autocorrelations of the residuals, as many as the order
-    sd: float = 0.0  # to which the residuals tell them
+    memory: tuple[float, ...] = ()
+    sd: float = 0.0
 
     def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
-        """Give priors in which the memory is that of these residuals.
+        """Give priors in which the autocorrelation is that of these residuals.
 
         Sampled freely it may leave where it is harmless: with a longer one any fit is a good one.
         What the user said of it stays.
+
+        Parameters
+        ----------
+        priors
+            By name, those of the noise included.
+
+        Returns
+        -------
+        dict
+            The same, but default priors of ``noise.pacf_k`` uniform within one standard error.
         """
         found = dict(priors)
         for k, middle in enumerate(self.memory, start=1):
@@ -90,7 +129,26 @@ def choice_at(
     *,
     per_recording: bool,
 ) -> Choice:
-    """Choose the order that the torque residuals of a point ask for; see :func:`choose_order`."""
+    """Choose the order that the torque residuals of a parameter vector ask for.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        Its prepared recordings.
+    priors
+        By name, of every parameter of the mechanism.
+    point
+        A value of each, from an estimate, SI units.
+    per_recording
+        Whether recordings have noise of their own size.
+
+    Returns
+    -------
+    Choice
+        See :func:`choose_order`.
+    """
     values = chain.vector(point)
     residuals = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
     # prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any
@@ -114,9 +172,34 @@ def choose_order(
 ) -> Choice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
 
-    ``residuals`` ``(M,)`` are of every recording, which may have ``own_scales``; ``follows``
-    ``(M - 1,)`` tells where runs go on. With ``effects`` ``(M, k)``, what a change of every
-    parameter by its prior's sd does to the outputs, orders that move the estimate are not chosen.
+    Parameters
+    ----------
+    residuals
+        ``(M,)`` a recording, N m or N.
+    follows
+        ``(M - 1,)`` a recording, whether each output is followed, one period later, by the next.
+    own_scales
+        Whether recordings have noise of their own size.
+    effects
+        ``(M, k)`` a recording, what a change of every parameter by its prior's sd does to the
+        outputs, N m or N. With them, orders that move the estimate are not chosen.
+
+    Returns
+    -------
+    Choice
+        White noise where the best order has not a BIC at least 6 below [2]_.
+
+    Notes
+    -----
+    Up to four partial autocorrelations are estimated by Burg's method, all runs together. With the
+    standardised innovations ``e`` and their sds ``s``, the criterion is ``-2 log L + p log n``, in
+    which ``log L`` is the exact Gaussian density, its innovation variance at its estimate [1]_.
+
+    References
+    ----------
+    .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461-464.
+    .. [2] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical
+       Association 90 (1995) 773-795.
     """
     n = sum(r.size for r in residuals)
     whole = sum(float(r @ r) for r in residuals)
@@ -155,7 +238,11 @@ def choose_order(
 
 
 class _Plain:
-    """Least squares without memory, to compare others with; all over the size of the residuals."""
+    """Least squares without autocorrelation, to compare others with.
+
+    Residuals and effects ``(M, k)`` a recording are over the size of the residuals. Only directions
+    that the data identify without their priors count. Their sds allow for correlated residuals.
+    """
 
     def __init__(
         self, residuals: Sequence[Array], follows: Sequence[Flags], effects: Sequence[Array]
@@ -174,7 +261,7 @@ class _Plain:
         self._sds = np.sqrt([max(long_run_variance(s, places), variance) for s in scores])
 
     def compared(self, partial: Array) -> tuple[float, float]:
-        """Give ``shift`` and ``rise`` of :class:`Evidence` for a memory ``(p,)``."""
+        """Give ``shift`` and ``rise`` of :class:`Evidence` for autocorrelations ``(p,)``."""
         if not self._sds.size:
             return 0.0, 1.0
         rows = np.vstack([self._residual, self._basis.T])

@@ -1,4 +1,4 @@
-"""Gaussian likelihood of the measured position around a simulation driven by the torque.
+r"""Gaussian likelihood of the measured position around a simulation driven by the torque.
 
 Nothing is differentiated. The simulation starts anew in every segment from an
 unknown state. Two noises are known by their scales: that of a position sample, and
@@ -6,12 +6,12 @@ that of a torque sample, which the joint integrates: an error in the driving tor
 moves the simulated joint for the rest of the segment. To first order a segment's
 residual is
 
-``q - q_sim(theta) = X dx + S e_torque + e_position``
+.. math:: q - q_{sim}(\theta) = X \, dx + S e_{torque} + e_{position}
 
 with the derivatives ``X`` by the segment's initial state and ``S`` by its torque
 samples, both taken once at a point estimate. Combinations that no initial state
 changes, rotated so that ``S S'`` is diagonal, are independent normal numbers with
-the variances ``sigma_q² w + sigma_Gamma² lambda``.
+the variances ``sigma_q² w + sigma_Gamma² lambda``; positions are averages of ``1/w`` samples.
 """
 
 from __future__ import annotations
@@ -56,9 +56,10 @@ _ROUNDS = 3
 class _Segment:
     """Linear algebra of one segment of M averaged positions.
 
-    ``state`` ``(M, 2)``: them by the initial state, zero where it has no effect. ``response``:
-    their covariance for torque noise of one. ``rotation`` ``(terms, M)``: combinations that are
-    independent, of the variances ``weights`` ``(terms,)`` for torque noise of one.
+    ``state`` ``(M, 2)``: their derivatives by the initial state, zero where it has no effect.
+    ``response``: their covariance for torque noise of one. ``rotation`` ``(terms, M)``:
+    combinations that are independent, of the variances ``weights`` ``(terms,)`` for torque noise of
+    one.
     """
 
     state: Array
@@ -70,9 +71,22 @@ class _Segment:
 class PositionLikelihood(Likelihood):
     """How probable the measured positions are, given the joint's parameters and torques.
 
-    ``trajectories`` are the observed recordings, cut into segments; ``point`` ``(n_parameters,)``
-    near the posterior's mode is where derivatives are taken and the integration steps per sample
-    chosen. BadInput if the joint cannot be simulated there.
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    trajectories
+        The observed recordings, cut into segments.
+    observations
+        The same as prepared for the torque, for what else asks for them.
+    point
+        ``(n_parameters,)`` near the posterior's mode, SI units: where derivatives are taken and the
+        integration steps per sample chosen.
+
+    Raises
+    ------
+    BadInput
+        If the joint cannot be simulated at the point.
     """
 
     method = "output-error"
@@ -95,12 +109,15 @@ class PositionLikelihood(Likelihood):
         return PositionLikelihood(self.chain, self._trajectories, self.observations, values)
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Integrate the initial states out with flat priors; -inf where nothing is simulated."""
+        """See :class:`Likelihood`; initial states are integrated out with flat priors.
+
+        ``-inf`` where nothing can be simulated.
+        """
         total = sum(terms.sum(axis=1) for terms in self.pointwise(values, scales))
         return np.where(np.isnan(total), -np.inf, total)
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """See :class:`Likelihood`: of independent combinations of positions, not single ones."""
         sds = [np.sqrt(run.variances(scales[:, r])) for r, run in enumerate(self._runs)]
         z = [run.terms(values) / sd for run, sd in zip(self._runs, sds, strict=True)]
         return [
@@ -108,7 +125,10 @@ class PositionLikelihood(Likelihood):
         ]
 
     def predict(self, values: Array) -> list[Array]:
-        """Averaged positions ``(n, M)``, each segment from the state that suits it best."""
+        """Predict averaged positions, each segment from the state that suits it best.
+
+        ``(n, M)`` a recording, rad or m.
+        """
         return [run.predict(values) for run in self._runs]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
@@ -137,7 +157,7 @@ class PositionLikelihood(Likelihood):
         ]
 
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """See :class:`Likelihood`; the shape of the covariance is that of the mean scales."""
         found = []
         for r, run in enumerate(self._runs):
             # shapes differ little over the draws: one factor, at the mean scales
@@ -150,7 +170,12 @@ class PositionLikelihood(Likelihood):
 
 
 class _Run:
-    """One recording: its segments and how noise and states move their positions."""
+    """One recording: its segments and how noise and states move their positions.
+
+    Of segments with at least four averaged positions. Initial states are moved to where the
+    measured positions put them before derivatives are taken. BadInput where nothing can be
+    simulated.
+    """
 
     def __init__(self, chain: Joint, t: Trajectory, point: Array) -> None:
         lengths = np.diff(t.segments, axis=1)[:, 0]
@@ -333,6 +358,10 @@ class _Run:
 
 
 def _segment(state: Array, by_torque: Array) -> _Segment:
+    """Find the combinations of a segment's positions that no initial state changes.
+
+    From derivatives by state ``(M, 2)`` and by torque samples ``(M, samples)``.
+    """
     state, by_torque = np.nan_to_num(state), np.nan_to_num(by_torque)
     size = np.linalg.norm(state, axis=0)
     left, singular, _ = np.linalg.svd(state / np.where(size > 0.0, size, 1.0))

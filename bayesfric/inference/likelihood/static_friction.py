@@ -1,10 +1,10 @@
-"""What samples at rest say: the torque lies between the two at which the joint would move.
+"""What samples at standstill say: torque lies between the two at which the joint would move.
 
-At rest friction takes whatever is applied, up to its limits: the inverse model with either sign of
-a vanishing speed. The torque is the cause there and rest the outcome, so a measured torque ``y`` of
-noise ``e`` contributes the probability that ``y - e`` is between the limits, and no density. Under
-it a joint with more static friction rests no less probably: only torques near or beyond a limit
-tell anything.
+At standstill friction takes whatever is applied, up to its limits: the inverse model with either
+sign of a vanishing speed. The torque is the cause there and standstill the outcome, so a measured
+torque ``y`` of noise ``e`` contributes the probability that ``y - e`` is between the limits, and no
+density. Under it a joint with more static friction rests no less probably: only torques near or
+beyond a limit tell anything.
 """
 
 from __future__ import annotations
@@ -26,7 +26,17 @@ _LEAST = -700.0
 
 
 class StaticFriction:
-    """Log probability of one recording's rests."""
+    """Log probability that a joint stays where it stood still in one recording.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    rest
+        Its ``M`` outputs at standstill: position, torque and time.
+    inputs
+        Known load and other inputs of that recording.
+    """
 
     def __init__(self, chain: Joint, rest: Rest, inputs: Inputs) -> None:
         self._chain, self._inputs, self._torque = chain, inputs, rest.torque
@@ -37,18 +47,37 @@ class StaticFriction:
         ]
 
     def limits(self, values: Array) -> tuple[Array, Array]:
-        """Torques of vectors ``(n, n_parameters)`` at which it moves backwards and forwards.
+        """Torques at which the joint would move backwards and forwards.
 
-        ``(n, M)`` each, N m or N, the smaller first.
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)``.
+
+        Returns
+        -------
+        low, high
+            ``(n, M)`` each, N m or N at the motor, the smaller first.
         """
         tables = self._chain.tables(values, self._inputs)
         forwards, backwards = (kernels.inverse_many(*tables, way) for way in self._ways)
         return np.minimum(forwards, backwards), np.maximum(forwards, backwards)
 
     def log_terms(self, values: Array, noise: Any) -> Array:
-        """Log probability of each rest, ``(n, M)``.
+        """Log probability of each standstill output.
 
-        ``noise`` is SciPy's distribution of one output's noise, symmetric, of shape ``(n, 1)``.
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)``.
+        noise
+            SciPy's distribution of one output's noise, symmetric, of shape ``(n, 1)``.
+
+        Returns
+        -------
+        ndarray
+            ``(n, M)``, ``log(F(high - y) - F(low - y))`` with the noise's distribution function
+            ``F``; never below -700, where nothing is told apart any more.
         """
         low, high = self.limits(values)
         a, b = low - self._torque, high - self._torque

@@ -1,7 +1,8 @@
 """Likelihood of the measured motor torque around the inverse model.
 
-Model output and measured torque pass the same parallel filter, so what the
-filter removes is removed from both and does not bias the comparison.
+The inverse model of eq. (13), or its extension, gives the torque along the measured motion. Model
+output and measured torque pass the same parallel filter, so what the filter removes is removed
+from both and does not bias the comparison.
 """
 
 from __future__ import annotations
@@ -23,7 +24,26 @@ from bayesfric.recordings.observation import Observation
 
 
 class TorqueLikelihood(Likelihood):
-    """How probable the measured torques are, given the joint's parameters; white if left out."""
+    """How probable the measured torques are, given the joint's parameters.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    observations
+        One or more prepared recordings of it. Where one has standstill to be used, what it says of
+        static friction is a factor of its own, see :class:`StaticFriction`.
+    noise
+        Of the filtered torque; white if left out.
+
+    Attributes
+    ----------
+    sizes
+        ``(R,)`` outputs of each recording.
+    moments
+        What sums the residuals' lagged products: sample by sample at first, from matrices in a
+        likelihood that :meth:`prepared` gave.
+    """
 
     method = "input-error"
 
@@ -52,7 +72,7 @@ class TorqueLikelihood(Likelihood):
 
     @property
     def outside(self) -> int:
-        """See :class:`Likelihood`."""
+        """Parameter vectors so far that prepared moments left to be done sample by sample."""
         return self.moments.outside if isinstance(self.moments, FastMoments) else 0
 
     @property
@@ -64,8 +84,17 @@ class TorqueLikelihood(Likelihood):
         """Make the same likelihood at a cost that does not grow with the recordings.
 
         Its values are the same everywhere, up to rounding; see
-        :mod:`bayesfric.inference.moments.fast_moments`. The nearer the draws are to the posterior,
-        the faster the result. It is itself for a chain whose torque has no such form.
+        :mod:`bayesfric.inference.moments.fast_moments`.
+
+        Parameters
+        ----------
+        draws
+            ``(n, n_parameters)``. The nearer they are to the posterior, the faster the result.
+
+        Returns
+        -------
+        TorqueLikelihood
+            Itself for a mechanism whose torque cannot be reduced to moments.
         """
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain
@@ -77,11 +106,22 @@ class TorqueLikelihood(Likelihood):
         return out
 
     def sum_of_squares(self, values: Array) -> Array:
-        """Sum of squared residuals of each recording, ``(n, n_recordings)``."""
+        """Sum of squared residuals of each recording, torque unit squared.
+
+        Parameters
+        ----------
+        values
+            ``(n, n_parameters)``.
+
+        Returns
+        -------
+        ndarray
+            ``(n, R)``.
+        """
         return self.moments.at(values).sum_of_squares
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """See :class:`Likelihood`; what rests say is a factor of its own."""
+        """See :class:`Likelihood`; what standstill says is a factor of its own."""
         moments, counts = self.moments.at(values), (self._plain.counts, self._plain.head_counts)
         found = self.noise.log_density(moments, *counts, scales)
         for r, static in enumerate(self._static):
@@ -90,7 +130,7 @@ class TorqueLikelihood(Likelihood):
         return found
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`."""
+        """See :class:`Likelihood`: each output given those before it; standstill is left out."""
         return [
             np.stack(
                 [
@@ -102,13 +142,14 @@ class TorqueLikelihood(Likelihood):
         ]
 
     def predict(self, values: Array) -> list[Array]:
-        """Predict the filtered torque of each recording, ``(n, n_outputs)`` each."""
+        """Predict the filtered torque of each recording, ``(n, M)`` each, N m or N."""
         return [filtered_torque(self.chain, o, values) for o in self.observations]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
         """See :class:`Likelihood`.
 
-        Of a rest its log density stands in: its derivatives, squared, are what it informs.
+        Of a standstill its log probability stands in: its derivatives, squared, are what it
+        informs.
         """
         found = self.innovations(self.predict(values), scales)
         for r, static in enumerate(self._static):
@@ -119,9 +160,19 @@ class TorqueLikelihood(Likelihood):
         return found
 
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
-        """Take from residuals ``(M,)`` what the noise's memory foretells, over their sds.
+        """Take from residuals what autocorrelation predicts, and divide by the sd of the rest.
 
-        ``scales`` ``(R, Q)``.
+        Parameters
+        ----------
+        residuals
+            ``(..., M)`` a recording, N m or N. Regression columns can be whitened by it alike.
+        scales
+            ``(R, Q)``.
+
+        Returns
+        -------
+        list of ndarray
+            ``(..., M)`` a recording, uncorrelated and of variance one if the noise is as described.
         """
         return [
             self.noise.standard(residual, o.follows, s)[0]

@@ -1,1 +1,1 @@
-"""The torque likelihood at a cost that does not grow with the data: moments of residuals."""
+"""Sums of products of residuals: likelihoods whose cost does not grow with the recordings."""

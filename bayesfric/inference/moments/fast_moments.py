@@ -1,7 +1,8 @@
 """Residual moments whose cost does not grow with the recording, exactly.
 
-Chains with one load loss and no Stribeck rise have a torque that is linear but for the
-direction of power at the gearbox. Near the posterior that direction is certain at nearly every
+Mechanisms with one load-dependent friction have a torque that is linear but for the
+direction of power at the gearbox, eq. (13); shapes that are not known, as a Stribeck velocity's,
+make a few more columns. Near the posterior that direction is certain at nearly every
 sample; these go into matrices once. A draw then costs a quadratic form, a look at the few
 samples whose direction it can change, and a correction for those where it does. Far from the
 posterior every sample is computed.
@@ -88,7 +89,10 @@ class FastMoments:
         self.outside = 0
 
     def at(self, values: Array) -> Moments:
-        """Moments at parameter vectors ``(n, n_parameters)``."""
+        """Give the moments at parameter vectors ``(n, n_parameters)``, SI units.
+
+        From matrices where a vector lies within the region, sample by sample elsewhere.
+        """
         n = values.shape[0]
         flat = np.empty((n, len(self._recordings), n_entries(self.order)))
         with np.errstate(all="ignore"):
@@ -111,6 +115,10 @@ class FastMoments:
         distance: Array,
         inside: NDArray[np.bool_],
     ) -> Array:
+        """Give one recording's flat moments, ``(n, n_entries)``; nan where not ``inside``.
+
+        The nearer a vector is to the centre, the fewer kept samples can have another sign.
+        """
         size = m.to_columns.shape[1]
         z = np.zeros((distance.size, m.padded))
         z[:, :size] = known.all @ m.to_columns
@@ -234,6 +242,11 @@ def _all_vectors(
     inner: NDArray[np.bool_],
     all_inner: NDArray[np.bool_],
 ) -> None:
+    """Fill ``out`` ``(n, n_entries)`` with the moments of each vector.
+
+    A quadratic form for each entry; then the kept samples whose power flows the other way, what
+    each changes in its outputs, and from that the products of outputs that both change.
+    """
     n_kept, size = rows.shape[0], forms.shape[1]
     alone = order == 0 and weights.shape[1] == 1
     # kept outputs whose residuals change are found again by cells

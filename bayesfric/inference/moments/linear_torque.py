@@ -2,9 +2,10 @@
 
 With the load's torque ``T = psi2 l`` at the gearbox (``l`` the leg's parameters in motor units)
 the motor torque is ``psi1 Theta1 + sign(qd) sign(T) psi2 Theta2``, eq. (13): its sign is that of
-``l``, whatever the sign of lambda_2, so this holds for negative load losses too. At exact rest
-the mechanism takes no loss while eq. (13) leaves ``lambda_1 T``; columns of their own for the
-samples at rest put that right. An unknown gain divides all coefficients.
+``l``, whatever the sign of lambda_2, so this holds for negative coefficients of load-dependent
+friction too. At exact standstill the mechanism takes no loss while eq. (13) leaves
+``lambda_1 T``; columns of their own for those samples put that right. An unknown gain divides
+all coefficients.
 
 What multiplies a loss by a function of speed (a Stribeck rise, a load loss that grows with speed or
 depends on the direction) multiplies its columns: with ``mu_1`` and ``mu_2`` sums of such functions
@@ -38,15 +39,27 @@ _TRIED = 20_000
 
 @dataclass(frozen=True)
 class Coefficients:
-    """What multiplies the columns, for ``n`` parameter vectors."""
+    """What multiplies the columns, for ``n`` parameter vectors.
 
-    # (n, K): one for the measured torque, minus Theta1, then minus Theta2 and minus the rest
-    # of lambda_1 with each function of speed, minus those of the squared load, and, where a sample
-    # is at rest, minus (1 - lambda_1) l
+    Attributes
+    ----------
+    all
+        ``(n, K)``: one for the measured torque, minus Theta1, then minus Theta2 and minus the rest
+        of lambda_1 with each function of speed, minus those of the squared load, and, where a
+        sample is at standstill, minus ``(1 - lambda_1) l``. Columns times this are residuals.
+    leg
+        ``(n, n2)`` the leg's parameters ``l``, whose product with ``psi2`` has the direction of the
+        load's torque.
+    lambda2
+        ``(n, m)``, with each function of speed.
+    inside
+        ``(n,)`` whether unknown shapes are where the columns hold.
+    """
+
     all: Array
-    leg: Array  # (n, n2) l, whose product with psi2 has the direction of the load's torque
-    lambda2: Array  # (n, m) with each function of speed
-    inside: NDArray[np.bool_]  # (n,) whether shapes are where the columns hold
+    leg: Array
+    lambda2: Array
+    inside: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +88,14 @@ class _Loss:
 
 
 class LinearTorque:
-    """Columns and coefficients of a chain's torque; made by :func:`linear_torque`.
+    """Columns and coefficients of a mechanism's torque; made by :func:`linear_torque`.
+
+    Parameters
+    ----------
+    chain, observations
+        The mechanism and what was recorded of it.
+    draws
+        ``(n, n_parameters)`` where shapes that are not known are looked for, SI units.
 
     Attributes
     ----------
@@ -84,13 +104,18 @@ class LinearTorque:
         :class:`bayesfric.estimates.torque_form.TorqueForm`; a known mass always has its own. Where
         a function of speed multiplies one, it is there once more for each.
     rest
-        Whether there are columns for samples at rest.
+        Whether there are columns for samples at standstill.
     size
         ``K``, all columns together with the measured torque.
     functions_of_speed
         How many functions of speed the load loss is a sum of, one without any loss.
     shapes
         What stands for shapes that are not known.
+
+    Raises
+    ------
+    ValueError
+        If the torque has not the form of eq. (13).
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
@@ -202,6 +227,7 @@ class LinearTorque:
         return _each(low, nodes), lambda values: values[:, [of]] * weights(values)
 
     def _nodes(self, name: str, column: Callable[[Observation, float], Array]) -> ShapeNodes:
+        """Choose nodes for an unknown shape by its name, once for all terms that it is in."""
         index = self._at[name]
         for known in self.shapes:
             if known.index == index:
@@ -245,7 +271,11 @@ class LinearTorque:
         return lambda values: values[:, found[:1]]
 
     def coefficients(self, values: Array) -> Coefficients:
-        """Coefficients of parameter vectors ``(n, n_parameters)``."""
+        """Give the coefficients of parameter vectors ``(n, n_parameters)``, SI units.
+
+        Notes ----- ``lambda_1 = 1 + (mu_1 - mu_2)/2`` and ``lambda_2 = (mu_1 + mu_2)/2``, with each
+        function of speed that the load-dependent friction is a sum of.
+        """
         n, k1 = values.shape[0], len(self.names1)
         parts = [self._multiplied(values, way) for way in (0, 1)]
         motor, leg = parts
@@ -295,7 +325,20 @@ class LinearTorque:
         return replace(joint, lambda2=joint.lambda2 / gain[:, None])
 
     def columns(self, o: Observation, begin: int, end: int) -> tuple[Array, Array]:
-        """Unfiltered ``psi1`` ``(n1, n)`` and ``psi2`` ``(n2, n)`` of samples ``begin:end``."""
+        """Give the columns of some samples, before the filter.
+
+        Parameters
+        ----------
+        o
+            A recording.
+        begin, end
+            First sample, and the one behind the last.
+
+        Returns
+        -------
+        psi1, psi2
+            ``(n1, n)`` and ``(n2, n)``, N m or N at the motor for a coefficient of one.
+        """
         piece = _piece(o, slice(begin, end))
         plain = self._known_columns(piece)
         found = [
@@ -312,15 +355,29 @@ class LinearTorque:
         return out
 
     def functions(self, o: Observation, begin: int, end: int) -> Array:
-        """Functions of speed that multiply the load loss, ``(m, n)``."""
+        """Give the functions of speed that multiply load-dependent friction, ``(m, n)``.
+
+        Of samples ``begin:end``; the first is constant.
+        """
         piece = _piece(o, slice(begin, end))
         return np.concatenate([loss.along(piece) for loss in self._losses])
 
     def rows(self, psi1: Array, psi2: Array, phi: Array, sign: Array, side: Array) -> Array:
-        """All unfiltered columns but the measured torque, ``(K - 1, n)``.
+        """Give all columns but the measured torque, before the filter.
 
-        Of what :meth:`columns` and :meth:`functions` give, the ``sign`` ``(n,)`` of the speed and
-        the ``side`` of the load's torque.
+        Parameters
+        ----------
+        psi1, psi2, phi
+            What :meth:`columns` and :meth:`functions` give for the same samples.
+        sign
+            ``(n,)`` of the speed; 0 at standstill.
+        side
+            ``(n,)`` of the load's torque.
+
+        Returns
+        -------
+        ndarray
+            ``(K - 1, n)``, in the order of :class:`Coefficients`.
         """
         out = np.empty((self.size - 1, side.size))
         k, n2 = len(self.names1), len(self.names2)
@@ -349,7 +406,7 @@ class LinearTorque:
 def linear_torque(
     chain: Joint, observations: Sequence[Observation], draws: Array | None = None
 ) -> LinearTorque | None:
-    """Write the torque of a chain as linear, up to the direction of power.
+    """Write the torque of a mechanism as linear, up to the direction of power.
 
     Parameters
     ----------
@@ -357,13 +414,13 @@ def linear_torque(
         The mechanism and what was recorded of it.
     draws
         ``(n, n_parameters)`` where shapes that are not known are looked for; not needed where the
-        chain has none.
+        mechanism has none.
 
     Returns
     -------
     LinearTorque or None
-        ``None`` for a chain with several load losses or an unknown exponent of the Stribeck rise,
-        or with a known mass at an unknown angle.
+        ``None`` for several load losses, an unknown exponent of the Stribeck rise, or a known mass
+        at an unknown angle.
     """
     values = np.empty((0, len(chain.names))) if draws is None else draws
     if torque_form(chain, any_shape=True) is None:

@@ -46,24 +46,40 @@ _KEPT_SHARE, _KEPT = 0.05, 20_000
 
 @dataclass(frozen=True, eq=False)
 class MomentMatrices:
-    """One recording, reduced."""
+    """One recording, reduced.
 
-    # (K, k) A': coefficients (n, K) times this are z; k is K, or less where columns for one shape
-    # are nearly the same
+    Attributes
+    ----------
+    to_columns
+        ``(K, k)`` ``A'``: coefficients ``(n, K)`` times this are ``z``. ``k`` is ``K``, or less
+        where columns for one shape are nearly the same.
+    ratios
+        ``(U,)`` of the kept samples, rising: at a distance below it a sample has the centre's sign.
+    arrays
+        As :mod:`bayesfric.inference.moments.fast_moments` has them compiled.
+    padded
+        Length of rows, a multiple of four.
+    entries
+        How many moments.
+    radius
+        Distance up to which all this is complete.
+    """
+
     to_columns: Array
-    # (U,) of the kept samples, rising: at a distance below it a sample has the centre's sign
     ratios: Array
-    # as bayesfric.inference.moments.fast_moments has them compiled. Many, not one named tuple:
-    # with that runs with many edges take a fifth longer
     arrays: tuple[Any, ...]
-    padded: int  # length of rows, a multiple of four
-    entries: int  # how many moments
-    radius: float  # distance up to which all this is complete
+    padded: int
+    entries: int
+    radius: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Chunk:
-    """Outputs ``outputs`` of a recording and the raw samples ``samples`` that they rest on."""
+    """Outputs ``outputs`` of a recording and the raw samples ``samples`` that they rest on.
+
+    Of the samples ``psi2`` ``(n2, n)``, its product ``level`` ``(n,)`` with the centre, and the
+    functions of speed ``phi`` ``(m, n)``; of the outputs filtered ``rows`` ``(K, outputs)``.
+    """
 
     outputs: slice
     samples: slice
@@ -85,12 +101,12 @@ def moment_matrices(
     o
         The recording.
     order
-        Of the AR noise.
+        Of the autoregressive noise, 0 for white.
     region
         Signs at its centre are the reference.
     radius
         Distance within which samples whose sign can differ are kept. It comes back
-        smaller where they would be too many.
+        smaller where they would be more than 20 000 and more than 5 % of all.
     """
     gram = np.zeros((linear.size, linear.size))
     ratio = np.full(o.q.size, np.inf)
@@ -213,6 +229,7 @@ def _slopes(
     inner: NDArray[np.bool_],
     out: Array,
 ) -> None:
+    """Add up what each kept sample's jump changes sums of lagged products by, to first order."""
     for i in range(first.shape[0]):
         for m in range(first[i], last[i]):
             weight = weights[i, m - first[i]]

@@ -31,19 +31,24 @@ class Moments:
     """Lagged products of the residuals of ``n`` parameter vectors and ``R`` recordings.
 
     A run is a stretch of outputs that follow each other one period apart; ``p`` is the order.
+
+    Attributes
+    ----------
+    lagged
+        ``(n, R, p + 1, p + 1)``, torque unit squared: entry ``j, k`` is the sum of
+        ``r[m - j] r[m - k]`` over the outputs ``m`` with at least ``p`` predecessors in their run.
+    heads
+        For ``l`` from 1 to ``p`` an array ``(n, R, l, l)``: entry ``j, k`` is the sum of
+        ``r_j r_k`` of the first ``l`` residuals ``r_0, r_1, ..`` in time, over the runs whose head,
+        the first ``p`` outputs or fewer if the run is shorter, has the length ``l``.
     """
 
-    # (n, R, p + 1, p + 1): entry j, k is the sum of r[m - j] r[m - k] over the outputs m that
-    # have at least p predecessors in their run. Torque unit squared
     lagged: Array
-    # for l = 1..p an (n, R, l, l) array: entry j, k is the sum of r_j r_k of the first l
-    # residuals r_0, r_1, .. in time, over the runs whose head, the first p outputs or fewer
-    # if the run is shorter, has the length l
     heads: tuple[Array, ...]
 
     @property
     def sum_of_squares(self) -> Array:
-        """Sum of all squared residuals, ``(n, R)``."""
+        """Sum of all squared residuals, ``(n, R)``, torque unit squared."""
         total: Array = self.lagged[..., 0, 0].copy()
         for head in self.heads:
             total += np.trace(head, axis1=2, axis2=3)
@@ -51,22 +56,41 @@ class Moments:
 
 
 def follows(o: Observation) -> NDArray[np.bool_]:
-    """Which outputs are followed, one step later in the same segment, by the next."""
+    """Tell which outputs are followed, one period later in the same segment, by the next.
+
+    Parameters
+    ----------
+    o
+        A prepared recording of ``M`` outputs.
+
+    Returns
+    -------
+    ndarray of bool
+        ``(M - 1,)``; false at gaps, where samples are left out, and where a segment ends.
+    """
     step = np.diff(o.filter.starts)
     return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Where each output stands in its run; ``(M,)`` each, counted up to the order."""
+    """Where each output stands in its run.
 
-    age: Short  # outputs before it in its run
-    remaining: Short  # outputs after it in its run
-    head: Short  # length of its run's head
+    Attributes
+    ----------
+    age, remaining
+        ``(M,)`` outputs before and after it in its run, counted up to the order.
+    head
+        ``(M,)`` length of its run's head: its outputs, up to the order.
+    """
+
+    age: Short
+    remaining: Short
+    head: Short
 
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:
-        """Split the outputs of a recording into runs."""
+        """Split the outputs of a recording into runs, for noise of an order; all zeros for 0."""
         n = observation.filter.n_outputs
         if order == 0:
             nothing = np.zeros(n, dtype=np.int16)
@@ -83,14 +107,22 @@ class Runs:
         )
 
     def count(self, order: int) -> tuple[int, NDArray[np.int64]]:
-        """Count outputs with a whole past, and runs by the length of their heads ``(order,)``."""
+        """Count what the density's normalisation needs.
+
+        Returns
+        -------
+        whole
+            Outputs with at least ``order`` predecessors.
+        heads
+            ``(order,)`` runs by the length of their heads, 1 to ``order``.
+        """
         first = self.head[self.age == 0]
         heads = np.array([np.count_nonzero(first == k) for k in range(1, order + 1)], dtype=int)
         return int(np.count_nonzero(self.age == order)), heads
 
 
 def n_entries(order: int) -> int:
-    """Different numbers in the moments of one vector and one recording.
+    """Count the different numbers in the moments of one vector and one recording.
 
     They are laid out as the upper triangle of ``lagged`` and then those of the heads, by rows.
     """
@@ -99,7 +131,7 @@ def n_entries(order: int) -> int:
 
 
 def unpacked(flat: Array, order: int) -> Moments:
-    """Turn ``(n, R, n_entries)`` into moments."""
+    """Turn the flat layout ``(n, R, n_entries)`` into moments."""
     parts, begin = [], 0
     for size in (order + 1, *range(1, order + 1)):
         row, column = np.triu_indices(size)
@@ -144,11 +176,11 @@ class PlainMoments:
         ]
 
     def at(self, values: Array) -> Moments:
-        """Moments at parameter vectors ``(n, n_parameters)``."""
+        """Give the moments at parameter vectors ``(n, n_parameters)``, SI units."""
         return unpacked(self.flat(values), self.order)
 
     def flat(self, values: Array) -> Array:
-        """Give the same as :func:`unpacked` takes it."""
+        """Give the same as :func:`unpacked` takes it, ``(n, R, n_entries)``."""
         flat = np.empty((values.shape[0], len(self._recordings), n_entries(self.order)))
         for i, (o, samples, runs) in enumerate(self._recordings):
             rows = max(1, _AT_ONCE // max(o.q.size, 1))

@@ -2,8 +2,13 @@
 
 A column that depends smoothly on its shape (the speed of a Stribeck rise, the exponent of a power
 of speed, a time constant) is a polynomial in it over the range that matters: its values at
-Chebyshev nodes, times Lagrange's polynomials (Berrut and Trefethen 2004). The torque stays linear
-in as many coefficients, and a recording with such a term can be reduced to moments too.
+Chebyshev nodes, times Lagrange's polynomials [1]_. The torque stays linear in as many coefficients,
+and a recording with such a term can be reduced to moments too.
+
+References
+----------
+.. [1] J.-P. Berrut, L. N. Trefethen, "Barycentric Lagrange interpolation", SIAM Review 46 (2004)
+   501-517.
 """
 
 from __future__ import annotations
@@ -30,14 +35,28 @@ _SHRINK, _TIMES = 0.75, 40
 
 @dataclass(frozen=True, eq=False)
 class ShapeNodes:
-    """Values of one shape at which its columns are made, and the range in which that is enough."""
+    """Values of one shape at which its columns are made, and the range in which that is enough.
 
-    index: int  # of the shape among the chain's parameters
+    Attributes
+    ----------
+    index
+        Of the shape among the mechanism's parameters.
+    low, high
+        Range of the shape, SI units.
+    nodes
+        ``(K,)`` values in it.
+    logarithmic
+        Whether the polynomial is in the shape's logarithm.
+    mixed, unmixed
+        ``(K, r)`` and its inverse ``(r, K)``: columns at nodes lie close together, so few of their
+        sums are enough.
+    """
+
+    index: int
     low: float
     high: float
-    nodes: Array  # (K,)
+    nodes: Array
     logarithmic: bool
-    # (K, r), and its inverse: columns at nodes lie close together, so few of their sums do
     mixed: Array
     unmixed: Array
 
@@ -49,10 +68,24 @@ class ShapeNodes:
         support: tuple[float, float],
         column: Callable[[float], Array],
     ) -> ShapeNodes:
-        """Choose range and nodes for draws ``(n,)`` of the shape.
+        """Choose range and nodes for draws of the shape.
 
-        ``column`` gives the term's torque at some samples for a value of the shape. Where so wide a
-        range takes too many nodes, it is narrowed around the middle draw.
+        Parameters
+        ----------
+        index
+            Of the shape among the mechanism's parameters.
+        draws
+            ``(n,)`` values that matter, SI units.
+        support
+            Of the parameter; one that is positive without end is taken by its logarithm.
+        column
+            Gives the term's torque ``(samples,)`` at some samples for a value of the shape.
+
+        Returns
+        -------
+        ShapeNodes
+            Interpolating to 1e-8 of the column; where so wide a range takes too many nodes, the
+            range is narrowed around the middle draw.
         """
         logarithmic = support[0] == 0.0 and not np.isfinite(support[1])
         t = np.log(draws[draws > 0.0]) if logarithmic else draws
@@ -86,10 +119,11 @@ class ShapeNodes:
         return replace(self, mixed=left[:, few], unmixed=left[:, few].T)
 
     def along(self, column: Callable[[float], Array]) -> Array:
-        """Give the columns that :meth:`weights` multiply, ``(r, n)``."""
+        """Give the columns that :meth:`weights` multiply, ``(r, samples)``."""
         return np.asarray(self.unmixed @ np.stack([column(float(x)) for x in self.nodes]))
 
     def _error(self, column: Callable[[float], Array], known: Array) -> float:
+        """Give the largest relative error at the range's ends and halfway between nodes."""
         between = np.sort(self.nodes)
         between = np.concatenate([[self.low], 0.5 * (between[1:] + between[:-1]), [self.high]])
         guessed = self.weights(between) @ known
@@ -107,7 +141,18 @@ class ShapeNodes:
         return np.asarray((shape >= self.low) & (shape <= self.high))
 
     def weights(self, shape: Array) -> Array:
-        """Give what multiplies the columns at values of the shape ``(n,)``, ``(n, r)``."""
+        """Give what multiplies the columns.
+
+        Parameters
+        ----------
+        shape
+            ``(n,)`` values of the shape within the range, SI units.
+
+        Returns
+        -------
+        ndarray
+            ``(n, r)``: the polynomials in barycentric form, summed as the columns are.
+        """
         count = self.nodes.size
         if count == 1:
             return np.ones((shape.size, 1))

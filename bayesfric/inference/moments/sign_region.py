@@ -1,4 +1,8 @@
-"""Where in the space of leg parameters the direction of power at a sample is certain."""
+"""Where in the space of leg parameters the direction of power at a sample is certain.
+
+Whether the motor drives the load or is driven depends on the sign of the load's torque, and that on
+the parameters. Within a region about the posterior most samples have the same sign for all.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +26,17 @@ class SignRegion:
     The sign of ``psi l`` does not depend on the length of ``l``, so what counts is how near
     to the centre the ray through ``l`` comes. A sample's sign is the centre's at all ``l``
     nearer than its ratio ``|psi centre| / |root' psi|``.
+
+    Attributes
+    ----------
+    centre
+        ``(n2,)`` leg parameters in motor units, of any length.
+    root
+        ``(n2, n2)`` such that ``root root'`` is the draws' covariance about it.
     """
 
-    centre: Array  # (n2,)
-    root: Array  # (n2, n2) lower triangular
+    centre: Array
+    root: Array
 
     @cached_property
     def _inverse(self) -> Array:
@@ -45,7 +56,8 @@ class SignRegion:
         Returns
         -------
         SignRegion or None
-            ``None`` if no draw has a direction.
+            ``None`` if no draw has a direction. All draws are brought to one length along their
+            mean direction first.
         """
         if legs.shape[1] == 0:
             return cls(np.zeros(0), np.zeros((0, 0)))
@@ -71,9 +83,18 @@ class SignRegion:
         return cls(centre / size, np.linalg.cholesky(covariance) / size[:, None])
 
     def distance(self, legs: Array) -> Array:
-        """How near the ray through each of ``(n, n2)`` comes to the centre, ``(n,)``.
+        """Tell how near the ray through leg parameters comes to the centre.
 
-        ``inf`` where it points away; ``nan`` where it is no direction.
+        Parameters
+        ----------
+        legs
+            ``(n, n2)``.
+
+        Returns
+        -------
+        ndarray
+            ``(n,)`` in the draws' sds; ``inf`` where it points away, ``nan`` where it is no
+            direction.
         """
         if self.centre.size == 0:
             return np.zeros(legs.shape[0])
@@ -88,9 +109,17 @@ class SignRegion:
         return np.where(along > 0.0, distance, np.where(np.isnan(along), np.nan, np.inf))
 
     def ratios(self, psi: Array) -> Array:
-        """Distance up to which samples ``psi`` ``(n2, n)`` have the centre's sign, ``(n,)``.
+        """Tell the distance up to which samples have the centre's sign.
 
-        ``inf`` where the sign never matters, as where ``psi`` is zero.
+        Parameters
+        ----------
+        psi
+            ``(n2, n)`` columns of ``psi2`` at samples.
+
+        Returns
+        -------
+        ndarray
+            ``(n,)``; ``inf`` where the sign never matters, as where ``psi`` is zero.
         """
         level = self.centre @ psi
         spread = self.root.T @ psi

@@ -1,4 +1,9 @@
-"""White and autoregressive noise of torque residuals."""
+"""White and autoregressive noise of torque residuals.
+
+What a model leaves of a torque is seldom white: cogging, flexible parts and filters correlate
+neighbouring samples. Taken for white, such residuals make intervals too narrow. An autoregressive
+series of low order accounts for that, with an exact likelihood.
+"""
 
 from __future__ import annotations
 
@@ -31,6 +36,7 @@ _INNOVATION = replace(
 
 
 def _pacf(lag: int) -> Scale:
+    """Describe the partial autocorrelation at a lag; its default prior is uniform within 0.95."""
     return Scale(
         f"pacf_{lag}",
         rf"\phi_{{{lag}{lag}}}",
@@ -45,12 +51,19 @@ def _pacf(lag: int) -> Scale:
 
 
 class Autoregressive(NoiseDescription):
-    """Gaussian noise in which a residual remembers ``order`` before it; white for none.
+    """Gaussian noise in which each residual is correlated with those before it.
 
-    ``sigma`` is the sd of the innovations, what the memory does not foretell;
-    ``pacf_1, pacf_2, ..`` are partial autocorrelations. They come as ``(n, R, Q)``, vectors,
-    recordings and scales, as :class:`bayesfric.inference.likelihood.likelihood.Likelihood` hands
-    them over.
+    Parameters
+    ----------
+    order
+        Of the autoregression, ``p``; white noise for 0.
+
+    Notes ----- ``r_t = a_1 r_(t-1) + .. + a_p r_(t-p) + e_t`` with innovations ``e_t`` of sd
+    ``sigma``, stationary from each run's beginning. A run is a stretch of outputs that follow each
+    other one period apart; runs are independent of each other. The scales are ``sigma`` and the
+    partial autocorrelations ``pacf_1, .., pacf_p``, from which
+    :mod:`bayesfric.inference.likelihood.autoregression` makes the coefficients ``a``. They come as
+    ``(n, R, Q)``, vectors, recordings and scales, ``Q = p + 1``.
     """
 
     def __init__(self, order: int = 0) -> None:
@@ -66,9 +79,27 @@ class Autoregressive(NoiseDescription):
         head_counts: NDArray[np.int64],
         scales: Array,
     ) -> Array:
-        """Exact log density ``(n,)`` of all residuals from their lagged products.
+        """Exact log density of all residuals, from the sums of their lagged products.
 
-        Counts as :class:`bayesfric.inference.moments.residual_moments.PlainMoments` has them.
+        Parameters
+        ----------
+        moments
+            Of the residuals of ``n`` parameter vectors and ``R`` recordings, torque unit squared.
+        counts
+            ``(R,)`` outputs with at least ``p`` predecessors in their run.
+        head_counts
+            ``(R, p)`` runs whose first part, up to ``p`` outputs, has the length 1 to ``p``.
+        scales
+            ``(n, R, Q)``.
+
+        Returns
+        -------
+        ndarray
+            ``(n,)``, of all recordings together.
+
+        Notes ----- The density is the product of each output's normal one given its predecessors:
+        mean by the best predictor from as many as there are, up to ``p``, and variance
+        ``sigma^2 / prod(1 - pacf_k^2)`` over the lags ``k`` that are not used yet.
         """
         if not self.order:
             sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
@@ -80,21 +111,33 @@ class Autoregressive(NoiseDescription):
         )
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
-        """Turn residuals ``(..., M)`` into uncorrelated ones of variance one.
+        """Turn residuals into uncorrelated ones of variance one.
 
-        ``scales`` ``(Q,)``. Gives them and the ``(M,)`` sds they were divided by. It is
-        linear in the residuals.
+        Parameters
+        ----------
+        residual
+            ``(..., M)``, N m or N.
+        follows
+            ``(M - 1,)`` whether each output is followed, one period later, by the next.
+        scales
+            ``(Q,)``.
+
+        Returns
+        -------
+        z, sds
+            ``(..., M)``, linear in the residuals, and the ``(M,)`` standard deviations that what
+            predecessors do not predict was divided by.
         """
         z = ar.whitened(residual, scales[1:], follows) / scales[0]
         left = ar.variances(scales[None, 1:])[0]
         return z, scales[0] * np.sqrt(left[ar.ages(follows, self.order)])
 
     def log_terms(self, standard: Array, sds: Array) -> Array:
-        """Log densities of residuals, from what :meth:`standard` gives, ``(..., M)``."""
+        """Log densities ``(..., M)`` of residuals given those before, from :meth:`standard`."""
         return np.asarray(-0.5 * standard**2 - np.log(sds) - 0.5 * _LOG_2PI)
 
     def sd(self, scales: Array) -> float:
-        """Spread of one residual, ``scales`` ``(Q,)``."""
+        """Marginal standard deviation of one residual, N m or N; ``scales`` ``(Q,)``."""
         return float(scales[0] * math.sqrt(ar.variances(scales[None, 1:])[0, 0]))
 
     def marginal(self, scales: Array) -> Any:
@@ -102,16 +145,45 @@ class Autoregressive(NoiseDescription):
         return stats.norm(scale=scales[:, :1] * np.sqrt(ar.variances(scales[:, 1:])[:, :1]))
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
-        """Draw residuals, one series for each row of ``scales`` ``(n, Q)``, ``(n, M)``."""
+        """Draw residuals, each series stationary from the beginning of every run.
+
+        Parameters
+        ----------
+        follows
+            ``(M - 1,)`` whether each output is followed, one period later, by the next.
+        scales
+            ``(n, Q)``, a row for each series.
+        rng
+            Random numbers.
+
+        Returns
+        -------
+        ndarray
+            ``(n, M)``, N m or N.
+        """
         if not self.order:
             return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
         return np.concatenate([s[0] * ar.simulated(s[1:], follows, 1, rng) for s in scales])
 
     def information(self, scales: Array, outputs: int) -> Array:
-        """Fisher information of ``scales`` ``(Q,)`` from so many outputs, ``(Q, Q)``.
+        """Fisher information of the scales from so many outputs.
 
-        Of partial autocorrelations for many outputs: that of the coefficients is their covariance
-        over the innovations' variance (Box and Jenkins, section 7.2).
+        Parameters
+        ----------
+        scales
+            ``(Q,)``.
+        outputs
+            How many there are.
+
+        Returns
+        -------
+        ndarray
+            ``(Q, Q)``.
+
+        Notes ----- ``2/sigma^2`` an output for ``sigma``; for the coefficients of a long series
+        their autocovariance matrix over the innovations' variance (Box and Jenkins, "Time Series
+        Analysis", section 7.2), carried over to partial autocorrelations by the chain rule. Both
+        are independent.
         """
         out = np.zeros((scales.size, scales.size))
         out[0, 0] = 2.0 / scales[0] ** 2
@@ -124,7 +196,19 @@ class Autoregressive(NoiseDescription):
         return np.asarray(outputs * out)
 
     def starts(self, sigma: float) -> Array:
-        """Scales to start a search from where residuals are ``sigma`` large, ``(k, Q)``."""
+        """Scales to start a search from.
+
+        Parameters
+        ----------
+        sigma
+            Root mean square of the residuals, N m or N.
+
+        Returns
+        -------
+        ndarray
+            ``(k, Q)``: white, and with a first partial autocorrelation of 0.5 and of 0.9, all of
+            the same marginal variance.
+        """
         if not self.order:
             return np.array([[sigma]])
         first = np.array([0.0, 0.5, 0.9])
@@ -153,7 +237,10 @@ def _log_density(
     head_counts: NDArray[np.int64],
     scales: Array,
 ) -> Array:
-    """Exact density of autoregressive residuals, run by run: heads first, then the rest."""
+    """Exact density of autoregressive residuals, run by run: heads first, then the rest.
+
+    The coefficients of ever longer predictors come from the Durbin-Levinson recursion on the way.
+    """
     n, recordings, p = scales.shape[0], scales.shape[1], scales.shape[2] - 1
     out = np.zeros(n)
     coefficients, before = np.zeros(p), np.zeros(p)

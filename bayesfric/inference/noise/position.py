@@ -1,4 +1,8 @@
-"""Noise of position and torque samples, where the position is what a likelihood explains."""
+"""Noise of position and torque samples, where the position is what a likelihood explains.
+
+How large may the encoder's and the torque's errors be, and which priors do their standard
+deviations have when nothing is said of them?
+"""
 
 from __future__ import annotations
 

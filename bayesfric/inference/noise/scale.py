@@ -1,4 +1,8 @@
-"""The numbers that noise is described by, and which of them each recording has."""
+"""The numbers that noise is described by, and which of them each recording has.
+
+A bench gives every recording noise of one kind, but maybe not of one size: standard deviations can
+be shared or be each recording's own, what shapes the noise is always shared.
+"""
 
 from __future__ import annotations
 
@@ -18,32 +22,73 @@ NoiseScale = Literal["shared", "per-recording"]
 
 @dataclass(frozen=True)
 class Scale:
-    """One number that noise is described by."""
+    """One number that noise is described by.
 
-    name: str  # behind "noise." in the parameter's name
-    symbol: str  # LaTeX without dollar signs
-    meaning: str  # one line for people, worded for what turns
-    prior: Callable[[Scales], PriorText]  # the default one, for the sizes of what was measured
+    Attributes
+    ----------
+    name
+        Behind ``noise.`` in the parameter's name.
+    symbol
+        LaTeX without dollar signs.
+    meaning
+        One line for people, worded for what turns.
+    prior
+        Gives the default prior, as a configuration would say it, for the sizes of what was
+        measured.
+    lower, upper
+        Support.
+    unit
+        What it is measured like: ``torque``, ``position``, or nothing.
+    shared
+        Whether all recordings have the same in any case, as with what correlates the noise.
+    chosen
+        Whether the residuals of an estimate say if the noise has it, and how much.
+    """
+
+    name: str
+    symbol: str
+    meaning: str
+    prior: Callable[[Scales], PriorText]
     lower: float = 0.0
     upper: float = np.inf
-    unit: Literal["torque", "position", ""] = "torque"  # what it is measured like
-    # whether all recordings have the same in any case: how noise is shaped, its memory or its
-    # tails, comes from one bench
+    unit: Literal["torque", "position", ""] = "torque"
     shared: bool = False
-    # whether the residuals of an estimate say if the noise has it, and how much
     chosen: bool = False
 
     def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:
-        """Take the prior that a configuration gives by parameter name, or the default."""
+        """Take the prior that a configuration gives, or the default.
+
+        Parameters
+        ----------
+        texts
+            What a configuration says, by parameter's name; this one is ``noise.<name>``.
+        sizes
+            Of what was measured, which scale the default.
+
+        Raises
+        ------
+        BadInput
+            If the prior given cannot be.
+        """
         name = f"noise.{self.name}"
         text, default = (texts[name], False) if name in texts else (self.prior(sizes), True)
         return read_prior(name, text, lower=self.lower, upper=self.upper, default=default)
 
 
 def up_to(size: float, least: float | None = None) -> PriorText:
-    """Spread a prior evenly in the logarithm, from a millionth or from ``least`` up to a size.
+    """Spread a prior evenly in the logarithm up to a size.
 
-    The ends are rounded to one digit.
+    Parameters
+    ----------
+    size
+        Upper end, such as the largest torque, N m or N.
+    least
+        Lower end; a millionth of the upper one if left out.
+
+    Returns
+    -------
+    mapping
+        A ``loguniform`` as a configuration says it, the ends rounded to one digit.
     """
     top = float(f"{size:.0e}")
     bottom = 1e-6 * top if least is None else float(f"{least:.0e}")
@@ -51,16 +96,18 @@ def up_to(size: float, least: float | None = None) -> PriorText:
 
 
 class NoiseDescription:
-    """What any noise tells of itself.
+    """What any noise model tells of itself.
 
     Attributes
     ----------
     scales
-        What it is described by.
+        The ``Q`` numbers that it is described by, in the order of every array of them.
+    quantities
+        Their names.
     description
         In words, for the record.
     accounts_for_correlation
-        Whether what it is noise of may be correlated.
+        Whether it allows residuals of the output to be correlated.
     """
 
     def __init__(
@@ -73,21 +120,42 @@ class NoiseDescription:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Noise with scales shared by all recordings, or some for each."""
+    """Noise with scales shared by all recordings, or some for each.
 
-    # noise.sigma, or noise.sigma.<recording>; the quantities of the first recording first
+    Attributes
+    ----------
+    names
+        Of the sampled scales, ``noise.sigma`` or ``noise.sigma.<recording>``; those of the first
+        recording first.
+    symbols, quantities, priors
+        Of each of them: LaTeX, the name of its :class:`Scale`, and prior.
+    places
+        ``(R, Q)`` which of the names each recording's scales are.
+    """
+
     names: tuple[str, ...]
-    symbols: tuple[str, ...]  # in LaTeX
-    quantities: tuple[str, ...]  # Scale.name of each
+    symbols: tuple[str, ...]
+    quantities: tuple[str, ...]
     priors: tuple[Prior, ...]
-    places: NDArray[np.int64]  # (n_recordings, quantities): which name each one's scales are
+    places: NDArray[np.int64]
 
     def scales(self, parameters: Array) -> Array:
-        """Scales of every recording: ``(n, len(names))`` to ``(n, n_recordings, quantities)``."""
+        """Scales of every recording, ``(n, len(names))`` to ``(n, R, Q)``."""
         return parameters[:, self.places]
 
     def fold(self, information: Array) -> Array:
-        """Bring information of every recording's scales, ``(R, Q, Q)``, to that of the names."""
+        """Add up information on a scale that several recordings share.
+
+        Parameters
+        ----------
+        information
+            ``(R, Q, Q)`` Fisher information of each recording's scales.
+
+        Returns
+        -------
+        ndarray
+            ``(len(names), len(names))``.
+        """
         out = np.zeros((len(self.names), len(self.names)))
         for own, one in zip(self.places, information, strict=True):
             out[np.ix_(own, own)] += one
@@ -100,7 +168,19 @@ def noise_of(
     priors: Mapping[str, Prior],
     scale: NoiseScale,
 ) -> Noise:
-    """Set up the noise of the named recordings; ``priors`` are by ``noise.<quantity>``."""
+    """Set up the noise of named recordings.
+
+    Parameters
+    ----------
+    recordings
+        Their names, in order.
+    scales
+        Of the noise model.
+    priors
+        By ``noise.<quantity>``; recordings with scales of their own have alike priors.
+    scale
+        ``shared``, or ``per-recording`` for scales of their own where a scale allows that.
+    """
     own = scale == "per-recording" and len(recordings) > 1
     found: dict[str, tuple[str, str, Prior]] = {}
     places = np.zeros((len(recordings), len(scales)), dtype=np.int64)

@@ -1,1 +1,1 @@
-"""What is known beforehand: priors, their defaults and those of the noise."""
+"""What is believed before the recordings are looked at: read, chosen by default, evaluated."""

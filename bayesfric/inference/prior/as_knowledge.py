@@ -15,11 +15,23 @@ _RANGES = frozenset({"uniform", "loguniform", "halfnorm", "reciprocal"})
 
 
 def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:
-    """Take from the priors of a chain what a point estimate may use.
+    """Take from the priors of a mechanism what a point estimate may use.
 
     A fixed prior is a known value; the support of a prior is a bound. A prior that
     a user gave and that states a value, such as a normal one from a data sheet,
     enters with its mean and standard deviation. Default priors only bound.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    priors
+        By name, of every parameter of it; others are not looked at.
+
+    Returns
+    -------
+    Knowledge
+        In SI units, by parameter's name.
     """
     fixed, bounds, told = {}, {}, {}
     for name in chain.names:

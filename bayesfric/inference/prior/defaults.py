@@ -1,8 +1,8 @@
 """Default priors: weakly informative, scaled by what the recordings move and take.
 
 No single term is expected to need much more torque than the largest measured
-one. So a constant loss gets a half-normal with that torque as its scale, a
-viscous loss that torque over the typical speed, an inertia that torque over the
+one. So Coulomb friction gets a half-normal with that torque as its scale, viscous
+friction that torque over the typical speed, an inertia that torque over the
 typical acceleration, each at its own element's shaft. What a term stores the motor need not
 give: gravity and inertia of a pendulum that swings carry each other. So these get the torque that
 least squares is sure that one of the terms takes, where that is larger. Scales are rounded to one
@@ -21,7 +21,29 @@ from bayesfric.mechanism.quantities import State
 
 
 def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
-    """Choose the default prior of one parameter, by what :func:`measured_scales` gives."""
+    """Choose the default prior of one parameter.
+
+    Parameters
+    ----------
+    chain
+        The mechanism.
+    p
+        One of its parameters.
+    scales
+        Sizes of what was measured, as :func:`bayesfric.estimates.sizes.measured_scales` gives.
+
+    Returns
+    -------
+    Prior
+        Marked as a default, within the parameter's support. The table of quantities names its
+        family; else it is half-normal, or normal where the parameter may be negative, and its scale
+        is the torque over the size of what the parameter multiplies, in one digit.
+
+    Raises
+    ------
+    KeyError
+        If the table of quantities gives none.
+    """
     text = _text(chain, p, scales)
     upper = min(p.upper, p.row.prior_upper)
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)

@@ -1,4 +1,8 @@
-"""Priors: a number fixes, a range is uniform, a distribution is SciPy's by name."""
+"""Priors: a number fixes, a range is uniform, a distribution is SciPy's by name.
+
+What may a configuration say of a parameter, is it possible, and what density, mean and interval
+does it stand for? Distributions are cut to the parameter's support and normalised there.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +62,21 @@ Side = Literal["lower", "upper"]
 
 
 def bound_of(x: Array, low: float, high: float) -> Side | None:
-    """Say which end a sample ``(n,)`` leans on: 5 % of it lie within a fifth of its sd."""
+    """Say which end of its support a sample leans on.
+
+    Parameters
+    ----------
+    x
+        ``(n,)`` draws.
+    low, high
+        Ends of the support.
+
+    Returns
+    -------
+    str or None
+        ``lower`` or ``upper``, where 5 % of the draws lie within a fifth of their standard
+        deviation of it; the lower where both do.
+    """
     first, last = np.quantile(x, [0.05, 0.95])
     near = 0.2 * x.std()
     if first - low < near:
@@ -68,16 +86,34 @@ def bound_of(x: Array, low: float, high: float) -> Side | None:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of one parameter before the recording is looked at."""
+    """What is believed of one parameter before the recording is looked at.
 
-    text: str  # as printed: fixed at 0.33, uniform(0, 1), halfnorm(loc=0, scale=0.5)
-    distribution: Any  # SciPy's frozen distribution, None where the parameter is fixed
-    value: float  # the fixed value, nan where the parameter is free
-    lower: float  # support: the distribution's, cut to the parameter's
+    Attributes
+    ----------
+    text
+        As printed: ``fixed at 0.33``, ``uniform(0, 1)``, ``halfnorm(loc=0, scale=0.5)``.
+    distribution
+        SciPy's frozen distribution, ``None`` where the parameter is fixed.
+    value
+        The fixed value, nan where the parameter is free; SI units, as all others.
+    lower, upper
+        Support: the distribution's, cut to the parameter's.
+    mass
+        Of the distribution inside the support; the density is divided by it.
+    default
+        Whether the package chose it.
+    circular
+        Whether values a turn apart are the same.
+    """
+
+    text: str
+    distribution: Any
+    value: float
+    lower: float
     upper: float
-    mass: float = 1.0  # of the distribution inside the support; the density is divided by it
-    default: bool = False  # whether the package chose it
-    circular: bool = False  # whether values a turn apart are the same
+    mass: float = 1.0
+    default: bool = False
+    circular: bool = False
 
     @property
     def fixed(self) -> bool:
@@ -100,7 +136,18 @@ class Prior:
         return (-math.inf, math.inf) if self.whole_turn else (self.lower, self.upper)
 
     def cut_opposite(self, value: float) -> Prior:
-        """Make the same prior, a whole turn cut where it is farthest from ``value``."""
+        """Make the same prior, a whole turn cut where it is farthest from a value.
+
+        Parameters
+        ----------
+        value
+            Angle, rad, in the middle of the new support.
+
+        Returns
+        -------
+        Prior
+            Itself where it is no whole turn.
+        """
         if not self.whole_turn:
             return self
         low = value - TURN / 2.0
@@ -108,7 +155,10 @@ class Prior:
         return replace(self, distribution=whole, lower=low, upper=low + TURN, mass=1.0)
 
     def turned(self, x: Array) -> Array:
-        """Bring angles ``(n,)`` by whole turns to the turn the support lies on."""
+        """Bring angles ``(n,)``, rad, by whole turns to the turn the support lies on.
+
+        Others than circular parameters stay as they are.
+        """
         return turned(x, (self.lower + self.upper) / 2.0) if self.circular else x
 
     def log_density(self, x: Array) -> Array:
@@ -126,7 +176,18 @@ class Prior:
         return self._quantiles(rng.random(n))
 
     def interval(self, level: float) -> tuple[float, float]:
-        """Give the ends of the central interval of probability ``level``, inside the support."""
+        """Give the central interval of a probability.
+
+        Parameters
+        ----------
+        level
+            Probability inside, such as 0.9.
+
+        Returns
+        -------
+        low, high
+            Inside the support; the value twice where the parameter is fixed.
+        """
         if self.fixed:
             return self.value, self.value
         low, high = self._quantiles(np.array([0.5 - level / 2.0, 0.5 + level / 2.0])).tolist()
@@ -139,7 +200,11 @@ class Prior:
         return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
 
     def sd(self) -> float:
-        """Return the standard deviation of the cut distribution; 0 where fixed."""
+        """Return the standard deviation of the cut distribution; 0 where fixed.
+
+        By quadrature in probability where the support cuts the distribution; infinite or nan where
+        the whole one has none, as a Cauchy.
+        """
         if self.fixed or self.mass > 1.0 - 1e-12:
             return 0.0 if self.fixed else float(self.distribution.std())
         x, weights = self._nodes()
@@ -165,7 +230,7 @@ def _gauss() -> tuple[Array, Array]:
 
 
 def fixed(value: float) -> Prior:
-    """Hold a parameter at ``value``."""
+    """Hold a parameter at a value, SI units."""
     return Prior(f"fixed at {value:.6g}", None, float(value), float(value), float(value))
 
 
@@ -180,9 +245,27 @@ def read_prior(
 ) -> Prior:
     """Turn what a configuration says of one parameter into a prior.
 
-    ``text`` is a number, a pair ``[low, high]``, or a mapping with ``distribution`` (a name in
-    :mod:`scipy.stats`) and its arguments. A ``circular`` one spans one turn at most. BadInput if
-    the prior cannot be, names no SciPy distribution, or lies outside the support.
+    Parameters
+    ----------
+    name
+        Of the parameter, for messages.
+    text
+        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (a name in
+        :mod:`scipy.stats`) and its arguments; SI units.
+    lower, upper
+        Support of the parameter, which cuts a distribution.
+    default
+        Whether the package chose it.
+    circular
+        Whether it is an angle of which values a turn apart are the same: its range spans one turn
+        at most.
+
+    Raises
+    ------
+    BadInput
+        If the prior cannot be, names no SciPy distribution, takes longer than a second or two to
+        evaluate, or a value or range lies outside the support, or all of a distribution but a
+        millionth does.
     """
     where = f"priors.{name}"
     span = f"{name} {_span(lower, upper)}"
@@ -203,6 +286,10 @@ def read_prior(
 def _range(
     where: str, text: Sequence[float], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
+    """Read a uniform prior from ``[low, high]``; a range that is a turn but for typing is one.
+
+    BadInput if these are no two rising numbers inside the support, or more than a turn.
+    """
     given: object = text
     if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
         raise BadInput(where, f"{text!r} is no prior", "give a number, [low, high] or a table")
@@ -226,6 +313,10 @@ def _range(
 def _named(
     where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
+    """Read a distribution of :mod:`scipy.stats` and cut it to the support.
+
+    Unfamiliar ones are tried in a process of their own first. BadInput as for :func:`read_prior`.
+    """
     arguments = dict(text)
     kind = arguments.pop("distribution", None)
     family = getattr(stats, kind, None) if isinstance(kind, str) else None
@@ -294,10 +385,17 @@ def _span(lower: float, upper: float) -> str:
 
 
 class JointPrior:
-    """Independent priors of several parameters, none of them fixed, evaluated together.
+    """Independent priors of several parameters, evaluated together.
 
     A step of the sampler asks for the density of some hundred vectors. One parameter at a
-    time, the calls alone cost more than the likelihood of a long recording.
+    time, the calls alone cost more than the likelihood of a long recording. Here all normal,
+    half-normal, log-normal, log-uniform and uniform ones are one sum over columns; the others are
+    asked one by one.
+
+    Parameters
+    ----------
+    priors
+        Of the ``d`` parameters, none of them fixed.
     """
 
     def __init__(self, priors: Sequence[Prior]) -> None:
@@ -339,7 +437,18 @@ class JointPrior:
         self._logarithmic = _columns([(places[j], m, s) for j, m, s in logarithmic])
 
     def log_density(self, x: Array) -> Array:
-        """Log of the joint density at ``(n, d)``, ``(n,)``; ``-inf`` outside a support."""
+        """Log of the joint density.
+
+        Parameters
+        ----------
+        x
+            ``(n, d)`` parameters, SI units.
+
+        Returns
+        -------
+        ndarray
+            ``(n,)``, normalised; ``-inf`` where any value is outside its support.
+        """
         with np.errstate(all="ignore"):
             total = np.full(x.shape[0], self._constant)
             columns, loc, scale = self._straight

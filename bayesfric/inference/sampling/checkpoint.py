@@ -65,13 +65,29 @@ def _row(walkers: int, dimension: int) -> np.dtype[np.void]:
 class Checkpoint:
     """The steps of one sampling on disk: those it has made, and those it need not make again.
 
-    ``<name>.steps`` in an existing folder holds them. ``facts`` are what the steps depend on, as
-    JSON would give it back: a checkpoint of others is refused (BadInput), naming the first that
-    differs. When ``asked_to_stop``, which is asked after every step, everything is saved and
-    KeyboardInterrupt raised.
+    Parameters
+    ----------
+    folder, name
+        ``<name>.steps`` in an existing folder holds them.
+    facts
+        What the steps depend on, as JSON would give it back.
+    asked_to_stop
+        Asked after every step; when it says so everything is saved and KeyboardInterrupt raised.
 
-    There are so many steps ``saved``, which took so many ``seconds`` before; ``walking`` is whether
-    steps are being made at this moment, so that it is worth waiting for one.
+    Attributes
+    ----------
+    saved
+        Steps on disk.
+    seconds
+        Time that those took which were there before, s.
+    walking
+        Whether steps are being made at this moment, so that it is worth waiting for one.
+
+    Raises
+    ------
+    BadInput
+        If there is a checkpoint that cannot be read, or of other facts; it names the first that
+        differs.
     """
 
     def __init__(
@@ -93,14 +109,35 @@ class Checkpoint:
         self._began = time.perf_counter()
 
     def begin(self, walkers: int, dimension: int) -> None:
-        """Tell what is going to be sampled; BadInput if a checkpoint's steps have another shape."""
+        """Tell what is going to be sampled.
+
+        Parameters
+        ----------
+        walkers, dimension
+            Of all ensembles together, and parameters of each.
+
+        Raises
+        ------
+        BadInput
+            If a checkpoint's steps have another shape.
+        """
         self._head |= {"walkers": walkers, "parameters": dimension}
         if self.saved:
             self._compare(self._found, self._head)
         self._kind, self._began = _row(walkers, dimension), time.perf_counter()
 
     def replay(self, most: int) -> NDArray[np.void] | None:
-        """Give the next steps that need not be made again, at most so many, as :func:`_row` has it.
+        """Give the next steps that need not be made again.
+
+        Parameters
+        ----------
+        most
+            At most so many.
+
+        Returns
+        -------
+        structured array or None
+            Rows as :func:`_row` lays them out; ``None`` once there are no more.
 
         Raises
         ------
@@ -116,10 +153,23 @@ class Checkpoint:
             raise self._unreadable(error.strerror) from None
 
     def where_it_stopped(self, log_density: Callable[[], Array]) -> RandomState | None:
-        """Give the random state once all is replayed.
+        """Give the state of the sampler's generator once all is replayed.
 
-        ``log_density`` evaluates the density of the last step again, ``(walkers,)``; BadInput if
-        that is not what it was.
+        Parameters
+        ----------
+        log_density
+            Evaluates the density of the last step again, ``(walkers,)``.
+
+        Returns
+        -------
+        tuple or None
+            As ``numpy.random.RandomState.set_state`` takes it; ``None`` while steps are left, or
+            where there were none.
+
+        Raises
+        ------
+        BadInput
+            If the density is not what it was: code or data have changed.
         """
         if not self._resumed or self._replayed < self._resumed:
             return None
@@ -141,7 +191,21 @@ class Checkpoint:
     def recording(self, accepted: Array) -> Iterator[Callable[[Any, Array, int], None]]:
         """Keep every step of a block; give what is to be called after each.
 
-        ``accepted``: how many proposals each walker accepted before, ``(walkers,)``.
+        Parameters
+        ----------
+        accepted
+            ``(walkers,)`` how many proposals each walker accepted before.
+
+        Yields
+        ------
+        callable
+            Of emcee's state, the same counts after the step, and how often the likelihood was no
+            number.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If asked to stop, all steps saved.
         """
         before = accepted.copy()
 
@@ -168,7 +232,10 @@ class Checkpoint:
     def save(self) -> None:
         """Put everything recorded on disk.
 
-        OSError if that cannot be; what was saved before is as it was.
+        Raises
+        ------
+        OSError
+            If that cannot be; what was saved before is as it was.
         """
         if not self._pending:
             return

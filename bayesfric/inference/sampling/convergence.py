@@ -1,4 +1,8 @@
-"""Whether several independent ensembles agree, and how many independent draws they are worth."""
+"""Whether several independent ensembles agree, and how many independent draws they are worth.
+
+When may sampling end, and when is it of no use to go on? Arrays of draws are
+``(ensembles, walkers, steps, d)``.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +32,27 @@ _WALKERS = 64
 
 
 def nested_rhat(draws: Array) -> Array:
-    """Nested R-hat of Margossian et al. (2024): ensembles against each other, ``(d,)``.
+    """Nested R-hat: ensembles against each other [1]_.
 
     Plain R-hat over the walkers of one ensemble says nothing, since they are not
     independent chains. Here an ensemble is a superchain. It means something
     only if the ensembles started further apart than their walkers.
 
-    ``draws`` is ``(ensembles, walkers, steps, d)``, at least two ensembles and two steps. 1 where
-    the ensembles agree, infinite for a constant parameter whose ensembles differ.
+    Parameters
+    ----------
+    draws
+        ``(ensembles, walkers, steps, d)``, at least two ensembles and two steps.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``: 1 where the ensembles agree or nothing varies at all, infinite for a parameter
+        that is constant in each ensemble and differs between them.
+
+    References
+    ----------
+    .. [1] C. C. Margossian et al., "Nested R-hat: assessing the convergence of Markov chain Monte
+       Carlo when running many short chains", Bayesian Analysis (2024).
     """
     from arviz_stats.base import array_stats  # takes a while, and few commands need it
 
@@ -52,16 +69,28 @@ def nested_rhat(draws: Array) -> Array:
 
 
 def autocorrelation_time(draws: Array) -> Array:
-    """Integrated autocorrelation time of ``(ensembles, walkers, steps, d)`` in steps, ``(d,)``.
+    """Integrated autocorrelation time, over all ensembles.
 
+    Parameters
+    ----------
+    draws
+        ``(ensembles, walkers, steps, d)``.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)`` in steps, at least one; infinite where a walker never moved.
+
+    Notes
+    -----
     The larger of two estimates. One averages the walkers' autocorrelations, taken around the mean
     of all, so that walkers that stay apart from each other show as what they are. The other takes
     the series of ensemble means, whose variance also feels that walkers move together. On a ridge
-    either can be too small.
+    either can be too small. Both are summed over Sokal's window, the first lag above five times the
+    sum.
 
-    It is over all ensembles (the largest of some noisy estimates would grow with their
-    number; that ensembles agree is for :func:`nested_rhat` to say); infinite where a walker
-    never moved.
+    It is over all ensembles, as the largest of some noisy estimates would grow with their
+    number; that ensembles agree is for :func:`nested_rhat` to say.
     """
     _, walkers, steps, d = draws.shape
     times = np.full(d, np.inf)
@@ -85,7 +114,13 @@ def autocorrelation_time(draws: Array) -> Array:
 
 
 def autocorrelation(series: Array) -> Array:
-    """Autocorrelation of ``(walkers, steps)`` around their common mean, ``(steps,)``."""
+    """Autocorrelation of a series ``(walkers, steps)`` around its common mean.
+
+    Returns
+    -------
+    ndarray
+        ``(steps,)`` by lag, mean over walkers; ones where the series is constant.
+    """
     x = series - series.mean()
     variance = np.mean(x**2)
     if not variance > 0.0 or np.ptp(series) == 0.0:
@@ -109,21 +144,47 @@ def _integrated(correlation: Array) -> float:
 
 
 def effective_sample_size(draws: Array, tau: Array) -> Array:
-    """Count the independent draws that ``(ensembles, walkers, steps, d)`` are worth, ``(d,)``."""
+    """Count the independent draws that a sample is worth.
+
+    Parameters
+    ----------
+    draws
+        ``(ensembles, walkers, steps, d)``; only its shape counts.
+    tau
+        ``(d,)`` autocorrelation times in steps.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``, ``ensembles * walkers * steps / tau``.
+    """
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
 
 
 def few(walkers: NDArray[np.bool_]) -> bool:
-    """Tell whether these walkers, ``(ensembles, walkers)``, are too few to change an interval."""
+    """Tell whether flagged walkers ``(ensembles, walkers)`` are too few to change an interval.
+
+    At most one per cent of all, and five of any ensemble.
+    """
     return bool(walkers.mean() <= _STUCK and walkers.mean(axis=1).max() <= _STUCK_IN_ONE)
 
 
 def without_stuck(draws: Array, acceptance: Array) -> Array:
-    """Leave the few that never moved out of ``(ensembles, walkers, ..)``, as many of each ensemble.
+    """Leave out the few walkers that never moved, as many of each ensemble.
 
-    ``acceptance`` is the accepted share of proposals, ``(ensembles, walkers)``. Where they are
-    more, they are not left out: the others do not tell all.
+    Parameters
+    ----------
+    draws
+        ``(ensembles, walkers, ..)``.
+    acceptance
+        ``(ensembles, walkers)`` accepted share of proposals.
+
+    Returns
+    -------
+    ndarray
+        Of fewer walkers; the same where none are stuck, or more than a few: then the others do not
+        tell all.
     """
     moved = acceptance > 0.0
     if moved.all() or not few(~moved):
@@ -135,8 +196,26 @@ def without_stuck(draws: Array, acceptance: Array) -> Array:
 def steps_needed(
     steps: int, ensembles: int, rhat: Array, max_rhat: float, tau: Array | float = 0.0
 ) -> Array:
-    """Predict after how many steps each parameter would have converged, ``(d,)``.
+    """Predict after how many steps each parameter would have converged.
 
+    Parameters
+    ----------
+    steps, ensembles
+        Made so far, and by how many ensembles.
+    rhat
+        ``(d,)`` nested R-hat so far.
+    max_rhat
+        That is to be reached.
+    tau
+        ``(d,)`` autocorrelation times in steps; 0 leaves them out.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``, ``max(steps (rhat^2 - 1)/(max_rhat^2 - 1), 50 tau/ensembles)``.
+
+    Notes
+    -----
     The variance between ensembles falls with the number of steps; an autocorrelation time
     that is not yet seen whole grows with it, so for what mixes slowly this is too few.
     """
@@ -147,7 +226,19 @@ def steps_needed(
 def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:
     """Tell whether a run cannot converge in the steps allowed, and does not come nearer to it.
 
-    ``seen``: steps, and the steps needed as predicted then, of every look so far.
+    Parameters
+    ----------
+    seen
+        Steps, and the steps needed as predicted then, of every look so far.
+    allowed
+        Most steps.
+
+    Returns
+    -------
+    bool
+        True where, after at least four looks, 500 steps and a tenth of those allowed, all looks of
+        the later half of the run predict more than twice the steps allowed, and the prediction
+        hardly falls.
     """
     last = seen[-1][0]
     lately = [needed for steps, needed in seen if 2 * steps >= last]

@@ -53,15 +53,37 @@ class _VectorisedMove(Move):  # type: ignore[misc]
 class DifferentialEvolutionMove(_VectorisedMove):
     """Step along the difference of two walkers of the other half of the same ensemble.
 
-    ter Braak (2006), vectorised over walkers. One proposal in ten takes the whole
-    difference, which lets walkers change between separate modes.
+    Differential evolution [1]_, vectorised over walkers. It adapts to the posterior's shape by
+    itself.
+
+    Parameters
+    ----------
+    ensembles
+        How many share the sampler's walkers, one after the other, of one size each.
+
+    Notes
+    -----
+    ``x + g (x_i - x_j)`` with ``g = 2.38/sqrt(2 d)``, scattered by 1e-5 of itself. One proposal in
+    ten takes the whole difference, ``g = 1``, which lets walkers change between separate modes.
+
+    References
+    ----------
+    .. [1] C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm
+       differential evolution", Statistics and Computing 16 (2006) 239-249.
     """
 
     def __init__(self, ensembles: int = 1) -> None:
         self.ensembles = ensembles
 
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
-        """Move both halves of every ensemble, one after the other."""
+        """Move both halves of every ensemble, one after the other; emcee's interface.
+
+        Returns
+        -------
+        state, accepted
+            The state, changed in place, and flags ``(walkers,)``, of all ensembles, of who accepted
+            a proposal.
+        """
         random = model.random
         total, d = state.coords.shape
         walkers = total // self.ensembles
@@ -89,13 +111,19 @@ class IndependenceMove(_VectorisedMove):
     The proposal is fitted to the warm-up, where it may be replaced between blocks, and then
     frozen: one that went on learning from the chain it drives would not leave the posterior
     invariant.
+
+    Parameters
+    ----------
+    proposal
+        ``q``; a proposal ``y`` of a walker at ``x`` is accepted with the probability
+        ``min(1, p(y) q(x) / (p(x) q(y)))``.
     """
 
     def __init__(self, proposal: Proposal) -> None:
         self.proposal = proposal
 
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
-        """Move all walkers at once, with the Hastings factor of the proposal."""
+        """Move all walkers at once, with the Hastings factor of the proposal; emcee's interface."""
         proposed = self.proposal.draw(state.coords.shape[0], model.random)
         factors = self.proposal.log_density(state.coords) - self.proposal.log_density(proposed)
         some = np.arange(state.coords.shape[0])
@@ -105,8 +133,14 @@ class IndependenceMove(_VectorisedMove):
 class ElsewhereMove(Move):  # type: ignore[misc]
     """A move made in other coordinates, where the posterior is of another shape.
 
-    ``there`` maps walkers ``(n, d)`` to those and gives the log Jacobian ``(n,)``, ``back`` undoes
-    it; a place that has no way back is impossible.
+    Parameters
+    ----------
+    move
+        To be made there.
+    there
+        Maps walkers ``(n, d)`` to those coordinates and gives the log Jacobian ``(n,)``.
+    back
+        Undoes it; a place that has no way back is impossible.
     """
 
     def __init__(
@@ -118,7 +152,7 @@ class ElsewhereMove(Move):  # type: ignore[misc]
         self.move, self._there, self._back = move, there, back
 
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
-        """Move walkers there, by the density there, and bring them back."""
+        """Move walkers there, by the density there, and bring them back; emcee's interface."""
         coords, slope = self._there(state.coords)
         away = emcee.State(coords, log_prob=state.log_prob - slope)
         gone, accepted = self.move.propose(model._replace(log_prob_fn=self._density(model)), away)
@@ -129,6 +163,8 @@ class ElsewhereMove(Move):  # type: ignore[misc]
         return state, accepted
 
     def _density(self, model: Any) -> Callable[[Array], Array]:
+        """Give the log density there: the one here, less the log Jacobian of going there."""
+
         def density(v: Array) -> Array:
             u, out = self._back(v), np.full(len(v), -np.inf)
             possible = np.flatnonzero(np.isfinite(u).all(axis=1))

@@ -1,4 +1,8 @@
-"""A proposal fitted to draws of the posterior, frozen before it is used."""
+"""A proposal fitted to draws of the posterior, frozen before it is used.
+
+An independence move is as good as its proposal is near the posterior, which bounds and
+load-dependent friction bend; several normals together follow that.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +35,25 @@ _WIDE_DEGREES = 5.0
 class Proposal:
     """A mixture of normals, which follows a bent posterior, and a multivariate t around it all.
 
-    With one component it is a normal. The t, of ``mean`` and ``root``, has heavier tails than any
-    posterior that is normal far out, so that the weights of an independence move stay bounded
-    (Hesterberg 1995). ``weights`` ``(k,)`` sum to one; ``roots`` ``(k, d, d)`` are Cholesky
-    factors.
+    Parameters
+    ----------
+    weights
+        ``(k,)`` of the normals, sum one.
+    means, roots
+        ``(k, d)`` and ``(k, d, d)`` their means and the Cholesky factors of their covariances.
+    mean, root
+        ``(d,)`` and ``(d, d)`` of the t.
+
+    Notes
+    -----
+    With one component it is a normal, and the t. The t has a tenth of the weight, five degrees of
+    freedom, and heavier tails than any posterior that is normal far out, so that the weights of an
+    independence move stay bounded [1]_.
+
+    References
+    ----------
+    .. [1] T. Hesterberg, "Weighted average importance sampling and defensive mixture
+       distributions", Technometrics 37 (1995) 185-194.
     """
 
     def __init__(
@@ -60,16 +79,28 @@ class Proposal:
 
     @classmethod
     def normal(cls, mean: Array, covariance: Array) -> Proposal:
-        """Make one normal and a t of the same covariance."""
+        """Make one normal of mean ``(d,)`` and covariance ``(d, d)``, and a t of the same root."""
         root = _cholesky(covariance)
         return cls(np.ones(1), mean[None], root[None], mean, root)
 
     @classmethod
     def fitted(cls, draws: Array, *, last: bool = False) -> Proposal:
-        """Fit to draws ``(n, d)`` by expectation and maximisation (Dempster et al. 1977).
+        """Fit to draws by expectation and maximisation [1]_.
 
         The components start as slices across the direction in which the draws are most skewed.
-        ``last``: whether this is the one to be frozen.
+        There are fewer where draws are few, down to one.
+
+        Parameters
+        ----------
+        draws
+            ``(n, d)``; some thousands of them are looked at.
+        last
+            Whether this is the one to be frozen: then up to six components, else three.
+
+        References
+        ----------
+        .. [1] A. P. Dempster, N. M. Laird, D. B. Rubin, "Maximum likelihood from incomplete data
+           via the EM algorithm", Journal of the Royal Statistical Society B 39 (1977) 1-38.
         """
         most = _MOST_COMPONENTS_LAST if last else _MOST_COMPONENTS
         each = _DRAWS_AN_ENTRY_LAST if last else _DRAWS_AN_ENTRY
@@ -90,7 +121,7 @@ class Proposal:
         return cls(weights, mean + means @ root.T, np.asarray(root @ roots), mean, root)
 
     def draw(self, n: int, random: np.random.RandomState) -> Array:
-        """Draw ``(n, d)``."""
+        """Draw ``(n, d)`` from emcee's own generator, whose state a checkpoint keeps."""
         component = np.searchsorted(self._shares, random.rand(n))
         z = random.randn(n, self.dimension)
         wide = component == self.weights.size - 1

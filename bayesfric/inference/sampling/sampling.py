@@ -1,4 +1,14 @@
-"""Sampling with emcee: independent ensembles, run until they agree."""
+"""Sampling with emcee: independent ensembles, run until they agree.
+
+An ensemble sampler needs no gradient, which the kinks of direction-dependent friction would
+mislead, and asks for the density of all walkers at once [1]_. The moves are differential evolution
+and an independence move; several independent ensembles show whether the posterior was found.
+
+References
+----------
+.. [1] D. Foreman-Mackey, D. W. Hogg, D. Lang, J. Goodman, "emcee: the MCMC hammer", Publications
+   of the Astronomical Society of the Pacific 125 (2013) 306-312.
+"""
 
 from __future__ import annotations
 
@@ -432,6 +442,10 @@ def _straight(target: Target, move: emcee.moves.Move) -> ElsewhereMove:
 def _problems(
     target: Target, settings: Sampling, look: _Look, main: _Ensembles, draws: Array
 ) -> Iterator[str]:
+    """Say in one sentence each, with a hint, which criteria of the settings a run does not meet.
+
+    Stuck walkers, ensembles that disagree, too few independent draws, a run that is too short.
+    """
     rhat, tau, ess = look.rhat, look.tau, look.ess
     names = np.array(target.names)
     moved = main.acceptance()

@@ -1,4 +1,8 @@
-"""Where to start: the posterior's mode and how wide to spread walkers around it."""
+"""Where to start: the posterior's mode and how wide to spread walkers around it.
+
+Direction-dependent friction leaves kinks and several peaks in the density, and bounds cut it; both
+are allowed for here, as plain optimisers do not.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,15 @@ CLIMBS = 5
 
 @dataclass(frozen=True)
 class Start:
-    """A normal to draw starts from, in sampling coordinates: mode and covariance."""
+    """A normal to draw starts from, in sampling coordinates.
+
+    Attributes
+    ----------
+    mode
+        ``(d,)``.
+    covariance
+        ``(d, d)``.
+    """
 
     mode: Array
     covariance: Array
@@ -30,10 +42,31 @@ class Start:
     def draw(
         self, n: int, log_density: LogDensity, rng: np.random.Generator, *, spread: float = 1.5
     ) -> Array:
-        """Draw over-dispersed starts of non-zero probability, ``(n, d)``.
+        """Draw over-dispersed starts of non-zero probability.
 
         Starts at zero probability are redrawn, closer in each time: emcee would
-        take one and keep that walker stuck for ever. RuntimeError if there is none beside the mode.
+        take one and keep that walker stuck for ever.
+
+        Parameters
+        ----------
+        n
+            How many.
+        log_density
+            ``(n, d)`` to ``(n,)``.
+        rng
+            Random numbers.
+        spread
+            Factor of the normal's standard deviations.
+
+        Returns
+        -------
+        ndarray
+            ``(n, d)``.
+
+        Raises
+        ------
+        RuntimeError
+            If there is none beside the mode.
         """
         root = np.linalg.cholesky(self.covariance)
         starts = np.empty((n, self.mode.size))
@@ -49,12 +82,29 @@ class Start:
 
 
 def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
-    """Spread a normal around the mode ``(d,)`` by what data and priors know, bounds left out.
+    """Spread a normal around the mode by what data and priors know, bounds left out.
 
     Curvature at the mode itself would be misled where the mode leans on a bound:
     the density falls off a cliff there and the walkers would start in one spot.
+
+    Parameters
+    ----------
+    target
+        The log-posterior.
+    mode
+        ``(d,)`` in its coordinates.
+    prior_draws
+        ``(n, d)`` of the prior, in the same coordinates; rows may be not finite.
+
+    Returns
+    -------
+    Start
+        Mode, and the inverse of the information.
+
+    Notes
+    -----
     The information is ``J'J`` of the modelled outputs over their noise, that of the
-    noise scales, and the inverse variance of the prior, of which ``prior_draws`` ``(n, d)`` are.
+    noise scales, and the prior's inverse variance, from its draws' central 68 %.
     """
     k, d = len(target.free), mode.size
     low, high = np.nanquantile(prior_draws, [0.16, 0.84], axis=0)
@@ -100,16 +150,37 @@ def climb(
     max_steps: int = 60,
     moved: Callable[[Array], None] = lambda _: None,
 ) -> Array:
-    """Climb to the mode ``(d,)`` from the best of several candidates ``(n, d)``.
+    """Climb to the mode from the best of several candidates.
 
+    Parameters
+    ----------
+    log_density
+        ``(n, d)`` to ``(n,)``.
+    candidates
+        ``(n, d)`` places to start from.
+    climbs
+        How many of the best are followed to their peak.
+    max_steps
+        Steps of each climb at most.
+    moved
+        Called with every place ``(d,)`` a climb gets to; the density may prepare itself for it.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)``, the highest peak found.
+
+    Raises
+    ------
+    ValueError
+        If no candidate is possible.
+
+    Notes
+    -----
     Newton steps with a Hessian by finite differences, damped as Levenberg and
     Marquardt do. Steps of the differences adapt to where the density has fallen
     by half a unit, which averages over the kinks that direction-dependent losses
     leave in it.
-
-    So many ``climbs`` follow the best candidates to their peak. ``moved`` is called with every
-    place ``(d,)`` a climb gets to; the density may prepare itself for it. ValueError if no
-    candidate is possible.
     """
     heights = log_density(candidates)
     # Direction-dependent losses make several peaks, and the highest candidate need
@@ -128,6 +199,10 @@ def _climb(
     max_steps: int,
     moved: Callable[[Array], None],
 ) -> tuple[Array, float]:
+    """Climb from one place; give the peak and its height.
+
+    Eight dampings are tried at once. It ends where a step gains less than 1e-3, or nothing does.
+    """
     damping = 1.0
     steps = _difference_steps(log_density, x, height, 0.1 * (np.abs(x) + 1e-3))
     for _ in range(max_steps):
