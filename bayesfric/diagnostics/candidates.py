@@ -14,10 +14,8 @@ of inertia, gravity and springs alone (the load that a transmission carries), t 
 kind                        columns
 ==========================  ================================================================
 delay                       dT/dt, of all recordings or one
-torque_constant             T
-torque_by_sign              abs(T)
-saturation                  T abs(T)
-offset                      1
+torque_constant, offset     T; 1
+torque_by_sign, saturation  abs(T); T abs(T)
 coulomb, viscous            s; v
 viscous_by_direction        abs(v)
 quadratic, power            v abs(v); s abs(v)^p
@@ -37,8 +35,7 @@ elastic                     Tc through the resonance of an elastic transmission,
 backlash                    acceleration of a load that flies through its gap
 presliding                  bristle deflection (Dahl) less s
 drift                       t
-coulomb_warming             s (1 - exp(-t/tau))
-viscous_warming             v (1 - exp(-t/tau))
+coulomb_warming             s (1 - exp(-t/tau)); of viscous_warming v in place of s
 temperature                 s and v times the recorded temperature
 load_torque                 a recorded torque on the load
 another_signal              a further recorded column, its rate, and the rate of that
@@ -141,10 +138,6 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         The joint, and its recordings.
     values
         ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    Scales
     """
     speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
     each = [_carried(chain, values, o) for o in observations]
@@ -291,16 +284,7 @@ class Along:
     def state(self, transmitted: Array) -> State:
         """Give the state of one element that stands for all, at the joint's speed.
 
-        Parameters
-        ----------
-        transmitted
-            ``(N,)`` torque that the element carries, N m or N.
-
-        Returns
-        -------
-        State
-            What the columns of :data:`bayesfric.mechanism.quantities.QUANTITIES` take, without
-            gravity.
+        It carries the torque ``transmitted`` ``(N,)``; gravity is left out.
         """
         o = self.o
         still = np.zeros_like(o.q)
@@ -347,7 +331,6 @@ class Kind:
 
 
 def _late(a: Along) -> Sets:
-    """Give the rate of the model's torque: of all recordings, and of each of several."""
     rate = a.torque_rate
     if len(a.scales.names) == 1:
         return {"": [rate]}
@@ -357,11 +340,6 @@ def _late(a: Along) -> Sets:
 
 def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     """Give what the recorded torque has changed by since another time, and how fast it did then.
-
-    Parameters
-    ----------
-    a
-        A recording's motion and torque.
 
     Returns
     -------
@@ -409,14 +387,12 @@ def _term(name: str) -> Callable[[Along], Sets]:
 
 
 def _stribeck(a: Along) -> Sets:
-    """Give a rise towards low speed, ``s exp(-(v/v0)^2)``, at each Stribeck velocity."""
     tries = QUANTITIES["stribeck_velocity"].tries
     assert tries is not None
     return {f"{v:.3g}": [a.direction * np.exp(-((a.o.qd / v) ** 2))] for v in tries(a.sizes)}
 
 
 def _concave(a: Along) -> Sequence[Array]:
-    """Give powers of speed beside the grid's, of exponents a quarter and three quarters."""
     v = np.abs(a.o.qd) / a.scales.speed
     return [a.direction * v**0.25, a.direction * v**0.75]
 
@@ -426,7 +402,6 @@ def _loads(column: Callable[[Along, Array], Sequence[Array]]) -> Callable[[Along
 
 
 def _two(a: Along, carried: Array) -> Sequence[Array]:
-    """Give losses by the load where the motor drives, and where the load does: mu_1 and mu_2."""
     state = a.state(carried)
     rows = QUANTITIES["load_drive"], QUANTITIES["load_back"]
     return [row.column(state) for row in rows if row.column]
@@ -455,10 +430,6 @@ def _gap(a: Along) -> Sets:
 
 
 def _elastic(a: Along) -> Sets:
-    """Give what elasticity adds to the carried torque, by antiresonance.
-
-    Far above the band that is the carried torque's second derivative.
-    """
     hertz, r = [times * a.scales.band for times in _ANTIRESONANCES], a.recording
     rows = resonating(a.carried, r.segments, r.period, hertz)
     found = {f"{f:.3g} Hz": [row] for f, row in zip(hertz, rows, strict=True)}
@@ -466,7 +437,6 @@ def _elastic(a: Along) -> Sets:
 
 
 def _bristles(a: Along) -> Sets:
-    """Give a bristle's deflection less the sign of speed, at each presliding distance."""
     q, way = a.o.q, a.direction
     return {f"{x:.0%}": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
 
@@ -478,10 +448,6 @@ def _gravity(a: Along) -> Sets:
 
 
 def _inertia_by_angle(a: Along) -> Sets:
-    """Give the torque of an inertia that varies once a turn.
-
-    ``J(q) dv/dt + J'(q) v^2 / 2`` with ``J = cos q`` and ``J = sin q``.
-    """
     if a.chain.load.motion != "rotary":
         return {}
     sine, cosine, turning = np.sin(a.o.q), np.cos(a.o.q), 0.5 * a.o.qd**2
@@ -493,7 +459,6 @@ def _repeating(a: Along) -> Sets:
 
 
 def _friction_by_angle(a: Along) -> Sets:
-    """Give a Coulomb friction that varies with the angle, or as a sliding joint's place."""
     if a.chain.load.motion != "rotary":
         return {"": [a.direction * a.o.q]}
     once = {"1 a turn of the joint": [np.sin(a.o.q), np.cos(a.o.q)]}  # of less than a turn, too
@@ -514,7 +479,6 @@ def _temperature(a: Along) -> Sets:
 
 
 def _another_signal(a: Along) -> Sets:
-    """Give each recorded column that no model has, its rate, and the rate of that."""
     found = {}
     for name in a.scales.others:
         signal = a.o.inputs.others.get(name)
