@@ -41,8 +41,8 @@ load_torque                 a recorded torque on the load
 another_signal              a further recorded column, its rate, and the rate of that
 ==========================  ================================================================
 
-Friction that depends on the load, elasticity and backlash need to know how much of the inertia is
-behind the gearbox, which a motion without losses does not show: four shares are tried.
+Load-dependent friction and backlash depend on how much of the inertia is behind the gearbox, which
+a motion without losses does not show: up to four shares are tried.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Scales:
         Twice the median distance from the last reversal, rad or m.
     carried, torque, lost
         Root mean square of the motor torque of inertia, gravity and springs; of the measured one;
-        and of what the model loses to everything else. N m or N.
+        and of all else in the model's, such as friction. N m or N.
     duration
         Of the longest recording, s.
     cycles
@@ -197,7 +197,7 @@ def _torque(chain: Joint, values: Array, o: Observation) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """One recording's motion, and the model's torque along it; signals are ``(N,)``, unfiltered.
+    """One recording's motion, and the model's torque along it; signals are ``(N,)``.
 
     Attributes
     ----------
