@@ -3,12 +3,20 @@
 Beside the model's own columns, its torque's derivatives by its parameters at an estimate, stand
 those of :mod:`bayesfric.diagnostics.candidates`. All pass the parallel filter of the measured
 torque, are whitened by one noise, and are asked for what is left when the model's own are taken
-out. Of each candidate the twins tell mean and spread where the model is right; of the largest of
-all they tell what chance does (Rubin 1984; Gelman, Meng and Stern 1996; Westfall and Young 1993).
-What exceeds it goes in, the one that explains most first, and the others compete for what is left.
+out. The twins give the mean and spread of each candidate where the model is right, and what chance
+makes of the largest of all [1]_, [2]_, [3]_. What exceeds that goes in, the one that explains most
+first, and the others compete for what is left.
 
-The noise is told from what is left once everything that white noise would not do is taken: from
-the plain residual its memory would swallow the effect. Each twin's is told from itself.
+The noise is chosen on what is left once everything that white noise would not do is taken: on the
+plain residual its memory would swallow the effect. Each twin's is chosen on itself.
+
+References
+----------
+.. [1] D. B. Rubin, "Bayesianly justifiable and relevant frequency calculations for the applied
+   statistician", Annals of Statistics 12 (1984) 1151-1172.
+.. [2] A. Gelman, X.-L. Meng, H. Stern, "Posterior predictive assessment of model fitness via
+   realized discrepancies", Statistica Sinica 6 (1996) 733-807.
+.. [3] P. H. Westfall, S. S. Young, "Resampling-Based Multiple Testing", Wiley (1993).
 """
 
 from __future__ import annotations
@@ -82,7 +90,27 @@ _SLOW = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What one round chose, and all that it knew."""
+    """What one round chose, and all that it knew.
+
+    Attributes
+    ----------
+    kind, shape
+        The candidate.
+    own
+        Numbers of its columns.
+    sure
+        Whether it is no chance.
+    z, p
+        Its statistic as a standard normal; and ``(1 + k) / (n + 1)`` where k of n twins have one as
+        large, of whichever candidate.
+    largest, limit
+        ``z`` of all candidates, and what it must exceed.
+    worth
+        Of every candidate, scans last: its gain, less the log of the number of outputs for each
+        coefficient, shape or place after the first.
+    scan
+        Where a tone, push or far delay was found.
+    """
 
     kind: str
     shape: str
@@ -98,7 +126,18 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A simulated recording whose truth is known, and whose torque has no noise."""
+    """A simulated recording whose truth is known, and whose torque has no noise.
+
+    Attributes
+    ----------
+    values
+        ``(n_parameters,)`` it was made with.
+    base, left
+        ``(n, n_parameters)`` derivatives of its outputs there, and ``(n,)`` what the model leaves
+        of its torque: the error of encoder and filters.
+    layout
+        Where its outputs lie in time.
+    """
 
     values: Array  # (n_parameters,) it was made with
     base: Array  # (n, n_parameters) derivatives of its outputs there
@@ -108,7 +147,22 @@ class Twin:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Step(Choice):
-    """One candidate that is taken in."""
+    """One candidate that is taken in.
+
+    Attributes
+    ----------
+    share
+        Root mean square of its torque over that of all torque.
+    recording, span
+        What a push is in, and its seconds; the recording also of what is one recording's alone.
+    coefficients
+        Of its own columns.
+    moves
+        Parameter or derived quantity: by how many of its standard deviations it moves, where the
+        recordings determine it.
+    alike
+        Kinds that explain as much, or look alike on this motion.
+    """
 
     share: float
     recording: str  # that a push is in; else empty
@@ -135,10 +189,19 @@ class Regression:
     number
         How many twins.
 
+    Attributes
+    ----------
+    scales
+        Of the columns' shapes.
+    data, twins
+        Columns of the recordings together, and of each twin with noise.
+    simulated
+        The twins themselves, for whoever tries estimates on them.
+
     Raises
     ------
     NoTwin
-        If the joint has no inertia, or cannot be simulated.
+        If the joint has no inertia, or fewer than half of the twins can be simulated.
     """
 
     chain: Joint
@@ -208,7 +271,11 @@ class Regression:
         return np.asarray(np.maximum(self.values + (drawn @ vectors[:, told].T) * size, lower))
 
     def _modelled(self, stream: np.random.SeedSequence) -> bool:
-        """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
+        """Whether the model's torque is less noisy than the recorded one, and so drives twins.
+
+        It is where the encoder makes less than half of what the model leaves of the recording's
+        torque.
+        """
         some = np.tile(self.values, (_PROBES, 1))
         self.modelled = False
         made = self._twins(some, stream)
@@ -219,6 +286,10 @@ class Regression:
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
+        """Simulate a twin at each vector.
+
+        Left out are those of which a recording failed, or that have too few outputs in all.
+        """
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -279,7 +350,18 @@ class Regression:
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
     def steps(self, most: int = MOST) -> list[Step]:
-        """Rank what the model lacks: what no chance is, in order, or the first that may be."""
+        """Rank what the model lacks: what no chance is, in order, or the first that may be.
+
+        Parameters
+        ----------
+        most
+            How many are looked for, one after the other.
+
+        Returns
+        -------
+        list of Step
+            The last one may be chance, see :attr:`Choice.sure`.
+        """
         found = []
         for choice, extra in self._climbed(most):
             found.append(self._step(choice, extra))
@@ -293,6 +375,8 @@ class Regression:
         """Give all candidates to be marginalised, after :meth:`steps`.
 
         Those that were found are among them; a tone, a push or a far delay only where it was.
+        Columns are as large as all torque, of friction as what the model loses; the mean score of
+        the twins is taken off, and half of it counts as spread.
         """
         d = self.data.whitened
         base = basis_of(d.base)
@@ -344,7 +428,11 @@ class Regression:
                 extra += [i for i in family if i not in extra]
 
     def _best(self, extra: list[int], choosing: bool) -> Choice:
-        """Choose the candidate that explains most of those that are no chance."""
+        """Choose the candidate that explains most of those that are no chance.
+
+        That is what exceeds 95 % of the twins' largest statistics, and Bonferroni's limit. A push
+        comes last: it is taken only where nothing else is sure.
+        """
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
         given = self._groups, extra, self.scales.push
@@ -379,6 +467,7 @@ class Regression:
         return Choice(scan.kind, self._shape(scan), own, *told, scan)
 
     def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
+        """Add to a choice what it moves, what looks like it, and the seconds of a push."""
         # of what is one recording's alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None
