@@ -4,19 +4,12 @@ Beside the model's own columns, its torque's derivatives by its parameters at an
 those of :mod:`bayesfric.diagnostics.candidates`. All pass the parallel filter of the measured
 torque, are whitened by one noise, and are asked for what is left when the model's own are taken
 out. The twins give the mean and spread of each candidate where the model is right, and what chance
-makes of the largest of all [1]_, [2]_, [3]_. What exceeds that goes in, the one that explains most
-first, and the others compete for what is left.
+makes of the largest of all (Rubin, Annals of Statistics 12, 1984; Gelman, Meng and Stern,
+Statistica Sinica 6, 1996; Westfall and Young, Resampling-Based Multiple Testing, 1993). What
+exceeds that goes in, the one that explains most first, and the others compete for what is left.
 
 The noise is chosen on what is left once everything that white noise would not do is taken: on the
 plain residual its memory would swallow the effect. Each twin's is chosen on itself.
-
-References
-----------
-.. [1] D. B. Rubin, "Bayesianly justifiable and relevant frequency calculations for the applied
-   statistician", Annals of Statistics 12 (1984) 1151-1172.
-.. [2] A. Gelman, X.-L. Meng, H. Stern, "Posterior predictive assessment of model fitness via
-   realized discrepancies", Statistica Sinica 6 (1996) 733-807.
-.. [3] P. H. Westfall, S. S. Young, "Resampling-Based Multiple Testing", Wiley (1993).
 """
 
 from __future__ import annotations
@@ -189,15 +182,6 @@ class Regression:
     number
         How many twins.
 
-    Attributes
-    ----------
-    scales
-        Of the columns' shapes.
-    data, twins
-        Columns of the recordings together, and of each twin with noise.
-    simulated
-        The twins themselves, for whoever tries estimates on them.
-
     Raises
     ------
     NoTwin
@@ -271,11 +255,7 @@ class Regression:
         return np.asarray(np.maximum(self.values + (drawn @ vectors[:, told].T) * size, lower))
 
     def _modelled(self, stream: np.random.SeedSequence) -> bool:
-        """Whether the model's torque is less noisy than the recorded one, and so drives twins.
-
-        It is where the encoder makes less than half of what the model leaves of the recording's
-        torque.
-        """
+        """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
         some = np.tile(self.values, (_PROBES, 1))
         self.modelled = False
         made = self._twins(some, stream)
@@ -286,10 +266,6 @@ class Regression:
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
-        """Simulate a twin at each vector.
-
-        Left out are those of which a recording failed, or that have too few outputs in all.
-        """
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -430,8 +406,7 @@ class Regression:
     def _best(self, extra: list[int], choosing: bool) -> Choice:
         """Choose the candidate that explains most of those that are no chance.
 
-        That is what exceeds 95 % of the twins' largest statistics, and Bonferroni's limit. A push
-        comes last: it is taken only where nothing else is sure.
+        A push comes last: it is taken only where nothing else is sure.
         """
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
@@ -467,7 +442,6 @@ class Regression:
         return Choice(scan.kind, self._shape(scan), own, *told, scan)
 
     def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
-        """Add to a choice what it moves, what looks like it, and the seconds of a push."""
         # of what is one recording's alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None
