@@ -41,11 +41,6 @@ _NEGATIVE = 3.0
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
     """Doubt a mechanism that leaves much of the torque even with its best base parameters.
 
-    Parameters
-    ----------
-    chain, observations
-        The joint, and its recordings as prepared for the comparison.
-
     Returns
     -------
     list of dict
@@ -69,8 +64,6 @@ def instead(chain: Joint, observations: Sequence[Observation], share: float) -> 
 
     Parameters
     ----------
-    chain, observations
-        The joint, and its recordings.
     share
         Of the torque's variance, what the best base parameters explain.
 
@@ -99,8 +92,6 @@ def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list
     ----------
     totals
         Estimate of :func:`bayesfric.estimates.least_squares.least_squares`.
-    observations
-        The recordings.
 
     Returns
     -------
@@ -119,8 +110,6 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
 
     Parameters
     ----------
-    observations
-        The recordings.
     parameters
         How many are free; :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` more outputs are
         wanted.
@@ -205,11 +194,6 @@ def _loses(row: Quantity | None) -> bool:
 
 def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
     """Give the share of the torque's variance that the best base parameters explain.
-
-    Parameters
-    ----------
-    chain, observations
-        The joint, and its recordings.
 
     Returns
     -------

@@ -134,8 +134,6 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
 
     Parameters
     ----------
-    chain, observations
-        The joint, and its recordings.
     values
         ``(n_parameters,)`` in the order of ``chain.names``.
     """

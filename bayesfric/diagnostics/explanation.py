@@ -95,11 +95,6 @@ def unasked(
 ) -> Reason | None:
     """Say why recordings cannot be asked, as far as that is known before anything is computed.
 
-    Parameters
-    ----------
-    chain, recordings, observations
-        The joint, and its recordings as read and as prepared.
-
     Returns
     -------
     str or None

@@ -148,8 +148,6 @@ class Memory:
         ----------
         x
             ``(n, m)`` columns, one row an output.
-        layout
-            Where the outputs lie in time.
 
         Returns
         -------
@@ -201,8 +199,6 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
     ----------
     left
         ``(n,)`` what is left of the torque, N m or N.
-    layout
-        Where its outputs lie in time.
 
     Returns
     -------

@@ -54,8 +54,6 @@ def tone(y: Array, layout: Layout) -> Scan:
     ----------
     y
         ``(n,)`` whitened residual, all recordings.
-    layout
-        Where its outputs lie in time.
 
     Returns
     -------
@@ -94,8 +92,6 @@ def push(y: Array, layout: Layout, width: float) -> Scan:
     ----------
     y
         ``(n,)`` whitened residual, all recordings.
-    layout
-        Where its outputs lie in time.
     width
         From one place to the next, s; the mean is over three of them.
 
@@ -121,39 +117,16 @@ def push(y: Array, layout: Layout, width: float) -> Scan:
 
 
 def waves(layout: Layout, hertz: float) -> Array:
-    """Sine and cosine of a tone, of each recording its own.
-
-    Parameters
-    ----------
-    layout
-        Of K recordings.
-    hertz
-        Frequency.
-
-    Returns
-    -------
-    ndarray
-        ``(n, 2 K)``, zero outside the column's recording.
-    """
+    """Sine and cosine of a tone, of each of K recordings its own, ``(n, 2 K)``."""
     angle = 2.0 * np.pi * hertz * np.concatenate(layout.stamps)
     own = layout.members
     return np.stack([wave(angle) * one for one in own for wave in (np.sin, np.cos)], axis=1)
 
 
 def bump(layout: Layout, scan: Scan, width: float) -> Array:
-    """Give what a push is taken for: five bells over its place and beside, of any course.
+    """Give what a push is taken for, ``(n, 5)``: bells over its place and beside, of any course.
 
-    Parameters
-    ----------
-    layout, scan
-        Where outputs lie in time, and where the push is.
-    width
-        Standard deviation of a bell, and distance to the next one, s.
-
-    Returns
-    -------
-    ndarray
-        ``(n, 5)``, zero outside the push's recording.
+    Their standard deviation, and the distance from one to the next, is ``width`` (s).
     """
     t = np.concatenate(layout.stamps)[:, None]
     bells = np.exp(-0.5 * ((t - scan.place) / width - np.arange(-2, 3)) ** 2)
@@ -167,10 +140,6 @@ def tuned(y: Array, layout: Layout, hertz: float, left: Callable[[Array], Array]
     ----------
     y
         ``(n,)`` whitened residual.
-    layout
-        Where its outputs lie in time.
-    hertz
-        Frequency to begin with.
     left
         Whitens columns ``(n, k)`` and takes out what the model explains.
 

@@ -98,11 +98,6 @@ class Columns:
 def testable(d: Columns) -> list[tuple[Key, list[int]]]:
     """Group columns to candidates; leave out what the model's own, or each other's, can do.
 
-    Parameters
-    ----------
-    d
-        A recording's columns.
-
     Returns
     -------
     list of tuple
@@ -233,8 +228,6 @@ def asked(
 
     Parameters
     ----------
-    d
-        Columns of a recording or twin.
     groups
         Candidates, see :func:`testable`.
     extra

@@ -155,8 +155,6 @@ def modelled_driver(
     ----------
     chain, values
         The joint and its parameters ``(n_parameters,)``.
-    recording, observation
-        As read, and as prepared.
 
     Returns
     -------

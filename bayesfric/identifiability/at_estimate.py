@@ -21,8 +21,6 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
 
     Parameters
     ----------
-    target
-        Posterior of the recordings.
     estimate
         A value of every free parameter of the chain, by name. What lies outside its prior is moved
         to its edge.

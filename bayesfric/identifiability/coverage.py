@@ -55,8 +55,6 @@ def coverage_of(
 
     Parameters
     ----------
-    chain, observations
-        The joint, and its recordings.
     values
         ``(n_parameters,)`` of the chain at the estimate.
 

@@ -302,8 +302,6 @@ def derived_beside(
     ----------
     target, parameters
         Posterior, and ``(d,)``, noise scales last.
-    local
-        Its units.
 
     Yields
     ------

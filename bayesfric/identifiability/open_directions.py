@@ -179,11 +179,6 @@ def _weak(
 def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
     """Give null and weak directions in the local units, the largest entry of each one.
 
-    Parameters
-    ----------
-    local
-        Fisher information at the estimate.
-
     Yields
     ------
     row : ndarray
@@ -323,8 +318,6 @@ def trials(
         Posterior of the recordings; the longest one's filter and noise are taken.
     parameters
         The estimate ``(d,)``, noise scales last.
-    local
-        Its units.
     rare
         Whether the load hardly drove the motor: then a square wave is tried, too.
 
@@ -382,8 +375,6 @@ def remedies(
 
     Parameters
     ----------
-    local
-        Fisher information at the estimate.
     row
         ``(d,)`` the direction in its units.
     tried

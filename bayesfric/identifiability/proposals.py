@@ -151,8 +151,6 @@ def limits_of(
         The ``[advice]`` table.
     chain, values
         The joint, and ``(n_parameters,)`` at the estimate, which a mass is chosen to suit.
-    observations
-        The recordings.
 
     Returns
     -------
@@ -254,8 +252,6 @@ def candidates(
     chain, values
         The joint, and ``(n_parameters,)`` by which a motion asks for another torque with another
         mass.
-    observations
-        The recordings.
     limits
         From :func:`limits_of`.
 

@@ -125,12 +125,8 @@ def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
 
     Parameters
     ----------
-    target
-        Posterior of the recordings.
     parameters
         ``(d,)``, noise scales last.
-    number
-        Of the recording.
 
     Returns
     -------
@@ -177,8 +173,6 @@ def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> 
 
     Parameters
     ----------
-    observation
-        The recording.
     most
         No more than so many seconds of it, and 20 000 samples; all of it for ``None``.
 
