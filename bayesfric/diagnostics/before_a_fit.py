@@ -47,9 +47,11 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
         Empty, or one doubt of ``kind`` ``unexplained``: the ``share`` of the torque's variance that
         is explained, and what may be wrong, see :func:`instead`.
 
-    Notes ----- There is a doubt where less than 80 % of the variance is explained and neighbouring
-    residuals correlate by more than 0.2: a small signal in white noise is left little of, too, and
-    its model may be right.
+    Notes
+    -----
+    There is a doubt where less than 80 % of the variance is explained and neighbouring residuals
+    correlate by more than 0.2: a small signal in white noise is left little of, too, and its model
+    may be right.
     """
     share, left = best_share(chain, observations)
     if share >= EXPLAINED or not lag_one(left, np.ones(left.size - 1, np.bool_)) > CORRELATED:
@@ -97,8 +99,8 @@ def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list
     -------
     list of dict
         Of ``kind`` ``feedback`` (the torque follows the motion by a simple law), ``attenuated`` (a
-        band in which the inertia comes out smaller) and ``negative`` (a loss or an inertia below
-        zero). None names ``parameters``: all are doubtful.
+        band that was asked for, in which the inertia comes out smaller than in a narrower one) and
+        ``negative`` (a loss or an inertia below zero). None names ``parameters``: all are doubtful.
     """
     return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
 
@@ -228,9 +230,10 @@ def other_units(
         base parameters then explain. Named are those that leave less than half of the variance that
         is unexplained now. Empty for a load that slides.
 
-    Notes ----- Position, speed and acceleration are scaled together. Only a torque that is no power
-    of the angle, such as gravity's, tells: the coefficients of inertia and friction absorb the
-    scale.
+    Notes
+    -----
+    Position, speed and acceleration are scaled together. Only a torque that is no power of the
+    angle, such as gravity's, tells: the coefficients of inertia and friction absorb the scale.
     """
     if chain.load.motion != "rotary":
         return []

@@ -1,7 +1,7 @@
 """What else explains the torque, as findings: what it is, what it moves, and what puts it in.
 
-Between the regression that ranks candidates and what is told of them: its steps become findings,
-with the line of a configuration that adds the term where there is one.
+Between the regression that ranks candidates and the report: its steps become findings, with the
+line of a configuration that adds the term where there is one.
 """
 
 from __future__ import annotations

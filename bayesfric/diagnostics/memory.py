@@ -71,7 +71,7 @@ class Layout:
         )
 
     def split(self, x: Array) -> list[Array]:
-        """Divide rows ``(n, ...)`` among the recordings."""
+        """Divide rows ``(n, ...)`` of all recordings into those of each."""
         return np.split(x, np.cumsum([a.size for a in self.at])[:-1])
 
     @cached_property
@@ -111,9 +111,11 @@ class Layout:
     def waves(self) -> list[Array]:
         """Cosines of each recording's clock, falling as one over the root of the frequency.
 
-        Notes ----- Of a recording of M outputs and span S they are ``(M, K)``, ``cos(pi k (t - t0)
-        / S) / sqrt(k)`` for k from 1 to K; independent normal coefficients of one size make 1/f
-        noise of them. K is at most 60, an eighth of M, and 2 S (or 4), where they end at a hertz.
+        Notes
+        -----
+        Of a recording of M outputs and span S they are ``(M, K)``, ``cos(pi k (t - t0) / S) /
+        sqrt(k)`` for k from 1 to K; independent normal coefficients of one size make 1/f noise of
+        them. K is at most 60, an eighth of M, and 2 S (or 4), where they end at a hertz.
         """
         columns = []
         for t in self.stamps:
@@ -154,8 +156,10 @@ class Memory:
         ndarray
             ``(n, m)``; of noise of this memory, white with the variance of the innovations.
 
-        Notes ----- With W the whitened cosines times their size, the wander is taken out by ``(I +
-        W W')^(-1/2)``.
+        Notes
+        -----
+        With W the whitened cosines times their size, the wander is taken out by ``(I + W
+        W')^(-1/2)``.
         """
         out, unforetold = [], _unforetold(self.partial)
         for part, at, waves in zip(layout.split(x), layout.at, layout.waves, strict=True):
@@ -207,10 +211,12 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
     bic : float
         Its Bayesian information criterion, the least of those that were tried.
 
-    Notes ----- For sizes of the wander, none and four that grow (none alone for 40 outputs and
-    fewer), the order is chosen first, by ``n sum(log(1 - partial^2)) + p log(n)``; then wander and
-    order are compared by the exact density, ``n log(variance) + log det + p log(n)`` [1]_. Once a
-    wander helps, the first that is worse ends it.
+    Notes
+    -----
+    For sizes of the wander, none and four that grow (none alone for 40 outputs and fewer), the
+    order is chosen first, by ``n sum(log(1 - partial^2)) + p log(n)``; then wander and order are
+    compared by the exact density, ``n log(variance) + log det + p log(n)`` [1]_. Once a wander
+    helps, the first that is worse ends it.
 
     References
     ----------

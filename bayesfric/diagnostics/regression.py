@@ -266,6 +266,7 @@ class Regression:
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
+        """Simulate a twin at each vector, unless that fails or leaves too few outputs."""
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -442,6 +443,7 @@ class Regression:
         return Choice(scan.kind, self._shape(scan), own, *told, scan)
 
     def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
+        """Add to a choice what it moves, what looks like it, and the seconds of a push."""
         # of what is one recording's alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None

@@ -60,9 +60,11 @@ def tone(y: Array, layout: Layout) -> Scan:
     Scan
         Of the recordings' summed power; the frequency is interpolated by a parabola.
 
-    Notes ----- The power P of a frequency is scaled to chi squared of two degrees of freedom in
-    white noise; the gain is ``P / (1 - P/n)``, which orders peaks as Fisher's test of hidden
-    periods does [1]_. Frequencies go from two periods of the longest recording to 0.45 of the rate.
+    Notes
+    -----
+    The power P of a frequency is scaled to chi squared of two degrees of freedom in white noise;
+    the gain is ``P / (1 - P/n)``, which orders peaks as Fisher's test of hidden periods does [1]_.
+    Frequencies go from two periods of the longest recording to 0.45 of the rate.
 
     References
     ----------

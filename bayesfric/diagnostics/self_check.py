@@ -120,10 +120,11 @@ def self_check(
     Checked
         Truths and fits of all twins, or the reason why there are none.
 
-    Notes ----- Filters, steps of the encoder and differentiation bias an estimate: the mean over
-    twins of fit less truth is that bias. Each fit is one Gauss-Newton step, as the torque is linear
-    in nearly every parameter. The twins' torque has no noise here, so few of them tell the bias
-    well.
+    Notes
+    -----
+    Filters, steps of the encoder and differentiation bias an estimate: the mean over twins of fit
+    less truth is that bias. Each fit is one Gauss-Newton step, as the torque is linear in nearly
+    every parameter. The twins' torque has no noise here, so few of them show the bias well.
 
     References
     ----------

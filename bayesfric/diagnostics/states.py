@@ -143,8 +143,10 @@ def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[floa
     ndarray
         ``(k, N)``; zero in segments of 20 samples and fewer.
 
-    Notes ----- ``1 / (1 - r^2 + 2 i D r) - 1`` of each frequency, r its ratio to the antiresonance,
-    with D = 0.05 of critical damping.
+    Notes
+    -----
+    ``1 / (1 - r^2 + 2 i D r) - 1`` of each frequency, r its ratio to the antiresonance, with D =
+    0.05 of critical damping.
     """
     out = np.zeros((len(hertz), x.size))
     for a, b in segments:

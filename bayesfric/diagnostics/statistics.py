@@ -91,7 +91,7 @@ class Columns:
         return np.column_stack([self.base, self.others[:, extra]]) if len(extra) else self.base
 
     def rest(self, extra: Sequence[int]) -> Array:
-        """Give what is left ``(n,)`` when ``extra``, candidates, are taken, too."""
+        """Give what is left ``(n,)`` when columns of candidates, ``extra``, are fitted, too."""
         return without(basis_of(self.beside(extra)), self.left)
 
 
@@ -239,9 +239,10 @@ def asked(
     -------
     Asked
 
-    Notes ----- Of whitened columns z and residual y, both beside the model's own, ``b = (z'z)^-1
-    z'y``; t is b over its standard deviations, and the gain is ``b'z'y`` over the variance of what
-    is left.
+    Notes
+    -----
+    Of whitened columns z and residual y, both beside the model's own, ``b = (z'z)^-1 z'y``; t is b
+    over its standard deviations, and the gain is ``b'z'y`` over the variance of what is left.
     """
     white = d.whitened
     basis = basis_of(white.beside(extra))
@@ -317,8 +318,10 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
     null : ndarray
         ``(n, m)`` of the twins, each among the others.
 
-    Notes ----- The squared distance of a candidate's t from the twins' mean, in their covariance,
-    is Hotelling's [1]_. Half of the mean counts as spread: the recording may share what filters and
+    Notes
+    -----
+    The squared distance of a candidate's t from the twins' mean, in their covariance, is
+    Hotelling's [1]_. Half of the mean counts as spread: the recording may share what filters and
     encoder make of a right model or not. The largest of a scan is taken for Gumbel's, with the
     twins' mean and sd.
 

@@ -30,9 +30,10 @@ def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
     ndarray
         ``(d,)`` free parameters, then the noise scales.
 
-    Notes ----- For a likelihood of the torque, partial autocorrelations are Burg's and the scale is
-    the root mean square of the innovations; else noise of torque and position are searched on a
-    grid.
+    Notes
+    -----
+    For a likelihood of the torque, partial autocorrelations are Burg's and the scale is the root
+    mean square of the innovations; else noise of torque and position are searched on a grid.
     """
     values = np.array(
         [

@@ -78,9 +78,11 @@ def speed_term(
     SpeedTerm or None
         ``None`` where no recording's torque comes from a voltage.
 
-    Notes ----- With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R``
-    at the motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed.
-    That, filtered and whitened as the torque is, is projected on the columns of the Jacobian.
+    Notes
+    -----
+    With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
+    motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
+    filtered and whitened as the torque is, is projected on the columns of the Jacobian.
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}

@@ -175,8 +175,10 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     BadInput
         If a simulation fails beside these parameters.
 
-    Notes ----- For load losses the logarithm is that of ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 =
-    1/(1 - mu_2)``, in which leg and gearbox scale along one straight line.
+    Notes
+    -----
+    For load losses the logarithm is that of ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 -
+    mu_2)``, in which leg and gearbox scale along one straight line.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     at = units_of(target, parameters)
@@ -202,7 +204,7 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
 
 
 def fixed_in(target: Target, values: Array) -> Knowledge:
-    """Tell which of the chain's ``values`` ``(n_parameters,)`` are known, as they are not free."""
+    """Give what is known of a chain: what of ``values`` ``(n_parameters,)`` is not free."""
     named = zip(target.likelihood.chain.names, values.tolist(), strict=True)
     return Knowledge({name: value for name, value in named if name not in target.free})
 
@@ -275,7 +277,7 @@ def torque_changes(
 
 
 def joined(*rows: Array) -> Directions:
-    """Take what several Jacobians tell together.
+    """Take the information of several Jacobians together.
 
     Parameters
     ----------
@@ -287,7 +289,7 @@ def joined(*rows: Array) -> Directions:
 
 
 def prior_rows(target: Target, local: LocalInformation) -> Array:
-    """Jacobian ``(d, d)`` with the information of the priors, in the local units."""
+    """Give the priors' information as a Jacobian ``(d, d)`` in the local units."""
     sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
     ratio = np.abs(local.units) / sds
     return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
@@ -324,13 +326,22 @@ def derived_beside(
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
     """Say whether data or prior determined a parameter.
 
-    ``data``: the posterior is about as wide as the data alone would leave it and
-    at most half as wide as the prior. ``prior``: the data alone would leave it
-    more than twice as wide as the posterior is, and more than half as wide as the prior or five
-    times as wide as the posterior; or they left the prior as it was. ``weak``: in between, as where
-    bounds of others help, or the posterior is much wider than the local picture says, as where it
-    is curved or has several peaks. An infinite or undefined prior sd counts as very wide;
-    ``data_sd`` is from :func:`local_information`.
+    Parameters
+    ----------
+    posterior_sd, prior_sd
+        An infinite or undefined prior sd counts as very wide.
+    data_sd
+        What the data alone would leave, from :func:`local_information`.
+
+    Returns
+    -------
+    str
+        ``data``: the posterior is about as wide as the data alone would leave it and at most half
+        as wide as the prior. ``prior``: the data alone would leave it more than twice as wide as
+        the posterior is, and more than half as wide as the prior or five times as wide as the
+        posterior; or they left the prior as it was. ``weak``: in between, as where bounds of others
+        help, or the posterior is much wider than the local picture says, as where it is curved or
+        has several peaks.
     """
     if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"

@@ -49,7 +49,7 @@ def sample_period(observation: Observation) -> float:
 
 
 def of_load(chain: Joint, values: Array) -> dict[str, float]:
-    """Give what ``values`` ``(n_parameters,)`` say of the load, by quantity."""
+    """Give the load's own parameters among ``values`` ``(n_parameters,)``, by quantity."""
     pairs = zip(chain.parameters, values.tolist(), strict=True)
     return {p.quantity: value for p, value in pairs if p.owner == "load"}
 
