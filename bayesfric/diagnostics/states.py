@@ -61,7 +61,7 @@ def since_reversal(q, least):  # type: ignore[no-untyped-def]
     q
         ``(N,)`` position, rad or m.
     least
-        Smaller ones are taken for steps of the encoder, rad or m.
+        Reversals that go no further are passed over, as steps of the encoder; rad or m.
 
     Returns
     -------

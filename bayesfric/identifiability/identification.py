@@ -222,7 +222,7 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     Notes
     -----
     With J the Jacobian over the noise and P the priors' variances, the data's information is
-    ``J'J`` and a quantity of gradient g has ``sd² = g' (J'J + 1/P)^-1 g``. The scalings are
+    ``J'J`` and a quantity of gradient g has ``sd² = g' (J'J + P^-1)^-1 g``. The scalings are
     structurally unidentifiable; weak directions are practically so [1]_.
 
     References

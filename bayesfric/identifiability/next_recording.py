@@ -254,7 +254,7 @@ def ranking(
     Notes
     -----
     With J the Jacobians over the noise, of present recordings (0) and candidate (1), P the priors'
-    variances and g the gradient, ``sd² = g' (J0'J0 + J1'J1 + 1/P)^-1 g``: one of c-optimality's.
+    variances and g the gradient, ``sd² = g' (J0'J0 + J1'J1 + P^-1)^-1 g``, c-optimality's.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     unit, meaning, value, gradient = _asked(target, point, local, name)

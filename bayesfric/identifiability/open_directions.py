@@ -385,8 +385,8 @@ def remedies(
     Returns
     -------
     tuple of Remedy
-        Known values only where fewer directions are open then; a recording only if it leaves less
-        than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half of what was
+        Known values only where fewer directions are open, or null, then; a recording only if it
+        leaves less than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half of what was
         left before.
     """
     information = local.information

@@ -1,6 +1,7 @@
 """Recordings that nobody made: the same joint, simulated with another mass or torque.
 
-They are looked at through the filters of a recording that was made, and have its noise.
+They are looked at through the filters of a recording that was made; what they tell is weighed with
+its noise.
 """
 
 from __future__ import annotations
