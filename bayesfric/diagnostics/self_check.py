@@ -123,8 +123,8 @@ def self_check(
     Notes
     -----
     Filters, steps of the encoder and differentiation bias an estimate: the mean over twins of fit
-    less truth is that bias [1]_. Each fit is one Gauss-Newton step, as the torque is linear in nearly
-    every parameter. The twins' torque has no noise here, so few of them show the bias well.
+    less truth is that bias [1]_. Each fit is one Gauss-Newton step, as the torque is linear in
+    nearly every parameter. The twins' torque has no noise here, so few of them show the bias well.
 
     References
     ----------

@@ -386,8 +386,8 @@ def remedies(
     -------
     tuple of Remedy
         Known values only where fewer directions are open, or null, then; a recording only if it
-        leaves less than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half of what was
-        left before.
+        leaves less than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half
+        of what was left before.
     """
     information = local.information
     before = left_along(information, row)
