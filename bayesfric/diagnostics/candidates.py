@@ -114,19 +114,19 @@ class Scales:
         Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is.
     """
 
-    speed: float  # nearly the largest
-    reach: float  # twice the typical distance from a reversal
-    carried: float  # rms of the torque that a transmission carries
-    torque: float  # rms of the measured
-    lost: float  # rms of what the model loses of it
+    speed: float
+    reach: float
+    carried: float
+    torque: float
+    lost: float
     duration: float
-    cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
-    push: float  # width of one, s
-    names: tuple[str, ...]  # of the recordings
-    others: tuple[str, ...]  # further columns of any of them
-    inertia: float  # motor torque an acceleration of the joint
-    need: float  # rms of the load's acceleration by the motor
-    band: float  # Hz
+    cycles: tuple[tuple[str, float], ...]
+    push: float
+    names: tuple[str, ...]
+    others: tuple[str, ...]
+    inertia: float
+    need: float
+    band: float
 
 
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
@@ -208,7 +208,7 @@ class Along:
     """
 
     chain: Joint
-    values: Array  # (n_parameters,)
+    values: Array
     o: Observation
     recording: Measurement
     scales: Scales
@@ -319,13 +319,13 @@ class Kind:
     """
 
     name: str
-    columns: Callable[[Along], Sets]  # each shape's
-    beside: Callable[[Along], Sequence[Array]] = lambda _: ()  # see the module
-    option: str = ""  # of the mechanism that puts it in, with its choice
+    columns: Callable[[Along], Sets]
+    beside: Callable[[Along], Sequence[Array]] = lambda _: ()
+    option: str = ""
     choice: str | bool = True
-    positive: bool = False  # whether that must be positive, in every column
-    other: str = ""  # choice that may be negative, where there is one
-    loss: bool = False  # whether it is friction, so of its size
+    positive: bool = False
+    other: str = ""
+    loss: bool = False
 
 
 def _late(a: Along) -> Sets:

@@ -56,9 +56,9 @@ class Layout:
         ``(M,)`` of each, s.
     """
 
-    runs: tuple[Flags, ...]  # (M - 1,) of each: which are followed by the next
-    at: tuple[Index, ...]  # (M,) of each: steps since its first output
-    stamps: tuple[Array, ...]  # (M,) of each, s
+    runs: tuple[Flags, ...]
+    at: tuple[Index, ...]
+    stamps: tuple[Array, ...]
 
     @classmethod
     def of(cls, observations: Sequence[Observation]) -> Layout:

@@ -107,13 +107,13 @@ class Choice:
 
     kind: str
     shape: str
-    own: list[int]  # its columns
-    sure: bool  # whether it is no chance
+    own: list[int]
+    sure: bool
     z: float
     p: float
-    largest: float  # z of all candidates
-    limit: float  # what it must exceed
-    worth: Array  # of every candidate, scans last
+    largest: float
+    limit: float
+    worth: Array
     scan: Scan | None = None
 
 
@@ -132,9 +132,9 @@ class Twin:
         Where its outputs lie in time.
     """
 
-    values: Array  # (n_parameters,) it was made with
-    base: Array  # (n, n_parameters) derivatives of its outputs there
-    left: Array  # (n,) what the model leaves of its torque
+    values: Array
+    base: Array
+    left: Array
     layout: Layout
 
 
@@ -158,11 +158,11 @@ class Step(Choice):
     """
 
     share: float
-    recording: str  # that a push is in; else empty
-    span: tuple[float, float] | None  # s, of a push
-    coefficients: Array  # of its own columns
-    moves: dict[str, float]  # quantity: by how many of its sds it moves, where these are told
-    alike: tuple[str, ...]  # kinds that explain as much, or look alike here
+    recording: str
+    span: tuple[float, float] | None
+    coefficients: Array
+    moves: dict[str, float]
+    alike: tuple[str, ...]
 
 
 @dataclass(eq=False)

@@ -43,8 +43,8 @@ class Scan:
 
     kind: str
     peak: float
-    place: float  # Hz of a tone, s of a push and of a delay
-    recording: int = 0  # number of the one that a push is in
+    place: float
+    recording: int = 0
 
 
 def tone(y: Array, layout: Layout) -> Scan:

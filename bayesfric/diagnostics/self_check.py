@@ -58,11 +58,8 @@ class QuickFit:
         Mean square of what the model then cannot explain, over the variance of the noise.
     """
 
-    # (d,) sampled parameters a small ``share`` of the way from the truth to the estimate: how
-    # any quantity changes is asked there, since steps along what is open may be of any length
     nearby: Array
     share: float
-    # mean square of what the model then cannot explain, over the variance of the noise
     unexplained: float
 
 
@@ -87,8 +84,8 @@ class Checked:
         Words for a ``simulation`` that is impossible.
     """
 
-    truth: Array  # (n, d) sampled parameters
-    fits: tuple[QuickFit, ...]  # of each
+    truth: Array
+    fits: tuple[QuickFit, ...]
     seconds: float
     cpu_seconds: float
     reason: Reason | None = None

@@ -45,7 +45,7 @@ class Key:
     shape: str
     number: int
     beside: bool = False
-    delay: float = 0.0  # s; its column, the first of two, then has the coefficient one
+    delay: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +68,12 @@ class Columns:
         Autocorrelation of the noise.
     """
 
-    base: Array  # (n, d) derivatives by the model's parameters
-    others: Array  # (n, m) candidates'
-    left: Array  # (n,) what the model leaves of the torque
+    base: Array
+    others: Array
+    left: Array
     layout: Layout
-    keys: tuple[Key, ...]  # (m,)
-    memory: Memory = WHITE  # of the noise
+    keys: tuple[Key, ...]
+    memory: Memory = WHITE
 
     @cached_property
     def whitened(self) -> Columns:
@@ -213,9 +213,9 @@ class Asked:
         The largest of each kind that is looked for at any place: tone, push, far delay.
     """
 
-    t: list[Array]  # (k,) joint t of each group; NaN where nothing of it is left
-    gains: Array  # what each takes of chi squared
-    scans: tuple[Scan, ...]  # the largest of each kind that is looked for at any place
+    t: list[Array]
+    gains: Array
+    scans: tuple[Scan, ...]
 
 
 def asked(

@@ -33,12 +33,11 @@ class SpeedTerm:
         Share of the term's square that some change of parameters makes up for, 0 to 1.
     """
 
-    recordings: tuple[str, ...]  # those whose torque comes from a voltage
-    nominal: float  # kt²/R as given, the largest: what the speed takes off, at the motor
-    unit: str  # of that
-    # parameters whose effect, each's or all of them together, has the same shape exactly
+    recordings: tuple[str, ...]
+    nominal: float
+    unit: str
     same_as_back_emf: tuple[str, ...]
-    explained: float  # share of the term's square that some change of parameters makes up for
+    explained: float
 
     @property
     def meaning(self) -> str:

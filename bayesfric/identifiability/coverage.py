@@ -40,12 +40,12 @@ class Coverage:
 
     name: str
     outputs: int
-    moving: float  # share of outputs in which the joint moves
-    load_drives: dict[str, float]  # share of those in which the load drives an element with a loss
-    turn: float  # range of the joint's position, rad or m
-    steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
-    added_mass: float  # kg
-    radius: float  # m
+    moving: float
+    load_drives: dict[str, float]
+    turn: float
+    steady: float
+    added_mass: float
+    radius: float
 
 
 def coverage_of(

@@ -75,12 +75,12 @@ class Prospect:
     name: str
     unit: str
     meaning: str
-    value: float  # at the estimate; it means nothing where data_sd is infinite
-    data_sd: float  # what the data alone would leave, the noise being what fit takes it for
-    expected_sd: float  # data and prior together
-    prior_sd: float = float("nan")  # and these two of parameters alone
-    status: Status | None = None  # to be expected of a fit
-    on_bound: str | None = None  # lower or upper: a limit is what can be told
+    value: float
+    data_sd: float
+    expected_sd: float
+    prior_sd: float = float("nan")
+    status: Status | None = None
+    on_bound: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,18 +110,16 @@ class Identification:
         What a back-EMF cannot be told from, where a torque comes from a voltage.
     """
 
-    method: str  # of the likelihood
-    noise: str  # what it takes the noise for
-    # whether it may be correlated: estimates weigh all residuals alike, and have other sds then
+    method: str
+    noise: str
     memory: bool
-    local: LocalInformation  # the local picture at the estimate
-    directions: tuple[OpenDirection, ...]  # null ones first, then weak ones, the weakest first
-    parameters: tuple[Prospect, ...]  # the free ones
-    combinations: tuple[Prospect, ...]  # what they amount to, best known first
-    recordings: tuple[Coverage, ...]  # what the recordings went through
-    # element with a load loss: share of the moving outputs in which the load drives it
+    local: LocalInformation
+    directions: tuple[OpenDirection, ...]
+    parameters: tuple[Prospect, ...]
+    combinations: tuple[Prospect, ...]
+    recordings: tuple[Coverage, ...]
     back_driving: dict[str, float]
-    voltage: SpeedTerm | None  # what a back-EMF cannot be told from
+    voltage: SpeedTerm | None
 
     @property
     def frame(self) -> pd.DataFrame:

@@ -60,8 +60,6 @@ class NullDirection:
         powers of one factor. One that is next to zero changes in units of its prior sd.
     """
 
-    # Parameter (or alpha) and its relative change, the largest being one; one that is next to zero
-    # changes in units of its prior sd.
     exponents: dict[str, float]
 
     @property
@@ -110,12 +108,10 @@ class LocalInformation(LocalUnits):
         How many null directions, the first, are scalings that hold everywhere (section 4.2).
     """
 
-    # (d,) sd that the data alone would leave, in the parameter's unit; infinite where a null
-    # direction touches it
     data_sd: Array
-    null_rows: Array  # (n_null, d) what no torque can tell, in units, the largest entry of each one
-    directions: Directions  # of the Jacobian over the noise scale, in log parameters
-    from_theory: int = 0  # how many null directions, the first, are scalings that hold everywhere
+    null_rows: Array
+    directions: Directions
+    from_theory: int = 0
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:

@@ -76,9 +76,9 @@ class Uncertainty:
         Of the recordings alone; infinite where they leave it open.
     """
 
-    sd: float  # recordings and prior together; infinite where neither confines it
-    relative_sd: float | None  # the same as a share of the value, if recordings determine that
-    data_sd: float  # of the recordings alone; infinite where they leave it open
+    sd: float
+    relative_sd: float | None
+    data_sd: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +98,10 @@ class Advice:
     """
 
     candidate: Candidate
-    after: Uncertainty  # how well the quantity would be known then
-    load_drives: dict[str, float]  # element with a load loss: share in which the load drives it
-    peak_speed: float  # rad/s or m/s
-    angles: tuple[float, float]  # lowest and highest position, rad or m
+    after: Uncertainty
+    load_drives: dict[str, float]
+    peak_speed: float
+    angles: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +124,14 @@ class Ranking:
         What they had to keep.
     """
 
-    quantity: str  # what is to be known
+    quantity: str
     unit: str
     meaning: str
-    value: float  # at the estimate; it means nothing where now.data_sd is infinite
-    now: Uncertainty  # how well it is known at present
-    advices: tuple[Advice, ...]  # the best first
-    dropped: tuple[tuple[Candidate, str], ...]  # candidates that are no use, and why
-    limits: Limits  # what they had to keep
+    value: float
+    now: Uncertainty
+    advices: tuple[Advice, ...]
+    dropped: tuple[tuple[Candidate, str], ...]
+    limits: Limits
 
     @property
     def determined(self) -> bool:

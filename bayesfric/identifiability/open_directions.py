@@ -66,11 +66,9 @@ class Remedy:
     """
 
     kind: RemedyKind
-    text: str  # what to do
-    parameters: tuple[str, ...]  # for a known value: any one of these
-    # sd of the logarithm along the direction once it is done; None for a known value
+    text: str
+    parameters: tuple[str, ...]
     log_sd_after: float | None
-    # directions, null or weak, that are then still open; of known values the one that leaves fewest
     open_after: int
 
 
@@ -94,15 +92,13 @@ class OpenDirection:
         What can change, why it does not show, and what lifts it.
     """
 
-    kind: Literal["null", "weak"]  # null where nothing changes at all
-    # parameter or alpha and its power of one factor; of those in in_units the change in their unit
-    # that goes with the factor e
+    kind: Literal["null", "weak"]
     exponents: dict[str, float]
-    in_units: dict[str, str]  # parameters next to zero, of which no logarithm is taken, and unit
-    log_sd: float  # that the data leave of the factor's logarithm; infinite for a null direction
-    meaning: str  # what can change
-    reasons: tuple[str, ...]  # why it does not show
-    remedies: tuple[Remedy, ...]  # what lifts it
+    in_units: dict[str, str]
+    log_sd: float
+    meaning: str
+    reasons: tuple[str, ...]
+    remedies: tuple[Remedy, ...]
 
     @property
     def null(self) -> bool:
@@ -277,7 +273,7 @@ class Trial:
 
     kind: RemedyKind
     text: str
-    information: Array  # (d, d) that its torque would add, in the local units
+    information: Array
 
 
 def open_counts(information: Array) -> tuple[int, int]:

@@ -77,17 +77,14 @@ class Limits:
         Whether a controller seems to have held the joint: then what can be played is its motion.
     """
 
-    torque: float  # largest command, N m or N
-    speed: float  # of the joint, rad/s or m/s
-    angles: tuple[float, float] | None  # lowest and highest position, rad or m, if there is a limit
-    duration: float  # s
-    lag: float  # time constant of the current loop, s
-    masses: tuple[Inputs, ...]  # each known mass that may be bolted on; none is one of them
-    # where the joint rests when the recording begins, rad or m: where gravity holds it, else where
-    # the longest recording began
+    torque: float
+    speed: float
+    angles: tuple[float, float] | None
+    duration: float
+    lag: float
+    masses: tuple[Inputs, ...]
     start: float
-    recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
-    # whether a controller seems to have held the joint: then what can be played is its motion
+    recorded_angles: tuple[float, float]
     held: bool = False
 
 
@@ -117,17 +114,17 @@ class Candidate:
     """
 
     kind: CandidateKind
-    form: str  # name of the signal, without the amplitude
-    amplitude: float  # largest command, N m or N
-    command: Array  # (N,) N m or N
-    period: float  # from one sample of it to the next, s
-    lag: float  # time constant of the current loop, s
-    inputs: Inputs  # what is bolted on
-    q0: float  # position and speed at the first sample, rad or m and s
+    form: str
+    amplitude: float
+    command: Array
+    period: float
+    lag: float
+    inputs: Inputs
+    q0: float
     qd0: float
-    made: Observation | None = None  # for "longer": what there is, one more of which would be made
-    lowered: float = 1.0  # factor on the torque that it took to keep the limits
-    because_of: str | None = None  # which limit that was
+    made: Observation | None = None
+    lowered: float = 1.0
+    because_of: str | None = None
 
     @property
     def duration(self) -> float:
