@@ -1,1 +1,10 @@
-"""Whether a fit finds again what is put in: its own recording, simulated, read and fitted anew."""
+"""What may be wrong with a recording or a model, and how far a fit can be trusted.
+
+- :mod:`~bayesfric.diagnostics.before_a_fit`: units, columns and loops, before anything is fitted.
+- :mod:`~bayesfric.diagnostics.explanation`: what else explains the torque, as findings; its method
+  is in :mod:`~bayesfric.diagnostics.regression`, its table in
+  :mod:`~bayesfric.diagnostics.candidates`.
+- :mod:`~bayesfric.diagnostics.twins`: recordings simulated from the fitted model (a parametric
+  bootstrap), the null distribution of every statistic here.
+- :mod:`~bayesfric.diagnostics.self_check`: the bias of a fit, from its twins.
+"""

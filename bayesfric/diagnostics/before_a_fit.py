@@ -1,7 +1,9 @@
-"""What makes any fit doubtful, told by recordings and totals before there is one.
+"""What makes any fit doubtful, as recordings and base parameters show it before there is one.
 
-Units, columns, a torque that was commanded from the position, bands that lose an inertia, a
-mechanism that leaves much of the torque: each by its ``kind``, with what tells of it.
+Asked are units and columns of the position, a torque that a controller made of the motion, bands
+in which the inertia comes out smaller, losses below zero, and a mechanism that leaves much of the
+torque unexplained. Each doubt is a dictionary: its ``kind``, and the numbers that its wording
+needs.
 """
 
 from __future__ import annotations
@@ -37,7 +39,20 @@ _NEGATIVE = 3.0
 
 
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Doubt a mechanism whose best totals leave much of the torque, before there is a fit."""
+    """Doubt a mechanism that leaves much of the torque even with its best base parameters.
+
+    Returns
+    -------
+    list of dict
+        Empty, or one doubt of ``kind`` ``unexplained``: the ``share`` of the torque's variance that
+        is explained, and what may be wrong, see :func:`instead`.
+
+    Notes
+    -----
+    There is a doubt where less than 80 % of the variance is explained and neighbouring residuals
+    correlate by more than 0.2: a small signal in white noise is left little of, too, and its model
+    may be right.
+    """
     share, left = best_share(chain, observations)
     if share >= EXPLAINED or not lag_one(left, np.ones(left.size - 1, np.bool_)) > CORRELATED:
         return []
@@ -49,7 +64,16 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
 def instead(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
     """Say what may be wrong where little is explained: never the mechanism that is in use.
 
-    ``share`` is what the best totals explain.
+    Parameters
+    ----------
+    share
+        Of the torque's variance, what the best base parameters explain.
+
+    Returns
+    -------
+    dict
+        ``units``, see :func:`other_units`; and ``presets``, names of those that have gravity and
+        the same ratio, where a rotary load is modelled without gravity.
     """
     weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
     known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
@@ -64,10 +88,19 @@ def instead(chain: Joint, observations: Sequence[Observation], share: float) -> 
 
 
 def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Look for what makes any fit doubtful, before there is one, as a fit's doubts are.
+    """Look for what makes any fit doubtful, in recordings and their base parameters.
 
-    ``totals`` are of :func:`bayesfric.estimates.least_squares.least_squares`; no ``parameters`` are
-    named: all are doubtful.
+    Parameters
+    ----------
+    totals
+        Estimate of :func:`bayesfric.estimates.least_squares.least_squares`.
+
+    Returns
+    -------
+    list of dict
+        Of ``kind`` ``feedback`` (the torque follows the motion by a simple law), ``attenuated`` (a
+        band that was asked for, in which the inertia comes out smaller than in a narrower one) and
+        ``negative`` (a loss or an inertia below zero). None names ``parameters``: all are doubtful.
     """
     return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
 
@@ -76,6 +109,18 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
     """Say that too few outputs are left to ask whether the model is right, and how long would do.
 
     A run says so by itself, where it has asked.
+
+    Parameters
+    ----------
+    parameters
+        How many are free; :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` more outputs are
+        wanted.
+
+    Yields
+    ------
+    dict
+        At most one, of ``kind`` ``few``; ``seconds`` is how long the recordings would have to last
+        with the same share of outputs.
     """
     outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
     if outputs < wanted:
@@ -85,13 +130,27 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
 
 
 def strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name velocities that are not their positions': one of the two has another unit or column."""
+    """Name recorded velocities of another unit or column than their positions.
+
+    Parameters
+    ----------
+    observations
+        The recordings; a velocity is strange where it is less than half or more than twice the
+        differentiated position, both filtered alike.
+
+    Yields
+    ------
+    dict
+        Of ``kind`` ``velocity``: ``recording`` and ``factor``, 0 where the two have nothing in
+        common.
+    """
     for o in observations:
         if (factor := o.settings.get("velocity_factor")) is not None:
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
 
 
 def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    """Group recordings by the law that their torque follows, of speed's sign or position."""
     laws: dict[str, list[str]] = {}
     for o in observations:
         if law := o.settings.get("feedback"):
@@ -115,7 +174,10 @@ def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]
 
 
 def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
-    """Name what least squares finds below zero though nothing that loses energy can be."""
+    """Name losses and inertias that least squares finds below zero, beyond chance.
+
+    That is three standard deviations; the larger of the plain and the robust one counts.
+    """
     below = {
         v.name: v.value
         for v in totals.values
@@ -133,7 +195,16 @@ def _loses(row: Quantity | None) -> bool:
 
 
 def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
-    """Give the share of the torque's variance that the best totals explain, and what they leave."""
+    """Give the share of the torque's variance that the best base parameters explain.
+
+    Returns
+    -------
+    share : float
+        ``1 - var(r) / var(y)`` of the filtered torque ``y`` and the least squares residual ``r``,
+        all recordings together.
+    residual : ndarray
+        ``(n,)`` N m or N, recording after recording.
+    """
     projection = TotalsProjection(chain, observations)
     measured = np.concatenate([o.measured for o in observations])
     left = measured - projection.regressors @ projection.solve(measured)
@@ -143,11 +214,26 @@ def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float
 def other_units(
     chain: Joint, observations: Sequence[Observation], explained: float | None = None
 ) -> list[dict[str, Any]]:
-    """List units of the position that explain far more, the best first.
+    """List units of the position that explain far more of the torque, the best first.
 
-    Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that totals
-    then explain; ``explained`` is that as it was read, where it is known already. Only what
-    depends on the angle itself, such as gravity, tells: nothing else changes with its scale.
+    Parameters
+    ----------
+    chain, observations
+        The joint, and its recordings as they were read.
+    explained
+        Share of the variance that they explain as read, where it is known already.
+
+    Returns
+    -------
+    list of dict
+        Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that
+        base parameters then explain. Named are those that leave less than half of the variance that
+        is unexplained now. Empty for a load that slides.
+
+    Notes
+    -----
+    Position, speed and acceleration are scaled together. Only a torque that is no power of the
+    angle, such as gravity's, tells: the coefficients of inertia and friction absorb the scale.
     """
     if chain.load.motion != "rotary":
         return []
@@ -159,6 +245,7 @@ def other_units(
 
 
 def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    """Give what radian, degree and turn explain, each taken for each other one."""
     for one, other in permutations(_ANGLES, 2):
         times = units.scale([one], "angle") / units.scale([other], "angle")
         moving = ("q", "qd", "qdd", "speed")

@@ -4,6 +4,45 @@ A candidate is a kind and the columns that it adds beside the model's own, funct
 and of the model's torque along it. Where its shape is not known it has several sets of columns, one
 each value of a grid: no shape is searched for. Columns that only make up for a shape which lies
 between those of the grid are ``beside``: they are no candidates, and go in with one.
+
+Notes
+-----
+Columns at the joint's position q and speed v, with s = sign(v), T the model's motor torque, Tc that
+of inertia, gravity and springs alone (the load that a transmission carries), t the time:
+
+==========================  ================================================================
+kind                        columns
+==========================  ================================================================
+delay                       dT/dt, of all recordings or one
+torque_constant, offset     T; 1
+torque_by_sign, saturation  abs(T); T abs(T)
+coulomb, viscous            s; v
+viscous_by_direction        abs(v)
+quadratic, power            v abs(v); s abs(v)^p
+stribeck                    s exp(-(v/v0)^2)
+stribeck_by_direction       exp(-abs(v)/v1), v1 a tenth of nearly the largest speed
+load_loss                   s abs(Tc)
+load_loss_by_power          the same where the motor drives, and where the load does
+load_loss_by_direction      abs(Tc)
+load_square, load_speed     s Tc^2; v abs(Tc)
+inertia                     dv/dt
+gravity                     sin q and cos q
+spring                      that of the table of quantities
+friction_by_angle           s sin kq and s cos kq; of a sliding joint s q
+inertia_by_angle            cos q dv/dt - v^2/2 sin q and sin q dv/dt + v^2/2 cos q
+repeating                   sin kq and cos kq: cogging, or the waves of a gearbox
+elastic                     Tc through the resonance of an elastic transmission, less Tc
+backlash                    acceleration of a load that flies through its gap
+presliding                  bristle deflection (Dahl) less s
+drift                       t
+coulomb_warming             s (1 - exp(-t/tau)); of viscous_warming v in place of s
+temperature                 s and v times the recorded temperature
+load_torque                 a recorded torque on the load
+another_signal              a further recorded column, its rate, and the rate of that
+==========================  ================================================================
+
+Load-dependent friction and backlash depend on how much of the inertia is behind the gearbox, which
+a motion without losses does not show: up to four shares are tried.
 """
 
 from __future__ import annotations
@@ -47,25 +86,57 @@ _FASTEST = 0.3
 
 @dataclass(frozen=True)
 class Scales:
-    """What shapes columns: of the recordings that were measured; twins have the same."""
+    """What shapes columns: of the recordings that were measured; twins have the same.
 
-    speed: float  # nearly the largest
-    reach: float  # twice the typical distance from a reversal
-    carried: float  # rms of the torque that a transmission carries
-    torque: float  # rms of the measured
-    lost: float  # rms of what the model loses of it
+    Attributes
+    ----------
+    speed
+        Nearly the largest, the 95 % quantile of its absolute value, rad/s or m/s.
+    reach
+        Twice the median distance from the last reversal, rad or m.
+    carried, torque, lost
+        Root mean square of the motor torque of inertia, gravity and springs; of the measured one;
+        and of all else in the model's, such as friction. N m or N.
+    duration
+        Of the longest recording, s.
+    cycles
+        Name, and radians a radian of the joint, of waves that the motion goes through at least
+        once.
+    push
+        Width of a push, s: at least 0.25, and a hundred-and-twentieth of ``duration``.
+    names, others
+        Of the recordings; and of further columns of any of them.
+    inertia
+        Motor torque an acceleration of the joint, by least squares, in N m s² and alike.
+    need
+        ``carried`` over ``inertia``: acceleration that the motor gives the load, root mean square.
+    band
+        Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is.
+    """
+
+    speed: float
+    reach: float
+    carried: float
+    torque: float
+    lost: float
     duration: float
-    cycles: tuple[tuple[str, float], ...]  # name, and radians a radian of the joint
-    push: float  # width of one, s
-    names: tuple[str, ...]  # of the recordings
-    others: tuple[str, ...]  # further columns of any of them
-    inertia: float  # motor torque an acceleration of the joint
-    need: float  # rms of the load's acceleration by the motor
-    band: float  # Hz
+    cycles: tuple[tuple[str, float], ...]
+    push: float
+    names: tuple[str, ...]
+    others: tuple[str, ...]
+    inertia: float
+    need: float
+    band: float
 
 
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
-    """Take them from recordings and an estimate ``(n_parameters,)``."""
+    """Take the scales of columns from recordings and an estimate.
+
+    Parameters
+    ----------
+    values
+        ``(n_parameters,)`` in the order of ``chain.names``.
+    """
     speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
     each = [_carried(chain, values, o) for o in observations]
     lost = [
@@ -124,22 +195,32 @@ def _torque(chain: Joint, values: Array, o: Observation) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """One recording's motion, and the model's torque along it; ``(N,)`` each."""
+    """One recording's motion, and the model's torque along it; signals are ``(N,)``.
+
+    Attributes
+    ----------
+    chain, values
+        The joint and its parameters ``(n_parameters,)``.
+    o, recording
+        The recording as prepared, and as read.
+    scales
+        Of all recordings together.
+    """
 
     chain: Joint
-    values: Array  # (n_parameters,)
+    values: Array
     o: Observation
     recording: Measurement
     scales: Scales
 
     @cached_property
     def torque(self) -> Array:
-        """The model's."""
+        """The model's motor torque, N m or N."""
         return _torque(self.chain, self.values, self.o)
 
     @cached_property
     def torque_rate(self) -> Array:
-        """How fast that changes."""
+        """How fast that changes, low-passed first, N m/s or N/s."""
         return self.rate(self.smooth(self.torque))
 
     @cached_property
@@ -154,12 +235,12 @@ class Along:
 
     @cached_property
     def carried(self) -> Array:
-        """What a transmission carries."""
+        """Motor torque of inertia, gravity and springs, which a transmission carries, N m or N."""
         return _carried(self.chain, self.values, self.o)
 
     @cached_property
     def weight(self) -> Array:
-        """What it carries at rest."""
+        """The same without acceleration: gravity and springs."""
         return _carried(self.chain, self.values, self.o, still=True)
 
     @cached_property
@@ -176,42 +257,75 @@ class Along:
         )
 
     def rate(self, x: Array) -> Array:
-        """Differentiate signals ``(..., N)``."""
+        """Differentiate signals ``(..., N)`` by time, as the position is."""
         reach = int(self.o.settings["reach"])
         return derivative(x, self.recording.segments, self.recording.period, reach)
 
     def behind(self) -> Iterator[tuple[str, float, Array]]:
-        """Give what a gearbox carries with each share of the inertia behind it."""
+        """Give what a gearbox carries with each share of the inertia behind it.
+
+        Yields
+        ------
+        label : str
+            The share in words.
+        share : float
+            Of the inertia; one alone where gravity and springs hardly vary, as then it is only a
+            factor.
+        carried : ndarray
+            ``(N,)`` that share of the inertia's torque, and all of gravity and springs, N m or N.
+        """
         told = float(np.ptp(self.weight)) > 1e-3 * self.scales.carried
         for share in _BEHIND if told else (1.0,):
             carried = self.weight + share * (self.carried - self.weight)
             yield f"{share:.0%} of the inertia behind it", share, carried
 
     def state(self, transmitted: Array) -> State:
-        """Give the state of one element that stands for all, at the joint's speed."""
+        """Give the state of one element that stands for all, at the joint's speed.
+
+        It carries the torque ``transmitted`` ``(N,)``; gravity is left out.
+        """
         o = self.o
         still = np.zeros_like(o.q)
         return State(o.q, o.qd, o.qdd, self.direction, o.stamps, transmitted, still)
 
     @property
     def sizes(self) -> Sizes:
-        """Sizes that grids of shapes are scaled by."""
+        """Sizes by which grids of shapes are scaled: torque's rms, speed and duration."""
         one = self.scales
         return Sizes(one.torque, one.speed, 1.0, 1.0, 1.0, one.duration)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A row of the table."""
+    """A row of the table of candidates.
+
+    Attributes
+    ----------
+    name
+        Of the kind, a key of the words.
+    columns
+        Makes the sets of columns ``(N,)``, by name of the shape; empty where the recording has
+        none.
+    beside
+        Makes columns that stand for shapes between those of the grid, see the module.
+    option, choice
+        Of the mechanism's configuration, which put it in; empty where nothing does.
+    positive
+        Whether its coefficients must be positive, as those of a loss that grows.
+    other
+        Choice of the same option that may be negative, where there is one.
+    loss
+        Whether it is friction, and so of the size of what the model loses.
+    """
 
     name: str
-    columns: Callable[[Along], Sets]  # each shape's
-    beside: Callable[[Along], Sequence[Array]] = lambda _: ()  # see the module
-    option: str = ""  # of the mechanism that puts it in, with its choice
+    columns: Callable[[Along], Sets]
+    beside: Callable[[Along], Sequence[Array]] = lambda _: ()
+    option: str = ""
     choice: str | bool = True
-    positive: bool = False  # whether that must be positive, in every column
-    other: str = ""  # choice that may be negative, where there is one
-    loss: bool = False  # whether it is friction, so of its size
+    positive: bool = False
+    other: str = ""
+    loss: bool = False
 
 
 def _late(a: Along) -> Sets:
@@ -225,7 +339,17 @@ def _late(a: Along) -> Sets:
 def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     """Give what the recorded torque has changed by since another time, and how fast it did then.
 
-    By delays that are too long for what is linear in them; none where the model has a delay.
+    Returns
+    -------
+    dict
+        By delay d in s, of either sign, too long for what is linear in it: ``y(t) - y(t - d)``,
+        whose coefficient is one, and the rate ``y'(t - d)``, whose coefficient is what d is wrong
+        by. Zero where ``t - d`` is outside the segment. Empty where the model has a delay.
+
+    Notes
+    -----
+    A position that comes late by d belongs to the torque of then, ``y(t - d)``, see
+    :mod:`bayesfric.recordings.timing`.
     """
     if a.chain.delay:
         return {}
@@ -282,6 +406,11 @@ def _two(a: Along, carried: Array) -> Sequence[Array]:
 
 
 def _gap(a: Along) -> Sets:
+    """Give the load's acceleration in its gap, for shares of inertia behind it and gaps.
+
+    Half a gap is ``a t^2 / 2``, of the typical acceleration a and of t = 0.7, 1.4 and 2.8 over 2 pi
+    times the band in Hz.
+    """
     begins = np.zeros(a.o.q.size, dtype=np.bool_)
     begins[[begin for begin, _ in a.recording.segments]] = True
     found: dict[str, Array] = {}

@@ -1,4 +1,8 @@
-"""What else explains the torque, as findings: what it is, what it moves, and what puts it in."""
+"""What else explains the torque, as findings: what it is, what it moves, and what puts it in.
+
+Between the regression that ranks candidates and the report: its steps become findings, with the
+line of a configuration that adds the term where there is one.
+"""
 
 from __future__ import annotations
 
@@ -45,9 +49,12 @@ class Explanation:
     twins
         Simulated recordings that judge.
     largest, limit
-        Of all candidates' statistics, a standard normal's; and what 95 % of the twins stay below.
+        Of all candidates' statistics, a standard normal's, before any is taken in; and what 95 % of
+        the twins stay below, or what as many independent normals do, the larger of the two.
+    cpu_seconds
+        Spent on the regression and its twins.
     missing
-        All candidates, to be marginalised.
+        All candidates, to be marginalised as model discrepancy.
     reason
         Why it was not asked: there are too ``few`` outputs, twins would take too ``long``, or their
         ``simulation`` is impossible; else ``None``.
@@ -86,7 +93,15 @@ class Explanation:
 def unasked(
     chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Observation]
 ) -> Reason | None:
-    """Say why recordings cannot be asked, as far as that is known before anything is computed."""
+    """Say why recordings cannot be asked, as far as that is known before anything is computed.
+
+    Returns
+    -------
+    str or None
+        ``few`` where there are fewer outputs than the parameters and
+        :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` together; ``long`` where there are more
+        samples than :data:`~bayesfric.diagnostics.policy.LONGEST`.
+    """
     if sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS:
         return "few"
     return "long" if sum(r.time.size for r in recordings) > LONGEST else None
@@ -118,7 +133,8 @@ def explain(
     -------
     Explanation
         What no chance is, in the order in which it explains; see
-        :mod:`bayesfric.diagnostics.regression` for the method and its sources.
+        :mod:`bayesfric.diagnostics.regression` for the method and its sources. Where twins cannot
+        be simulated it has the ``reason`` and nothing else.
     """
     begun = time.process_time()
     try:
@@ -152,6 +168,20 @@ def finding(chain: Joint, step: Step) -> Finding:
 
     What has a sign that it cannot have stands for what this motion hardly tells it from, where that
     may have any; else it has no name.
+
+    Parameters
+    ----------
+    chain
+        The joint, which says what configuration would put the term in.
+    step
+        What was taken in, its coefficients, and what it moves.
+
+    Returns
+    -------
+    Finding
+        A ``doubt`` where it moves a reported number by more than
+        :data:`~bayesfric.diagnostics.policy.MOVES` standard deviations, else a ``note``. Not
+        ``physical`` where what must be positive came out negative and nothing else looks like it.
     """
     kind, rivals, shape = BY_NAME.get(step.kind), step.alike, step.shape
     negative = kind is not None and kind.positive and bool((step.coefficients < 0.0).any())
@@ -186,7 +216,21 @@ def _carries(chain: Joint) -> bool:
 
 
 def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
-    """Give the line of a configuration that puts a candidate into a joint; empty if none does."""
+    """Give the line of a configuration that puts a candidate into a joint; empty if none does.
+
+    Parameters
+    ----------
+    chain
+        The joint as it is.
+    kind, shape
+        The candidate; of one that repeats, the shape says how often a turn, and of which side.
+
+    Returns
+    -------
+    str
+        Such as ``mechanism.elements.motor.coulomb = "symmetric"``: the first element that does not
+        have the choice yet; of load losses the one that has one, else the last.
+    """
     option, value = kind.option, "true" if kind.choice is True else f'"{kind.choice}"'
     if option in ("offset", "delay"):
         return "" if getattr(chain, option) else f"mechanism.{option} = true"

@@ -1,4 +1,7 @@
-"""What may be wrong with a recording or a model, as every check says it."""
+"""One thing that may be wrong with a recording or a model: the record that every check gives.
+
+``summary.json``, report and command line take it from here; its wording is looked up by ``kind``.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,14 @@
-"""Noise that remembers: autoregressive across gaps, on top of a slow wander.
+"""Autocorrelated noise: autoregressive across gaps, on top of a slow wander.
 
-Outputs come in runs, with some missing between them. A memory that forgets at every gap has no room
+Outputs come in runs, with some missing between them. A model that forgets at every gap has no room
 for what is slow, and then a drift or a push is found in any such noise: so what is missing a Kalman
-filter passes over (Jones, Technometrics 22, 1980), and a sum of cosines up to a hertz, sized as
-those of a random walk's or 1/f noise's, stands for what no few predecessors hold.
+filter passes over [1]_, and a sum of cosines of up to a hertz, sized as those of 1/f noise, stands
+for what no few predecessors hold.
+
+References
+----------
+.. [1] R. H. Jones, "Maximum likelihood fitting of ARMA models to time series with missing
+   observations", Technometrics 22 (1980) 389-395.
 """
 
 from __future__ import annotations
@@ -39,15 +44,25 @@ _ROUNDING, _NOTHING = 1e-9, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where outputs lie in time, recording by recording."""
+    """Where outputs lie in time, recording by recording.
 
-    runs: tuple[Flags, ...]  # (M - 1,) of each: which are followed by the next
-    at: tuple[Index, ...]  # (M,) of each: steps since its first output
-    stamps: tuple[Array, ...]  # (M,) of each, s
+    Attributes
+    ----------
+    runs
+        ``(M - 1,)`` of each recording: whether an output is followed by the next one step later.
+    at
+        ``(M,)`` of each: whole steps since its first output.
+    stamps
+        ``(M,)`` of each, s.
+    """
+
+    runs: tuple[Flags, ...]
+    at: tuple[Index, ...]
+    stamps: tuple[Array, ...]
 
     @classmethod
     def of(cls, observations: Sequence[Observation]) -> Layout:
-        """Take it from what was observed."""
+        """Take it from recordings as they were prepared."""
         steps = [np.round((o.time - o.time[:1].sum()) / o.period) for o in observations]
         return cls(
             tuple(follows(o) for o in observations),
@@ -56,7 +71,7 @@ class Layout:
         )
 
     def split(self, x: Array) -> list[Array]:
-        """Divide rows ``(n, ...)`` among the recordings."""
+        """Divide rows ``(n, ...)`` of all recordings into those of each."""
         return np.split(x, np.cumsum([a.size for a in self.at])[:-1])
 
     @cached_property
@@ -66,7 +81,17 @@ class Layout:
 
     @cached_property
     def grid(self) -> tuple[float, float, int, Index]:
-        """Step and span, s, of even grids, a recording each, their size, and outputs' places."""
+        """Even grids of time, one for each recording, on which a periodogram is taken.
+
+        Returns
+        -------
+        step, span : float
+            From one place to the next, and the longest recording, s.
+        size : int
+            Of one grid, a power of two, at least twice the longest recording.
+        places : ndarray
+            ``(n,)`` of all outputs, grid after grid.
+        """
         steps = [float(np.median(np.diff(t))) for t in self.stamps if t.size > 1]
         step, span = float(np.median(steps)), max(float(np.ptp(t)) for t in self.stamps)
         size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
@@ -84,9 +109,13 @@ class Layout:
 
     @cached_property
     def waves(self) -> list[Array]:
-        """Cosines ``(M, K)`` of each recording's clock, falling as one over the frequency's root.
+        """Cosines of each recording's clock, falling as one over the root of the frequency.
 
-        That is the spectrum of 1/f noise.
+        Notes
+        -----
+        Of a recording of M outputs and span S they are ``(M, K)``, ``cos(pi k (t - t0) / S) /
+        sqrt(k)`` for k from 1 to K; independent normal coefficients of one size make 1/f noise of
+        them. K is at most 60, an eighth of M, and 2 S (or 4), where they end at a hertz.
         """
         columns = []
         for t in self.stamps:
@@ -100,13 +129,38 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """Partial autocorrelations ``(p,)``, and the sd of the slowest cosine in the innovations'."""
+    """Autocorrelation of noise: autoregressive, with a slow wander on top.
+
+    Attributes
+    ----------
+    partial
+        ``(p,)`` partial autocorrelations, each between -1 and 1.
+    slow
+        Standard deviation of the slowest cosine of the wander, in that of the innovations; 0 for
+        none.
+    """
 
     partial: Array
     slow: float = 0.0
 
     def whitened(self, x: Array, layout: Layout) -> Array:
-        """Take from every row of ``(n, m)`` what the rows before it foretell, over its sd."""
+        """Take from every row what the rows before it predict, over its standard deviation.
+
+        Parameters
+        ----------
+        x
+            ``(n, m)`` columns, one row an output.
+
+        Returns
+        -------
+        ndarray
+            ``(n, m)``; of noise of this memory, white with the variance of the innovations.
+
+        Notes
+        -----
+        With W the whitened cosines times their size, the wander is taken out by ``(I + W
+        W')^(-1/2)``.
+        """
         out, unforetold = [], _unforetold(self.partial)
         for part, at, waves in zip(layout.split(x), layout.at, layout.waves, strict=True):
             white = unforetold(part, at)[0]
@@ -120,7 +174,7 @@ class Memory:
         return np.concatenate(out)
 
     def drawn(self, layout: Layout, rng: np.random.Generator) -> Array:
-        """Draw one series ``(n,)`` whose innovations have sd one."""
+        """Draw one series ``(n,)`` whose innovations have a standard deviation of one."""
         parts = []
         for at in layout.at:
             joined = np.ones(int(at[-1]), dtype=np.bool_)
@@ -132,7 +186,7 @@ class Memory:
         return x
 
     def variance(self, layout: Layout) -> float:
-        """Variance of an output, in the innovations'."""
+        """Variance of an output, in the innovations', the mean over all outputs."""
         found = float(ar.variances(self.partial[None])[0][0])
         return (
             found + self.slow**2 * sum(float((w**2).sum()) for w in layout.waves) / layout.outputs
@@ -149,14 +203,24 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
     ----------
     left
         ``(n,)`` what is left of the torque, N m or N.
-    layout
-        Where its outputs lie in time.
 
     Returns
     -------
-    tuple
-        The memory, partial autocorrelations by Burg's method, and its Bayesian information
-        criterion, the least of those that were tried.
+    memory : Memory
+        Partial autocorrelations by Burg's method, at most six and one for 20 outputs.
+    bic : float
+        Its Bayesian information criterion, the least of those that were tried.
+
+    Notes
+    -----
+    For sizes of the wander, none and four that grow (none alone for 40 outputs and fewer), the
+    order is chosen first, by ``n sum(log(1 - partial^2)) + p log(n)``; then wander and order are
+    compared by the exact density, ``n log(variance) + log det + p log(n)`` [1]_. Once a wander
+    helps, the first that is worse ends it.
+
+    References
+    ----------
+    .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461-464.
     """
     n, found, least = left.size, WHITE, math.inf
     for size in _SIZES if n > 2 * _OUTPUTS else _SIZES[:1]:
@@ -179,7 +243,11 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
 def _wandering(
     left: Array, partial: Array, size: float, layout: Layout
 ) -> tuple[Array, float, float]:
-    """Give the expected wander ``(n,)``, the power it leaves, and the log of the determinant."""
+    """Give the expected wander ``(n,)``, the power it leaves, and the log of the determinant.
+
+    The wander's coefficients are normal, so its expectation is a ridge regression on whitened
+    cosines.
+    """
     wander, power, logs, unforetold = [], 0.0, 0.0, _unforetold(partial)
     for part, at, waves in zip(layout.split(left), layout.at, layout.waves, strict=True):
         white, log = unforetold(np.column_stack([waves * size, part] if size else [part]), at)
@@ -195,9 +263,9 @@ def _wandering(
 
 
 def _unforetold(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]:
-    """Make what takes from rows ``(n, m)`` of a recording what the rows before them foretell.
+    """Make what takes from rows ``(n, m)`` of a recording what the rows before them predict.
 
-    Also the log of the determinant of what that divides by.
+    It also gives the log of the determinant of what that divides by.
     """
     if partial.size == 0:
         return lambda x, _: (x, 0.0)
@@ -210,8 +278,9 @@ def _unforetold(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]
 def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
     """Innovations of columns ``(n, m)`` over their sds, and the sum of the logs of their variances.
 
-    The state holds the last p values; ``at`` ``(n,)`` are whole steps, what lies between them is
-    foretold and not corrected.
+    A Kalman filter whose state holds the last p values; ``at`` ``(n,)`` are whole steps, what lies
+    between them is predicted and not corrected. After more than ``_FORGOTTEN`` steps it begins
+    anew.
     """
     n, m = x.shape
     p = phi.size

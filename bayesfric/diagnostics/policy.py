@@ -1,6 +1,7 @@
-"""The few probabilities by which it is decided what is said of a recording.
+"""The few probabilities and sizes by which it is decided what is said of a recording.
 
-``studies/diagnostics`` says what they give.
+The rate of false alarms, the number of twins, how far an effect must move a reported number for a
+doubt, and when two candidates count as one. ``studies/diagnostics`` says what they give.
 """
 
 from bayesfric.estimates.point_estimate import HALF

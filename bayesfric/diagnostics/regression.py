@@ -3,12 +3,13 @@
 Beside the model's own columns, its torque's derivatives by its parameters at an estimate, stand
 those of :mod:`bayesfric.diagnostics.candidates`. All pass the parallel filter of the measured
 torque, are whitened by one noise, and are asked for what is left when the model's own are taken
-out. Of each candidate the twins tell mean and spread where the model is right; of the largest of
-all they tell what chance does (Rubin 1984; Gelman, Meng and Stern 1996; Westfall and Young 1993).
-What exceeds it goes in, the one that explains most first, and the others compete for what is left.
+out. The twins give the mean and spread of each candidate where the model is right, and what chance
+makes of the largest of all (Rubin, Annals of Statistics 12, 1984; Gelman, Meng and Stern,
+Statistica Sinica 6, 1996; Westfall and Young, Resampling-Based Multiple Testing, 1993). What
+exceeds that goes in, the one that explains most first, and the others compete for what is left.
 
-The noise is told from what is left once everything that white noise would not do is taken: from
-the plain residual its memory would swallow the effect. Each twin's is told from itself.
+The noise is chosen on what is left once everything that white noise would not do is taken: on the
+plain residual its memory would swallow the effect. Each twin's is chosen on itself.
 """
 
 from __future__ import annotations
@@ -82,40 +83,86 @@ _SLOW = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What one round chose, and all that it knew."""
+    """What one round chose, and all that it knew.
+
+    Attributes
+    ----------
+    kind, shape
+        The candidate.
+    own
+        Numbers of its columns.
+    sure
+        Whether it is no chance.
+    z, p
+        Its statistic as a standard normal; and ``(1 + k) / (n + 1)`` where k of n twins have one as
+        large, of whichever candidate.
+    largest, limit
+        ``z`` of all candidates, and what it must exceed.
+    worth
+        Of every candidate, scans last: its gain, less the log of the number of outputs for each
+        coefficient, shape or place after the first.
+    scan
+        Where a tone, push or far delay was found.
+    """
 
     kind: str
     shape: str
-    own: list[int]  # its columns
-    sure: bool  # whether it is no chance
+    own: list[int]
+    sure: bool
     z: float
     p: float
-    largest: float  # z of all candidates
-    limit: float  # what it must exceed
-    worth: Array  # of every candidate, scans last
+    largest: float
+    limit: float
+    worth: Array
     scan: Scan | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A simulated recording whose truth is known, and whose torque has no noise."""
+    """A simulated recording whose truth is known, and whose torque has no noise.
 
-    values: Array  # (n_parameters,) it was made with
-    base: Array  # (n, n_parameters) derivatives of its outputs there
-    left: Array  # (n,) what the model leaves of its torque
+    Attributes
+    ----------
+    values
+        ``(n_parameters,)`` it was made with.
+    base, left
+        ``(n, n_parameters)`` derivatives of its outputs there, and ``(n,)`` what the model leaves
+        of its torque: the error of encoder and filters.
+    layout
+        Where its outputs lie in time.
+    """
+
+    values: Array
+    base: Array
+    left: Array
     layout: Layout
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Step(Choice):
-    """One candidate that is taken in."""
+    """One candidate that is taken in.
+
+    Attributes
+    ----------
+    share
+        Root mean square of its torque over that of all torque.
+    recording, span
+        What a push is in, and its seconds; the recording also of what is one recording's alone.
+    coefficients
+        Of its own columns.
+    moves
+        Parameter or derived quantity: by how many of its standard deviations it moves, where the
+        recordings determine it.
+    alike
+        Kinds that explain as much, or look alike on this motion.
+    """
 
     share: float
-    recording: str  # that a push is in; else empty
-    span: tuple[float, float] | None  # s, of a push
-    coefficients: Array  # of its own columns
-    moves: dict[str, float]  # quantity: by how many of its sds it moves, where these are told
-    alike: tuple[str, ...]  # kinds that explain as much, or look alike here
+    recording: str
+    span: tuple[float, float] | None
+    coefficients: Array
+    moves: dict[str, float]
+    alike: tuple[str, ...]
 
 
 @dataclass(eq=False)
@@ -138,7 +185,7 @@ class Regression:
     Raises
     ------
     NoTwin
-        If the joint has no inertia, or cannot be simulated.
+        If the joint has no inertia, or fewer than half of the twins can be simulated.
     """
 
     chain: Joint
@@ -219,6 +266,7 @@ class Regression:
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
+        """Simulate a twin at each vector, unless that fails or leaves too few outputs."""
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -279,7 +327,18 @@ class Regression:
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
     def steps(self, most: int = MOST) -> list[Step]:
-        """Rank what the model lacks: what no chance is, in order, or the first that may be."""
+        """Rank what the model lacks: what no chance is, in order, or the first that may be.
+
+        Parameters
+        ----------
+        most
+            How many are looked for, one after the other.
+
+        Returns
+        -------
+        list of Step
+            The last one may be chance, see :attr:`Choice.sure`.
+        """
         found = []
         for choice, extra in self._climbed(most):
             found.append(self._step(choice, extra))
@@ -293,6 +352,8 @@ class Regression:
         """Give all candidates to be marginalised, after :meth:`steps`.
 
         Those that were found are among them; a tone, a push or a far delay only where it was.
+        Columns are as large as all torque, of friction as what the model loses; the mean score of
+        the twins is taken off, and half of it counts as spread.
         """
         d = self.data.whitened
         base = basis_of(d.base)
@@ -344,7 +405,10 @@ class Regression:
                 extra += [i for i in family if i not in extra]
 
     def _best(self, extra: list[int], choosing: bool) -> Choice:
-        """Choose the candidate that explains most of those that are no chance."""
+        """Choose the candidate that explains most of those that are no chance.
+
+        A push comes last: it is taken only where nothing else is sure.
+        """
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
         given = self._groups, extra, self.scales.push
@@ -379,6 +443,7 @@ class Regression:
         return Choice(scan.kind, self._shape(scan), own, *told, scan)
 
     def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
+        """Add to a choice what it moves, what looks like it, and the seconds of a push."""
         # of what is one recording's alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None

@@ -1,7 +1,7 @@
 """What is looked for at any place: a tone of any frequency, a push at any time.
 
 A scan is one candidate, however many places it has: its statistic is the largest of all, and what
-chance makes of that the twins' largest tell.
+chance makes of that the twins' largest show.
 """
 
 from __future__ import annotations
@@ -26,16 +26,51 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Scan:
-    """The largest of one kind, as a gain of chi squared."""
+    """The largest of one kind, as a gain of chi squared.
+
+    Attributes
+    ----------
+    kind
+        ``tone``, ``push`` or ``delay``.
+    peak
+        What it takes of the residual's sum of squares, in variances of the residual: about how much
+        twice the log-likelihood rises. A tone's and a delay's variance is of what they leave.
+    place
+        Hz of a tone, s of a push and of a delay.
+    recording
+        Number of the one that a push is in.
+    """
 
     kind: str
     peak: float
-    place: float  # Hz of a tone, s of a push and of a delay
-    recording: int = 0  # number of the one that a push is in
+    place: float
+    recording: int = 0
 
 
 def tone(y: Array, layout: Layout) -> Scan:
-    """Find the largest peak of a whitened residual's periodogram, over what it leaves."""
+    """Find the largest peak of a whitened residual's periodogram, over what it leaves.
+
+    Parameters
+    ----------
+    y
+        ``(n,)`` whitened residual, all recordings.
+
+    Returns
+    -------
+    Scan
+        Of the recordings' summed power; the frequency is interpolated by a parabola.
+
+    Notes
+    -----
+    The power P of a frequency is scaled to chi squared of two degrees of freedom in white noise;
+    the gain is ``P / (1 - P/n)``, which orders peaks as Fisher's test of hidden periods does [1]_.
+    Frequencies go from two periods of the longest recording to 0.45 of the rate.
+
+    References
+    ----------
+    .. [1] R. A. Fisher, "Tests of significance in harmonic analysis", Proceedings of the Royal
+       Society A 125 (1929) 54-59.
+    """
     step, span, size, at = layout.grid
     rows = np.bincount(at, y, len(layout.at) * size).reshape(-1, size)
     power = (np.abs(np.fft.rfft(rows)) ** 2).sum(axis=0)
@@ -53,7 +88,20 @@ def tone(y: Array, layout: Layout) -> Scan:
 
 
 def push(y: Array, layout: Layout, width: float) -> Scan:
-    """Find where the mean of a whitened residual over three ``width`` (s) is the farthest off."""
+    """Find where the mean of a whitened residual over a short while is the farthest off.
+
+    Parameters
+    ----------
+    y
+        ``(n,)`` whitened residual, all recordings.
+    width
+        From one place to the next, s; the mean is over three of them.
+
+    Returns
+    -------
+    Scan
+        Of ``(sum y)^2 / (count var(y))``, where three outputs are in the window at least.
+    """
     best = Scan(PUSH, 0.0, 0.0)
     variance = float(np.mean(y**2))
     for k, (t, x) in enumerate(zip(layout.stamps, layout.split(y), strict=True)):
@@ -71,21 +119,42 @@ def push(y: Array, layout: Layout, width: float) -> Scan:
 
 
 def waves(layout: Layout, hertz: float) -> Array:
-    """Sine and cosine ``(n, 2 K)`` of a tone, of each recording its own."""
+    """Sine and cosine of a tone, of each of K recordings its own, ``(n, 2 K)``."""
     angle = 2.0 * np.pi * hertz * np.concatenate(layout.stamps)
     own = layout.members
     return np.stack([wave(angle) * one for one in own for wave in (np.sin, np.cos)], axis=1)
 
 
 def bump(layout: Layout, scan: Scan, width: float) -> Array:
-    """Give what a push is taken for, ``(n, 5)``: bells over its place and beside, of any course."""
+    """Give what a push is taken for, ``(n, 5)``: bells over its place and beside, of any course.
+
+    Their standard deviation, and the distance from one to the next, is ``width`` (s).
+    """
     t = np.concatenate(layout.stamps)[:, None]
     bells = np.exp(-0.5 * ((t - scan.place) / width - np.arange(-2, 3)) ** 2)
     return np.asarray(bells * layout.members[scan.recording][:, None])
 
 
 def tuned(y: Array, layout: Layout, hertz: float, left: Callable[[Array], Array]) -> float:
-    """Tune a tone's frequency by Gauss and Newton; ``left`` whitens and takes the model's out."""
+    """Tune a tone's frequency by Gauss and Newton.
+
+    Parameters
+    ----------
+    y
+        ``(n,)`` whitened residual.
+    left
+        Whitens columns ``(n, k)`` and takes out what the model explains.
+
+    Returns
+    -------
+    float
+        Hz, after four steps, each of at most 0.2 Hz over the seconds of the longest recording.
+
+    Notes
+    -----
+    Beside ``b0 sin + b1 cos`` stand ``(t - t0) cos`` and ``(t - t0) sin``, fitted as b2 and b3; the
+    step of the angular frequency is ``(b0 b2 - b1 b3) / (b0^2 + b1^2)``, sums over recordings.
+    """
     t = np.concatenate(layout.stamps)
     span = max(float(np.ptp(one)) for one in layout.stamps)
     middle = float(t.mean())

@@ -1,7 +1,7 @@
 """What a fit makes of recordings like its own whose truth is known: the twins'.
 
 It is asked how far estimates lie from the truth, nothing else: whether the joint is what the model
-takes it for, no simulation of the model can tell.
+takes it for, no simulation of the model can show.
 """
 
 from __future__ import annotations
@@ -45,13 +45,21 @@ class SelfCheckOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class QuickFit:
-    """What a fit finds of a twin without noise in the torque."""
+    """What a fit finds of a twin without noise in the torque.
 
-    # (d,) sampled parameters a small ``share`` of the way from the truth to the estimate: how
-    # any quantity changes is asked there, since steps along what is open may be of any length
+    Attributes
+    ----------
+    nearby
+        ``(d,)`` sampled parameters, a small way from the truth towards the estimate. How any
+        quantity changes is asked there, since steps along what is open may be of any length.
+    share
+        Which share of the way that is.
+    unexplained
+        Mean square of what the model then cannot explain, over the variance of the noise.
+    """
+
     nearby: Array
     share: float
-    # mean square of what the model then cannot explain, over the variance of the noise
     unexplained: float
 
 
@@ -59,14 +67,25 @@ class QuickFit:
 class Checked:
     """What came of it: truths, and where fits went from them.
 
-    Where it could not be made, ``reason`` is why: the ``likelihood`` is not of the torque, samples
-    at ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most simulated joints
-    stood ``still``, the ``simulation`` is impossible, for which ``said`` has the words, or
-    recordings are too ``few`` or too ``long`` for twins.
+    Attributes
+    ----------
+    truth
+        ``(n, d)`` sampled parameters that twins were made with.
+    fits
+        Of each twin.
+    seconds, cpu_seconds
+        That it took.
+    reason
+        Why it could not be made, else ``None``: the ``likelihood`` is not of the torque, samples at
+        ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most simulated joints
+        stood ``still``, the ``simulation`` is impossible, or recordings are too ``few`` or too
+        ``long`` for twins.
+    said
+        Words for a ``simulation`` that is impossible.
     """
 
-    truth: Array  # (n, d) sampled parameters
-    fits: tuple[QuickFit, ...]  # of each
+    truth: Array
+    fits: tuple[QuickFit, ...]
     seconds: float
     cpu_seconds: float
     reason: Reason | None = None
@@ -97,6 +116,16 @@ def self_check(
     -------
     Checked
         Truths and fits of all twins, or the reason why there are none.
+
+    Notes
+    -----
+    Filters, steps of the encoder and differentiation bias an estimate: the mean over twins of fit
+    less truth is that bias [1]_. Each fit is one Gauss-Newton step, as the torque is linear in
+    nearly every parameter. The twins' torque has no noise here, so few of them show the bias well.
+
+    References
+    ----------
+    .. [1] B. Efron, R. J. Tibshirani, "An Introduction to the Bootstrap", Chapman and Hall (1993).
     """
     begun, worked = time.perf_counter(), time.process_time()
     reason: Reason | None = explained.reason
@@ -134,10 +163,9 @@ def _fit(
     """Take one Gauss-Newton step from the truth ``(d,)`` that a twin was made with.
 
     Filters, steps of the encoder and differentiation make the modelled torque differ from the
-    simulated one. By how much that moves an estimate is asked of a posterior with the noise of
-    the truth, as a normal about it: the torque is linear in nearly every parameter. The prior
-    counts as one more measurement, of sd ``prior_sds`` ``(free,)`` and centred on the truth: its
-    pull is meant, and no bias.
+    simulated one. By how much that moves an estimate is asked of a posterior with the noise of the
+    truth, as a normal about it. The prior counts as one more measurement, of sd ``prior_sds``
+    ``(free,)`` and centred on the truth: its pull is meant, and no bias.
     """
     assert isinstance(target.likelihood, TorqueLikelihood)
     k = len(target.free)

@@ -1,4 +1,8 @@
-"""States that a motion leaves behind: bristles, a load in its gap, an elastic transmission."""
+"""States that a motion leaves behind: bristles, a load in its gap, an elastic transmission.
+
+What they add to the torque depends on the motion before, so that no function of position, speed and
+acceleration stands for it.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,29 @@ _DAMPING, _FEW = 0.05, 20
 
 @njit(cache=True)
 def deflection(q, reach):  # type: ignore[no-untyped-def]
-    """Deflection of a bristle over its most ``(N,)``, -1 to 1, along a motion (Dahl 1968)."""
+    """Deflection of a bristle over its most, along a motion.
+
+    Parameters
+    ----------
+    q
+        ``(N,)`` position, rad or m.
+    reach
+        Distance after which 1/e of the way to the largest deflection is left, rad or m.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)``, -1 to 1; 0 at the first sample.
+
+    Notes
+    -----
+    Dahl's model of presliding [1]_, ``dz/dq = (1 - z sign(v)) / reach``, exact between samples.
+
+    References
+    ----------
+    .. [1] P. R. Dahl, "A solid friction model", The Aerospace Corporation, TOR-0158(3107-18)-1
+       (1968).
+    """
     z = np.zeros(q.size)
     for i in range(1, q.size):
         x = (q[i] - q[i - 1]) / reach
@@ -28,7 +54,20 @@ def deflection(q, reach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def since_reversal(q, least):  # type: ignore[no-untyped-def]
-    """Distance ``(N,)`` since the last reversal that went further than ``least``."""
+    """Distance since the last reversal that went further than a least distance.
+
+    Parameters
+    ----------
+    q
+        ``(N,)`` position, rad or m.
+    least
+        Reversals that go no further are passed over, as steps of the encoder; rad or m.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)`` rad or m.
+    """
     out = np.empty(q.size)
     turn = far = q[0]
     way = 0.0
@@ -48,10 +87,26 @@ def since_reversal(q, least):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def in_gap(need, period, half, begins):  # type: ignore[no-untyped-def]
-    """Place ``(N,)`` of a load in its gap, -1 to 1.
+    """Place of a load in its gap (backlash), along a motion.
 
-    It flies freely from where the acceleration ``need`` that the motor must give it changes sign,
-    until it meets the other side. ``half`` is half the gap; it begins anew where ``begins``.
+    It flies freely from where the acceleration that the motor must give it changes sign, until it
+    meets the other side, and stays there.
+
+    Parameters
+    ----------
+    need
+        ``(N,)`` acceleration that the motor must give the load, rad/s² or m/s².
+    period
+        From one sample to the next, s.
+    half
+        Half of the gap, rad or m.
+    begins
+        ``(N,)`` where a segment begins, and the state anew.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)``, -1 to 1.
     """
     out = np.zeros(need.size)
     side, x, v, flying = 1.0, 0.0, 0.0, False
@@ -72,9 +127,26 @@ def in_gap(need, period, half, begins):  # type: ignore[no-untyped-def]
 
 
 def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[float]) -> Array:
-    """Give what elastic transmissions add to a load's torque ``(N,)`` of their own frequencies.
+    """Give what elastic transmissions add to a load's torque, by their antiresonances.
 
-    One row a frequency, ``(k, N)``.
+    Parameters
+    ----------
+    x
+        ``(N,)`` torque of the load behind a stiff transmission, N m or N.
+    segments, period
+        Of the samples: parts without gaps, and s from one to the next.
+    hertz
+        ``k`` antiresonances: the load on its spring while the motor is held.
+
+    Returns
+    -------
+    ndarray
+        ``(k, N)``; zero in segments of 20 samples and fewer.
+
+    Notes
+    -----
+    ``1 / (1 - r^2 + 2 i D r) - 1`` of each frequency, r its ratio to the antiresonance, with D =
+    0.05 of critical damping.
     """
     out = np.zeros((len(hertz), x.size))
     for a, b in segments:

@@ -1,4 +1,8 @@
-"""Statistics of candidates: joint t of each, and how unlikely it is among the twins'."""
+"""Statistics of candidates: joint t of each, and how unlikely it is among the twins'.
+
+Everything here is least squares of a residual on columns, after the model's own columns, its
+derivatives by its parameters, are taken out of both (Frisch and Waugh, Econometrica 1, 1933).
+"""
 
 from __future__ import annotations
 
@@ -25,29 +29,55 @@ _SAME, _SINGULAR = 0.9999, 1e-4
 
 @dataclass(frozen=True)
 class Key:
-    """Which column of which candidate."""
+    """Which column of which candidate.
+
+    Attributes
+    ----------
+    kind, shape, number
+        The candidate, and which of its columns.
+    beside
+        Whether it is no candidate, and goes in with one: for shapes between those of a grid.
+    delay
+        s; its column, the first of two, then has the coefficient one. 0 for what is no far delay.
+    """
 
     kind: str
     shape: str
     number: int
     beside: bool = False
-    delay: float = 0.0  # s; its column, the first of two, then has the coefficient one
+    delay: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What passed the filters: of one recording or twin, or of several together."""
+    """What passed the filters: of one recording or twin, or of several together.
 
-    base: Array  # (n, d) derivatives by the model's parameters
-    others: Array  # (n, m) candidates'
-    left: Array  # (n,) what the model leaves of the torque
+    Attributes
+    ----------
+    base
+        ``(n, d)`` derivatives of the torque by the model's parameters.
+    others
+        ``(n, m)`` columns of the candidates.
+    left
+        ``(n,)`` what the model leaves of the torque, N m or N.
+    layout
+        Where outputs lie in time.
+    keys
+        ``m``, one for each column of ``others``.
+    memory
+        Autocorrelation of the noise.
+    """
+
+    base: Array
+    others: Array
+    left: Array
     layout: Layout
-    keys: tuple[Key, ...]  # (m,)
-    memory: Memory = WHITE  # of the noise
+    keys: tuple[Key, ...]
+    memory: Memory = WHITE
 
     @cached_property
     def whitened(self) -> Columns:
-        """The same without the noise's memory."""
+        """The same with the noise's autocorrelation taken out."""
         if self.memory is WHITE:
             return self
         both = np.column_stack([self.base, self.others, self.left])
@@ -57,16 +87,24 @@ class Columns:
         )
 
     def beside(self, extra: Sequence[int]) -> Array:
-        """Put columns of candidates beside the model's own."""
+        """Put columns of candidates, by number, beside the model's own, ``(n, d + k)``."""
         return np.column_stack([self.base, self.others[:, extra]]) if len(extra) else self.base
 
     def rest(self, extra: Sequence[int]) -> Array:
-        """Give what is left ``(n,)`` when ``extra``, candidates, are taken, too."""
+        """Give what is left ``(n,)`` when columns of candidates, ``extra``, are fitted, too."""
         return without(basis_of(self.beside(extra)), self.left)
 
 
 def testable(d: Columns) -> list[tuple[Key, list[int]]]:
-    """Group columns to candidates; leave out what the model's own, or each other's, can do."""
+    """Group columns to candidates; leave out what the model's own, or each other's, can do.
+
+    Returns
+    -------
+    list of tuple
+        A key of each candidate that this motion can show, and the numbers of its columns. A column
+        is left out where less than 1.5 % of its norm is outside what the model's own and those
+        before it span; a candidate of several, where the only one left is another candidate.
+    """
     groups: dict[tuple[str, str], list[int]] = {}
     for i, key in enumerate(d.keys):
         if not (key.beside or key.delay):
@@ -99,7 +137,18 @@ def testable(d: Columns) -> list[tuple[Key, list[int]]]:
 
 
 def basis_of(x: Array) -> Array:
-    """Orthonormal basis ``(n, k)`` of what columns span."""
+    """Orthonormal basis of what columns span.
+
+    Parameters
+    ----------
+    x
+        ``(n, d)``, of any sizes.
+
+    Returns
+    -------
+    ndarray
+        ``(n, k)``, k at most d; from the eigenvectors of the Gram matrix of the scaled columns.
+    """
     size = np.sqrt((x**2).sum(axis=0))
     x = x[:, size > 0.0] / size[size > 0.0]
     if not x.size:
@@ -110,19 +159,33 @@ def basis_of(x: Array) -> Array:
 
 
 def without(basis: Array, x: Array) -> Array:
-    """Give what a basis ``(n, k)`` leaves of columns."""
+    """Give what a basis ``(n, k)`` leaves of a column ``(n,)`` or of columns ``(n, m)``."""
     return np.asarray(x - basis @ (basis.T @ x))
 
 
 def mean_square(x: Array, taken: int = 0) -> float:
-    """Give the variance of what is left of which so many parameters were taken."""
+    """Give the variance of a residual ``(n,)`` of which ``taken`` parameters were fitted."""
     return float(x @ x) / max(x.size - taken, 1)
 
 
 def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
-    """Least squares ``(d,)``, its covariance, and directions ``(d, k)`` that are determined.
+    """Least squares, along the directions that the columns determine.
 
-    These are in units of ``size`` ``(d,)``; along the others nothing moves.
+    Parameters
+    ----------
+    x, y
+        ``(n, d)`` columns and ``(n,)`` what they explain.
+    size
+        ``(d,)`` what counts as a change of one, in each parameter's unit.
+
+    Returns
+    -------
+    estimate : ndarray
+        ``(d,)``; along the other directions nothing moves.
+    covariance : ndarray
+        ``(d, d)``, of the residual's variance.
+    directions : ndarray
+        ``(d, k)`` orthonormal, in units of ``size``: those that are determined.
     """
     rows = x * size
     unit = np.sqrt((rows**2).sum(axis=0))
@@ -138,11 +201,21 @@ def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Statistics of one recording or twin: of each candidate, and of the largest tone."""
+    """Statistics of one recording or twin: of each candidate, and of the scans.
 
-    t: list[Array]  # (k,) joint t of each group; NaN where nothing of it is left
-    gains: Array  # what each takes of chi squared
-    scans: tuple[Scan, ...]  # the largest of each kind that is looked for at any place
+    Attributes
+    ----------
+    t
+        Joint t ``(k,)`` of each group's k coefficients; NaN where nothing of it is left.
+    gains
+        ``(m,)`` what each takes of chi squared.
+    scans
+        The largest of each kind that is looked for at any place: tone, push, far delay.
+    """
+
+    t: list[Array]
+    gains: Array
+    scans: tuple[Scan, ...]
 
 
 def asked(
@@ -151,9 +224,25 @@ def asked(
     extra: Sequence[int],
     width: float,
 ) -> Asked:
-    """Ask every candidate beside the model's own columns and ``extra``.
+    """Ask every candidate beside the model's own columns and those that were taken in.
 
-    ``width`` is that of a push, see :func:`bayesfric.diagnostics.scans.push`.
+    Parameters
+    ----------
+    groups
+        Candidates, see :func:`testable`.
+    extra
+        Numbers of columns that were taken in.
+    width
+        That of a push, s, see :func:`bayesfric.diagnostics.scans.push`.
+
+    Returns
+    -------
+    Asked
+
+    Notes
+    -----
+    Of whitened columns z and residual y, both beside the model's own, ``b = (z'z)^-1 z'y``; t is b
+    over its standard deviations, and the gain is ``b'z'y`` over the variance of what is left.
     """
     white = d.whitened
     basis = basis_of(white.beside(extra))
@@ -194,7 +283,10 @@ def asked(
 
 
 def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
-    """Find the delay that leaves least, a coefficient of one and how fast the torque changed."""
+    """Find the far delay that leaves least: a coefficient of one, and how fast the torque changed.
+
+    As the first is no free coefficient, only that of the rate is fitted.
+    """
     first = [i for i, key in enumerate(keys) if key.delay and key.number == 0]
     if not first:
         return Scan(DELAY, 0.0, 0.0)
@@ -212,7 +304,31 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
     """How unlikely each statistic is among the twins', as a standard normal; scans last.
 
-    Also of the twins ``(n, m)``, each among the others.
+    Parameters
+    ----------
+    mine
+        Statistics of the recordings.
+    others
+        Those of n twins.
+
+    Returns
+    -------
+    z : ndarray
+        ``(m,)`` of the recordings; 0 where a candidate could not be asked.
+    null : ndarray
+        ``(n, m)`` of the twins, each among the others.
+
+    Notes
+    -----
+    The squared distance of a candidate's t from the twins' mean, in their covariance, is
+    Hotelling's [1]_. Half of the mean counts as spread: the recording may share what filters and
+    encoder make of a right model or not. The largest of a scan is taken for Gumbel's, with the
+    twins' mean and sd.
+
+    References
+    ----------
+    .. [1] H. Hotelling, "The generalization of Student's ratio", Annals of Mathematical Statistics
+       2 (1931) 360-378.
     """
     n, m = len(others), len(mine.t)
     more = len(mine.scans)

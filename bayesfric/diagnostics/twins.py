@@ -59,19 +59,32 @@ def _speed(_position: float, speed: float, _way: float, _time: float, _shape: fl
 
 
 def spring_of(chain: Joint, values: Array, observation: Observation) -> tuple[float, float]:
-    """Choose what holds a simulated motor to the recorded motion: stiffness and damping.
-
-    In measured torque per motor's rad (or m) and rad/s; the damping is critical. It swings well
-    below the band, and above how often the joint goes to and fro.
+    """Choose what holds a simulated motor to the recorded motion.
 
     Below the band it leaves alone what the comparison is about; above the pace it keeps the
-    simulated motion, and with it reversals and rests, where the recorded one is. ``values``
-    ``(n_parameters,)`` say how much inertia the motor feels.
+    simulated motion, and with it reversals and rests, where the recorded one is.
+
+    Parameters
+    ----------
+    chain, values
+        The joint, and ``(n_parameters,)`` that say how much inertia J the motor feels.
+    observation
+        Its band, and how often the joint goes to and fro.
+
+    Returns
+    -------
+    stiffness, damping : float
+        In measured torque per motor's rad (or m) and rad/s.
 
     Raises
     ------
     NoTwin
-        If it feels none.
+        If the motor feels no inertia.
+
+    Notes
+    -----
+    ``J w^2`` and ``2 J w``, critical, with w of three times the pace, and of a fifth of the band at
+    most.
     """
     still = inverse_torque(
         chain, values, [0.0, 0.0], [0.0, 0.0], [0.0, 1.0], inputs=observation.inputs, time=_NOW
@@ -133,10 +146,20 @@ def twins(
 def modelled_driver(
     chain: Joint, values: Array, recording: Measurement, observation: Observation
 ) -> Array:
-    """Give the model's torque ``(N,)`` along the recorded motion, up to above the band.
+    """Give the model's torque along the recorded motion, up to above the band.
 
     It has the encoder's noise where the recorded one has the torque sensor's, which as a driver
     would be true torque.
+
+    Parameters
+    ----------
+    chain, values
+        The joint and its parameters ``(n_parameters,)``.
+
+    Returns
+    -------
+    ndarray
+        ``(N,)`` N m or N, low-passed at 1.3 times the band; without a delay.
     """
     o, told = observation, observation.settings
     now = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
@@ -148,14 +171,22 @@ def modelled_driver(
 
 
 def settled_as(processing: Processing, observation: Observation) -> Processing:
-    """Write down the filters of a recording, so that its twins are treated alike."""
+    """Write down the filters of a recording, so that its twins are treated alike.
+
+    Low-pass, decimation, dead zone and trim become those that were used, whoever chose them.
+    """
     told = observation.settings
     numbers = {key: told[key] for key in ("lowpass", "decimate", "dead_zone", "trim")}
     return processing.model_copy(update=numbers)
 
 
 class _Held:
-    """The joint on its spring, and what drives the two."""
+    """The joint on its spring, and what drives the two.
+
+    Spring and damper are two more terms of the motor; the driver has what they pull along the
+    recorded motion on top, so that they pull nothing where the simulated motion is the recorded
+    one.
+    """
 
     def __init__(
         self,
@@ -283,7 +314,10 @@ def _observed(
     observation: Observation,
     processing: Processing,
 ) -> Observation | None:
-    """Filter what was read, and refine its motion, as the recording's was."""
+    """Filter what was read, and refine its motion, as the recording's was.
+
+    ``None`` where the filters leave nothing, as of a joint that hardly moves.
+    """
     told, looked = observation.settings, None
     if told["motion"] != "refined":  # what the position resolves is not asked then
         looked = Resolution(float(told["band"]), "asked", float(told["noise_seen"]), math.inf)

@@ -1,4 +1,4 @@
-"""Where to look: the point estimate with its noise."""
+"""Where identifiability is looked at: the point estimate, with noise to fit."""
 
 from __future__ import annotations
 
@@ -19,8 +19,21 @@ _ROUNDS = 7
 def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
     """Put a point estimate into sampled parameters, the most likely noise scales added.
 
-    Of the ``estimate``, a value of every free parameter of the chain, what lies outside its
-    prior is moved to its edge.
+    Parameters
+    ----------
+    estimate
+        A value of every free parameter of the chain, by name. What lies outside its prior is moved
+        to its edge.
+
+    Returns
+    -------
+    ndarray
+        ``(d,)`` free parameters, then the noise scales.
+
+    Notes
+    -----
+    For a likelihood of the torque, partial autocorrelations are Burg's and the scale is the root
+    mean square of the innovations; else noise of torque and position are searched on a grid.
     """
     values = np.array(
         [
@@ -41,7 +54,10 @@ def _likely_scales(target: Target, values: Array) -> Array:
 
 
 def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, chain: Array) -> Array:
-    """Memory by Burg's method, and scales from what it leaves; ``chain`` ``(1, n_parameters)``."""
+    """Autocorrelation by Burg's method, and scales from what it leaves.
+
+    ``chain`` is ``(1, n_parameters)``; scales are kept inside their priors.
+    """
     noise, order = target.noise, likelihood.noise.order
     predicted = likelihood.predict(chain)
     residuals = [o.measured - p[0] for o, p in zip(likelihood.outputs, predicted, strict=True)]
@@ -62,7 +78,10 @@ def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, chain: Arr
 
 
 def _finest_scales(target: Target, chain: Array) -> Array:
-    """Search torque and position noise on a grid that gets finer; each recording may have one."""
+    """Search torque and position noise on a grid that gets finer; each recording may have one.
+
+    Seven points a scale, seven times around the best, in logarithms and within the priors.
+    """
     noise = target.noise
     kinds = len(dict.fromkeys(noise.quantities))
     sets = len(noise.names) // kinds

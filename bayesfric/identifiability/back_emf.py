@@ -1,4 +1,4 @@
-"""What a back-EMF cannot be told from."""
+"""What a back-EMF cannot be told from, where the torque was computed from a motor voltage."""
 
 from __future__ import annotations
 
@@ -19,18 +19,29 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class SpeedTerm:
-    """What a torque proportional to speed, such as a back-EMF's, cannot be told from."""
+    """What a torque proportional to speed, such as a back-EMF's, cannot be told from.
 
-    recordings: tuple[str, ...]  # those whose torque comes from a voltage
-    nominal: float  # kt²/R as given, the largest: what the speed takes off, at the motor
-    unit: str  # of that
-    # parameters whose effect, each's or all of them together, has the same shape exactly
+    Attributes
+    ----------
+    recordings
+        Those whose torque comes from a voltage.
+    nominal, unit
+        kt²/R as given, the largest: what the speed takes off, in N m s or N s/m at the motor.
+    same_as_back_emf
+        Parameters whose effect, each one's or all together, has the same shape exactly.
+    explained
+        Share of the term's square that some change of parameters makes up for, 0 to 1.
+    """
+
+    recordings: tuple[str, ...]
+    nominal: float
+    unit: str
     same_as_back_emf: tuple[str, ...]
-    explained: float  # share of the term's square that some change of parameters makes up for
+    explained: float
 
     @property
     def meaning(self) -> str:
-        """Say what is confounded."""
+        """Say what is confounded, and what measurement would tell it apart."""
         names = " and ".join(self.same_as_back_emf)
         told = (
             f"torque comes from a voltage ({', '.join(self.recordings)}), less the nominal "
@@ -52,9 +63,6 @@ def speed_term(
 ) -> SpeedTerm | None:
     """Compare a torque proportional to speed with what the parameters can do.
 
-    The torque computed from a voltage is ``kt V/R - kt² (motor speed)/R``; an error of ``kt²/R``
-    adds a term proportional to speed.
-
     Parameters
     ----------
     target
@@ -68,6 +76,12 @@ def speed_term(
     -------
     SpeedTerm or None
         ``None`` where no recording's torque comes from a voltage.
+
+    Notes
+    -----
+    With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
+    motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
+    filtered and whitened as the torque is, is projected on the columns of the Jacobian.
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}

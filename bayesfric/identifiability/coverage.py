@@ -20,22 +20,49 @@ _LITTLE = 0.05
 
 @dataclass(frozen=True)
 class Coverage:
-    """What one recording went through, at the point estimate where that needs one."""
+    """What one recording went through, at the point estimate where that needs one.
+
+    Attributes
+    ----------
+    name, outputs
+        Of the recording, and how many outputs it has.
+    moving
+        Share of outputs in which the joint moves.
+    load_drives
+        By element with a load loss, share of those in which the load drives it.
+    turn
+        Range of the joint's position, rad or m.
+    steady
+        Share of outputs in which inertia takes less than a twentieth of the torque.
+    added_mass, radius
+        Known mass on the load, kg, and its distance from the axis, m.
+    """
 
     name: str
     outputs: int
-    moving: float  # share of outputs in which the joint moves
-    load_drives: dict[str, float]  # share of those in which the load drives an element with a loss
-    turn: float  # range of the joint's position, rad or m
-    steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
-    added_mass: float  # kg
-    radius: float  # m
+    moving: float
+    load_drives: dict[str, float]
+    turn: float
+    steady: float
+    added_mass: float
+    radius: float
 
 
 def coverage_of(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> tuple[Coverage, ...]:
-    """Look at every recording, the chain's parameters being ``values`` ``(n_parameters,)``."""
+    """Look at what every recording went through.
+
+    Parameters
+    ----------
+    values
+        ``(n_parameters,)`` of the chain at the estimate.
+
+    Returns
+    -------
+    tuple of Coverage
+        One for each recording.
+    """
     return tuple(
         Coverage(
             name=o.name,
@@ -86,7 +113,10 @@ def back_driven(
 def _behind(
     chain: Joint, i: int, o: Observation, outputs: NDArray[np.int64], values: Array
 ) -> Array:
-    """Torque at the output of element ``i``, ``(n, len(outputs))``."""
+    """Torque at the output of element ``i``, ``(n, len(outputs))``.
+
+    Of the last element that is the load's; else that of the shorter chain behind it.
+    """
     at = o.filter.centres[outputs]
     q, qd, qdd = o.q[at], o.qd[at], o.acceleration[outputs]
     if i + 1 == len(chain.elements):

@@ -4,6 +4,9 @@ The Jacobian of the observed quantity over its noise, in logarithms of the param
 the estimate. A direction is *null* where its singular value is below 1e-7 of the largest, which is
 a thousand times what rounding makes of an exact zero (1e-6 for a simulated position); it is *weak*
 where the data leave the logarithm of a parameter more than 0.5.
+
+Among the combinations are the base parameters, the motor-side totals of eq. (11), which the data
+may determine whatever else they leave open.
 """
 
 from __future__ import annotations
@@ -48,35 +51,75 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prospect:
-    """One parameter or derived quantity and how well it would be known."""
+    """One parameter or derived quantity and how well it would be known.
+
+    Attributes
+    ----------
+    name, unit, meaning
+        As in :class:`bayesfric.mechanism.parameter.Parameter`.
+    value
+        At the estimate; it means nothing where ``data_sd`` is infinite.
+    data_sd
+        Standard deviation that the data alone would leave, the noise being what a fit takes it for.
+    expected_sd
+        Of data and prior together.
+    prior_sd
+        Of a parameter's prior; NaN of what is derived.
+    status
+        To be expected of a fit.
+    on_bound
+        ``lower`` or ``upper`` end of its prior where the estimate is on it: then only a limit can
+        be reported.
+    """
 
     name: str
     unit: str
     meaning: str
-    value: float  # at the estimate; it means nothing where data_sd is infinite
-    data_sd: float  # what the data alone would leave, the noise being what fit takes it for
-    expected_sd: float  # data and prior together
-    prior_sd: float = float("nan")  # and these two of parameters alone
-    status: Status | None = None  # to be expected of a fit
-    on_bound: str | None = None  # lower or upper: a limit is what can be told
+    value: float
+    data_sd: float
+    expected_sd: float
+    prior_sd: float = float("nan")
+    status: Status | None = None
+    on_bound: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Everything that the local picture says."""
+    """Everything that the local picture says.
 
-    method: str  # of the likelihood
-    noise: str  # what it takes the noise for
-    # whether it may be correlated: estimates weigh all residuals alike, and have other sds then
+    Attributes
+    ----------
+    method, noise
+        Of the likelihood, and what it takes the noise for.
+    memory
+        Whether the noise may be autocorrelated: point estimates weigh all residuals alike, and have
+        other standard deviations then.
+    local
+        Fisher information at the estimate.
+    directions
+        Null ones first, then weak ones, the weakest first.
+    parameters
+        The free ones, in their order.
+    combinations
+        What they amount to, best known first.
+    recordings
+        What each went through.
+    back_driving
+        By element with a load loss, share of the moving outputs in which the load drives it.
+    voltage
+        What a back-EMF cannot be told from, where a torque comes from a voltage.
+    """
+
+    method: str
+    noise: str
     memory: bool
-    local: LocalInformation  # the local picture at the estimate
-    directions: tuple[OpenDirection, ...]  # null ones first, then weak ones, the weakest first
-    parameters: tuple[Prospect, ...]  # the free ones
-    combinations: tuple[Prospect, ...]  # what they amount to, best known first
-    recordings: tuple[Coverage, ...]  # what the recordings went through
-    # element with a load loss: share of the moving outputs in which the load drives it
+    local: LocalInformation
+    directions: tuple[OpenDirection, ...]
+    parameters: tuple[Prospect, ...]
+    combinations: tuple[Prospect, ...]
+    recordings: tuple[Coverage, ...]
     back_driving: dict[str, float]
-    voltage: SpeedTerm | None  # what a back-EMF cannot be told from
+    voltage: SpeedTerm | None
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -100,9 +143,10 @@ class Identification:
 
     @property
     def determined(self) -> list[Prospect]:
-        """Combinations that the data tell, whatever else they do not; limits and priors do not.
+        """Combinations that the data determine, whatever else they do not; no limits.
 
-        A bound may narrow them further, as it does what a value on it can be traded for.
+        Those whose ``data_sd`` is less than half the value. A bound may narrow them further, as it
+        does what a value on it can be traded for.
         """
         return [
             one
@@ -114,7 +158,7 @@ class Identification:
 
     @property
     def remarks(self) -> list[str]:
-        """What is to be said of back-driving and of a voltage."""
+        """What is to be said of back-driving and of a voltage, a sentence each."""
         found = map(self._seen, self.back_driving)
         return [*found, self.voltage.meaning] if self.voltage else [*found]
 
@@ -172,6 +216,17 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     ------
     BadInput
         If a simulation fails beside the estimate.
+
+    Notes
+    -----
+    With J the Jacobian over the noise and P the priors' variances, the data's information is
+    ``J'J`` and a quantity of gradient g has ``sd² = g' (J'J + P^-1)^-1 g``. The scalings are
+    structurally unidentifiable; weak directions are practically so [1]_.
+
+    References
+    ----------
+    .. [1] A. Raue et al., "Structural and practical identifiability analysis of partially observed
+       dynamical models by exploiting the profile likelihood", Bioinformatics 25 (2009) 1923-1929.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     local = in_natural_units(target, estimate, local_information(target, estimate))
@@ -216,6 +271,7 @@ def _parameters(
     bounds: Sequence[str | None],
     both: Directions,
 ) -> tuple[Prospect, ...]:
+    """Say of every free parameter what data alone, data and prior, and the prior leave of it."""
     described = {p.name: p for p in target.likelihood.chain.parameters}
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
@@ -247,7 +303,10 @@ def _combinations(
     parameters: Sequence[Prospect],
     both: Directions,
 ) -> tuple[Prospect, ...]:
-    """Derive what the parameters amount to, best known first; on a bound where all of them are."""
+    """Derive what the parameters amount to, best known first; on a bound where all of them are.
+
+    What is undefined at the estimate, or made of fixed values only, is left out.
+    """
     found = []
     for q, value, gradient in derived_beside(target, estimate, local):
         if not np.isfinite([value, *gradient]).all() or not gradient.any():

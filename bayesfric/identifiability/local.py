@@ -1,4 +1,8 @@
-"""What the likelihood alone determines near one parameter vector."""
+"""What the likelihood alone determines near one parameter vector: its Fisher information.
+
+Null directions of the Jacobian, standard deviations that the data alone would leave, and from them
+the verdict by whom a parameter was determined: the data, the prior, or both.
+"""
 
 from __future__ import annotations
 
@@ -47,20 +51,33 @@ _ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class NullDirection:
-    """Parameters that can change together without changing any predicted torque."""
+    """Parameters that can change together without changing any predicted torque.
 
-    # Parameter (or alpha) and its relative change, the largest being one; one that is next to zero
-    # changes in units of its prior sd.
+    Attributes
+    ----------
+    exponents
+        By parameter (or alpha of a load loss) its relative change, the largest being one: the
+        powers of one factor. One that is next to zero changes in units of its prior sd.
+    """
+
     exponents: dict[str, float]
 
     @property
     def meaning(self) -> str:
-        """The same in words."""
+        """The same in words, see :func:`meaning_of`."""
         return meaning_of(self.exponents)
 
 
 def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
-    """Say what no torque tells: powers of one factor, or changes of what is ``in_units``."""
+    """Say in words what no torque tells.
+
+    Parameters
+    ----------
+    exponents
+        By parameter its power of one factor k; or its change, of what is ``in_units``.
+    in_units
+        Units of parameters of which no logarithm is taken, as they are next to zero.
+    """
     names, in_units = ", ".join(exponents), in_units or {}
     if len(exponents) == 1:
         return f"{names} does not show in the torque at all"
@@ -75,18 +92,30 @@ def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | Non
 
 @dataclass(frozen=True, eq=False)
 class LocalInformation(LocalUnits):
-    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`."""
+    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`.
 
-    # (d,) sd that the data alone would leave, in the parameter's unit; infinite where a null
-    # direction touches it
+    Attributes
+    ----------
+    data_sd
+        ``(d,)`` sd that the data alone would leave, in the parameter's unit; infinite where a null
+        direction touches it.
+    null_rows
+        ``(n_null, d)`` null directions in those units, the largest entry of each one; scalings
+        known from theory first.
+    directions
+        Singular values and vectors of the Jacobian over the noise.
+    from_theory
+        How many null directions, the first, are scalings that hold everywhere (section 4.2).
+    """
+
     data_sd: Array
-    null_rows: Array  # (n_null, d) what no torque can tell, in units, the largest entry of each one
-    directions: Directions  # of the Jacobian over the noise scale, in log parameters
-    from_theory: int = 0  # how many null directions, the first, are scalings that hold everywhere
+    null_rows: Array
+    directions: Directions
+    from_theory: int = 0
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """What no torque can tell, by name."""
+        """What no torque can tell, by name, in the order of ``null_rows``."""
         named = (zip(self.labels, row.tolist(), strict=True) for row in self.null_rows)
         return tuple(
             NullDirection({label: round(x, 9) for label, x in pairs if abs(x) > _ROUNDING})
@@ -100,10 +129,20 @@ class LocalInformation(LocalUnits):
         return np.asarray(told.T @ told)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
-        """Give the sd that the data alone would leave of a function with a gradient ``(d,)``.
+        """Give the sd that the data alone would leave of a function of the parameters.
 
-        Infinite where it changes along a null direction; ``gauge_free`` says that by theory no
-        scaling of leg and alpha changes it.
+        Parameters
+        ----------
+        gradient
+            ``(d,)`` by the parameters, each in its own unit.
+        gauge_free
+            Whether theory says that no scaling of leg and alpha changes the function: then what
+            rounding leaves along it is taken off the gradient first.
+
+        Returns
+        -------
+        float
+            In the function's unit; infinite where it changes along a null direction.
         """
         if gauge_free:
             gradient = self.directions.off_known(gradient)
@@ -131,6 +170,11 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
     ------
     BadInput
         If a simulation fails beside these parameters.
+
+    Notes
+    -----
+    For load losses the logarithm is that of ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 -
+    mu_2)``, in which leg and gearbox scale along one straight line.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     at = units_of(target, parameters)
@@ -156,7 +200,7 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
 
 
 def fixed_in(target: Target, values: Array) -> Knowledge:
-    """Tell which of the chain's ``values`` ``(n_parameters,)`` are known, as they are not free."""
+    """Give what is known of a chain: what of ``values`` ``(n_parameters,)`` is not free."""
     named = zip(target.likelihood.chain.names, values.tolist(), strict=True)
     return Knowledge({name: value for name, value in named if name not in target.free})
 
@@ -164,13 +208,24 @@ def fixed_in(target: Target, values: Array) -> Knowledge:
 def in_natural_units(
     target: Target, parameters: Array, local: LocalInformation
 ) -> LocalInformation:
-    """Measure a value that is small beside what the data leave of it by what torque feels.
+    """Measure a value that is small beside its sd from the data by what the torque shows.
 
     Of a value that may as well be zero, the logarithm says nothing. Where the sd from the data is
     finite and so large beside the value that its logarithm would be weak, a change that makes a
     tenth of the measured torque counts as one instead (or the prior's sd, if that is less). Null
-    directions do not touch such parameters. Arguments are those of :func:`local_information` and
-    its result.
+    directions do not touch such parameters, and load losses keep their logarithm of alpha.
+
+    Parameters
+    ----------
+    target, parameters
+        As of :func:`local_information`.
+    local
+        Its result.
+
+    Returns
+    -------
+    LocalInformation
+        The same in other units.
     """
     likelihood = target.likelihood
     values = target.chain_values(parameters[None])[0]
@@ -195,9 +250,21 @@ def in_natural_units(
 def torque_changes(
     chain: Joint, observations: Sequence[Observation], values: Array, at: LocalUnits
 ) -> Array:
-    """Differentiate the filtered torque by the free parameters, per their unit, ``(n_outputs, d)``.
+    """Differentiate the filtered torque by the free parameters, each in its own unit.
 
-    ``values`` ``(n_parameters,)`` are the chain's; recordings need not be the target's.
+    Parameters
+    ----------
+    chain, observations
+        The joint, and recordings that need not be the target's.
+    values
+        ``(n_parameters,)`` of the chain.
+    at
+        Names of the free parameters, and units that the steps are a share of.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs, d)``, N m or N per unit.
     """
     columns = [chain.names.index(name) for name in at.names]
     steps = np.zeros(values.size)
@@ -206,15 +273,19 @@ def torque_changes(
 
 
 def joined(*rows: Array) -> Directions:
-    """Take what several Jacobians ``(n, d)`` in one set of units, over their noise, tell together.
+    """Take the information of several Jacobians together.
 
-    Null directions are out of them, so only rounding is left out.
+    Parameters
+    ----------
+    rows
+        ``(n, d)`` each, over their noise, in one set of units. Null directions are out of them, so
+        only rounding is left out.
     """
     return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), _JOINED)
 
 
 def prior_rows(target: Target, local: LocalInformation) -> Array:
-    """Jacobian ``(d, d)`` with the information of the priors, in the local units."""
+    """Give the priors' information as a Jacobian ``(d, d)`` in the local units."""
     sds = np.array([p.sd() for p in target.priors[: len(target.free)]])
     ratio = np.abs(local.units) / sds
     return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
@@ -223,10 +294,21 @@ def prior_rows(target: Target, local: LocalInformation) -> Array:
 def derived_beside(
     target: Target, parameters: Array, local: LocalInformation
 ) -> Iterator[tuple[Derived, float, Array]]:
-    """Give each derived quantity at sampled parameters, its value there, and its gradient ``(d,)``.
+    """Give each derived quantity at sampled parameters, with its gradient.
 
-    The gradient is by changes of one in the local units, from central differences, which are exact
-    up to rounding for what is next to linear. It is not finite where the quantity is undefined.
+    Parameters
+    ----------
+    target, parameters
+        Posterior, and ``(d,)``, noise scales last.
+
+    Yields
+    ------
+    quantity : Derived
+    value : float
+        At the parameters.
+    gradient : ndarray
+        ``(d,)`` by changes of one in the local units, from central differences, which are exact up
+        to rounding for what is next to linear. It is not finite where the quantity is undefined.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     steps = _BESIDE * np.abs(local.units)
@@ -240,13 +322,22 @@ def derived_beside(
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
     """Say whether data or prior determined a parameter.
 
-    ``data``: the posterior is about as wide as the data alone would leave it and
-    at most half as wide as the prior. ``prior``: the data alone would leave it
-    more than twice as wide as the posterior is, and more than half as wide as the prior or five
-    times as wide as the posterior; or they left the prior as it was. ``weak``: in between, as where
-    bounds of others help, or the posterior is much wider than the local picture says, as where it
-    is curved or has several peaks. An infinite or undefined prior sd counts as very wide;
-    ``data_sd`` is from :func:`local_information`.
+    Parameters
+    ----------
+    posterior_sd, prior_sd
+        An infinite or undefined prior sd counts as very wide.
+    data_sd
+        What the data alone would leave, from :func:`local_information`.
+
+    Returns
+    -------
+    str
+        ``data``: the posterior is about as wide as the data alone would leave it and at most half
+        as wide as the prior. ``prior``: the data alone would leave it more than twice as wide as
+        the posterior is, and more than half as wide as the prior or five times as wide as the
+        posterior; or they left the prior as it was. ``weak``: in between, as where bounds of others
+        help, or the posterior is much wider than the local picture says, as where it is curved or
+        has several peaks.
     """
     if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"
@@ -265,7 +356,7 @@ def given_by(
     prior_sd: float,
     own: int | None = None,
 ) -> list[str]:
-    """Name the told priors that settle a number which the data alone leave open, if some do.
+    """Name the priors, not default ones, that settle a number which the data leave open.
 
     Where a factor common to several numbers changes no torque, the data leave each of them open. A
     prior on one, such as a weight that was put on scales, settles the factor, and with it all
@@ -283,6 +374,12 @@ def given_by(
         What came out for it, and what its prior, or that of what it is made of, says.
     own
         Its place where it is a parameter: its own prior is not what gives it.
+
+    Returns
+    -------
+    list of str
+        Names of parameters, one alone where one does it; empty where the data, or default priors,
+        settle it.
     """
     if (np.isfinite(prior_sd) and sd >= WIDE * prior_sd) or not np.isfinite(gradient).all():
         return []
@@ -312,10 +409,23 @@ def given_by(
 
 
 def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:
-    """Differentiate the modelled outputs over their noise, ``(n_outputs, d)``, per unit.
+    """Differentiate the modelled outputs over their noise, per unit.
 
-    The torque is linear in nearly every parameter, so central differences are
-    exact up to rounding except where a step changes the direction of power.
+    The torque is linear in nearly every parameter, so central differences are exact up to rounding
+    except where a step changes the direction of power. On a bound of the support they are
+    one-sided.
+
+    Parameters
+    ----------
+    target, parameters
+        Posterior, and sampled parameters, noise scales last.
+    units
+        ``(d,)`` what counts as a change of one, of each free parameter.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs, d)``.
     """
     k = units.size
     support = {p.name: (p.lower, p.upper) for p in target.likelihood.chain.parameters}

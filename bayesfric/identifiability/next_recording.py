@@ -1,8 +1,13 @@
 """The next experiment: how well one quantity would be known after each candidate.
 
-What a recording adds is its Fisher information, so the sd that a candidate would leave is
-predicted from prior, present recordings and candidate without sampling anything: a local Bayesian
-design (Chaloner and Verdinelli, Statistical Science 10, 1995), at the estimate.
+What a recording adds is its Fisher information, so the sd that a candidate would leave is predicted
+from prior, present recordings and candidate without sampling anything: a local Bayesian design
+[1]_, at the estimate.
+
+References
+----------
+.. [1] K. Chaloner, I. Verdinelli, "Bayesian experimental design: a review", Statistical Science 10
+   (1995) 273-304.
 """
 
 from __future__ import annotations
@@ -58,36 +63,75 @@ _OFF_ZERO = 1e-3
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well the quantity is known."""
+    """How well the quantity is known.
 
-    sd: float  # recordings and prior together; infinite where neither confines it
-    relative_sd: float | None  # the same as a share of the value, if recordings determine that
-    data_sd: float  # of the recordings alone; infinite where they leave it open
+    Attributes
+    ----------
+    sd
+        Of recordings and prior together, in the quantity's unit; infinite where neither confines
+        it.
+    relative_sd
+        The same as a share of the value, if recordings determine that.
+    data_sd
+        Of the recordings alone; infinite where they leave it open.
+    """
+
+    sd: float
+    relative_sd: float | None
+    data_sd: float
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One recording that could be made next, and what it would do."""
+    """One recording that could be made next, and what it would do.
+
+    Attributes
+    ----------
+    candidate
+        What to play, with the torque that keeps the limits.
+    after
+        How well the quantity would be known then.
+    load_drives
+        By element with a load loss, share of the moving outputs in which the load drives it.
+    peak_speed, angles
+        Fastest that the joint becomes, rad/s or m/s; lowest and highest position, rad or m.
+    """
 
     candidate: Candidate
-    after: Uncertainty  # how well the quantity would be known then
-    load_drives: dict[str, float]  # element with a load loss: share in which the load drives it
-    peak_speed: float  # rad/s or m/s
-    angles: tuple[float, float]  # lowest and highest position, rad or m
+    after: Uncertainty
+    load_drives: dict[str, float]
+    peak_speed: float
+    angles: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Candidates by the sd that they would leave of one quantity, the best first."""
+    """Candidates by the sd that they would leave of one quantity, the best first.
 
-    quantity: str  # what is to be known
+    Attributes
+    ----------
+    quantity, unit, meaning
+        What is to be known.
+    value
+        At the estimate; it means nothing where ``now.data_sd`` is infinite.
+    now
+        How well it is known at present.
+    advices
+        Candidates that keep the limits, the best first.
+    dropped
+        Candidates that are no use, and why.
+    limits
+        What they had to keep.
+    """
+
+    quantity: str
     unit: str
     meaning: str
-    value: float  # at the estimate; it means nothing where now.data_sd is infinite
-    now: Uncertainty  # how well it is known at present
-    advices: tuple[Advice, ...]  # the best first
-    dropped: tuple[tuple[Candidate, str], ...]  # candidates that are no use, and why
-    limits: Limits  # what they had to keep
+    value: float
+    now: Uncertainty
+    advices: tuple[Advice, ...]
+    dropped: tuple[tuple[Candidate, str], ...]
+    limits: Limits
 
     @property
     def determined(self) -> bool:
@@ -96,7 +140,7 @@ class Ranking:
 
     @property
     def worth(self) -> bool:
-        """Whether the best candidate leaves noticeably less than is left now."""
+        """Whether the best candidate leaves less than 95 % of the sd that is left now."""
         best = self.advices[0].after if self.advices else self.now
         if not np.isfinite(best.sd):
             return False
@@ -104,7 +148,7 @@ class Ranking:
 
     @property
     def verdict(self) -> str:
-        """Whether any candidate is worth making."""
+        """Whether any candidate is worth making, in a sentence."""
         if not self.advices:
             return "Nothing that was tried can be played within the limits."
         if not self.determined:
@@ -151,7 +195,7 @@ class Ranking:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """One row a candidate, the best first."""
+        """One row a candidate, the best first, as :meth:`as_json` has them."""
         import pandas as pd
 
         return pd.json_normalize(self.as_json()["candidates"]).set_index("rank")
@@ -206,6 +250,11 @@ def ranking(
     ------
     BadInput
         If there is no such quantity, if it is fixed, or if a limit cannot be.
+
+    Notes
+    -----
+    With J the Jacobians over the noise, of present recordings (0) and candidate (1), P the priors'
+    variances and g the gradient, ``sd² = g' (J0'J0 + J1'J1 + P^-1)^-1 g``, c-optimality's.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     unit, meaning, value, gradient = _asked(target, point, local, name)
@@ -245,7 +294,11 @@ def ranking(
 def _asked(
     target: Target, point: Array, local: LocalInformation, name: str
 ) -> tuple[str, str, float, Array]:
-    """Give unit, meaning, value and gradient ``(d,)``, in the local units, of what is asked."""
+    """Give unit, meaning, value and gradient of what is asked.
+
+    The gradient ``(d,)`` is by changes of one in the local units. Raises :class:`BadInput` for what
+    is no name, is fixed, or is not defined at the estimate.
+    """
     chain, where = target.likelihood.chain, f"--advise {name}"
     parameters = {p.name: p for p in chain.parameters}
     if name in target.free:

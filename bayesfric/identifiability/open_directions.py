@@ -1,4 +1,9 @@
-"""Directions in which the data leave parameters open: which, why, and what would lift them."""
+"""Directions in which the data leave parameters open: which, why, and what would lift them.
+
+Remedies are tried, not guessed: a value that is known is taken out of the Fisher information, and
+a further recording, with a known mass or another excitation, is simulated and its information
+added.
+"""
 
 from __future__ import annotations
 
@@ -44,30 +49,56 @@ _NAMED = 0.2
 
 @dataclass(frozen=True)
 class Remedy:
-    """Something to do about an open direction, and what it was found to do."""
+    """Something to do about an open direction, and what it was found to do.
+
+    Attributes
+    ----------
+    kind, text
+        A ``known value``, a ``known mass`` or another ``excitation``, and what to do.
+    parameters
+        For a known value: any one of these.
+    log_sd_after
+        Standard deviation of the logarithm along the direction once it is done; ``None`` for a
+        known value.
+    open_after
+        Directions, null or weak, that are then still open; of known values the one that leaves
+        fewest.
+    """
 
     kind: RemedyKind
-    text: str  # what to do
-    parameters: tuple[str, ...]  # for a known value: any one of these
-    # sd of the logarithm along the direction once it is done; None for a known value
+    text: str
+    parameters: tuple[str, ...]
     log_sd_after: float | None
-    # directions, null or weak, that are then still open; of known values the one that leaves fewest
     open_after: int
 
 
 @dataclass(frozen=True)
 class OpenDirection:
-    """Parameters that can change together, and the data say little or nothing."""
+    """Parameters that can change together, and the data say little or nothing.
 
-    kind: Literal["null", "weak"]  # null where nothing changes at all
-    # parameter or alpha and its power of one factor; of those in in_units the change in their unit
-    # that goes with the factor e
+    Attributes
+    ----------
+    kind
+        ``null`` where nothing changes at all, else ``weak``.
+    exponents
+        By parameter or alpha its power of one factor; of those ``in_units`` the change in their
+        unit that goes with the factor e.
+    in_units
+        Units of parameters next to zero, of which no logarithm is taken.
+    log_sd
+        Standard deviation that the data leave of the factor's logarithm; infinite for a null
+        direction.
+    meaning, reasons, remedies
+        What can change, why it does not show, and what lifts it.
+    """
+
+    kind: Literal["null", "weak"]
     exponents: dict[str, float]
-    in_units: dict[str, str]  # parameters next to zero, of which no logarithm is taken, and unit
-    log_sd: float  # that the data leave of the factor's logarithm; infinite for a null direction
-    meaning: str  # what can change
-    reasons: tuple[str, ...]  # why it does not show
-    remedies: tuple[Remedy, ...]  # what lifts it
+    in_units: dict[str, str]
+    log_sd: float
+    meaning: str
+    reasons: tuple[str, ...]
+    remedies: tuple[Remedy, ...]
 
     @property
     def null(self) -> bool:
@@ -97,6 +128,11 @@ def open_directions(
         Recordings that could help.
     told
         Names of parameters whose prior tells them already.
+
+    Yields
+    ------
+    OpenDirection
+        With its reasons and remedies.
     """
     for number, (row, null) in enumerate(open_rows(local)):
         named = np.flatnonzero(np.abs(row) > (_ROUNDING if null else _NAMED)).tolist()
@@ -137,7 +173,16 @@ def _weak(
 
 
 def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
-    """Null and weak directions in the local units, the largest entry of each one."""
+    """Give null and weak directions in the local units, the largest entry of each one.
+
+    Yields
+    ------
+    row : ndarray
+        ``(d,)``; null ones first, then weak ones, the weakest first, with many zeros.
+    null : bool
+        Whether it changes no output at all. Else one sd along it changes some logarithm by more
+        than :data:`~bayesfric.identifiability.local.WEAK`.
+    """
     for row in local.null_rows:
         yield row, True
     d = local.directions
@@ -178,7 +223,11 @@ def _reasons(
     coverage: Sequence[Coverage],
     back: Mapping[str, float],
 ) -> Iterator[str]:
-    """Say why a direction is open where theory does not."""
+    """Say why a direction is open where theory does not.
+
+    The load never drives, the joint turns too little or hardly accelerates; else effects look
+    alike.
+    """
     members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
     # what they shape: the terms that they fill, or turn
     shaped = {kind for p in members for kind, _ in p.row.fills}
@@ -212,15 +261,36 @@ def _reasons(
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One more recording, simulated at the estimate with the recordings' noise."""
+    """One more recording, simulated at the estimate with the recordings' noise.
+
+    Attributes
+    ----------
+    kind, text
+        As of the :class:`Remedy` that it may become.
+    information
+        ``(d, d)`` that its torque would add, in the local units.
+    """
 
     kind: RemedyKind
     text: str
-    information: Array  # (d, d) that its torque would add, in the local units
+    information: Array
 
 
 def open_counts(information: Array) -> tuple[int, int]:
-    """Count the null directions of a Fisher information ``(d, d)``, and null or weak ones."""
+    """Count the open directions of a Fisher information.
+
+    Parameters
+    ----------
+    information
+        ``(d, d)``, in the local units.
+
+    Returns
+    -------
+    null : int
+        Eigenvalues that are rounding.
+    open : int
+        Those, and weak ones.
+    """
     if not information.size:
         return 0, 0
     values, vectors = np.linalg.eigh(information)
@@ -238,8 +308,20 @@ def trials(
 ) -> list[Trial]:
     """Simulate the recordings that could help here.
 
-    At the estimate ``(d,)``, noise scales last; ``rare`` is whether the load hardly drove the
-    motor.
+    Parameters
+    ----------
+    target
+        Posterior of the recordings; the longest one's filter and noise are taken.
+    parameters
+        The estimate ``(d,)``, noise scales last.
+    rare
+        Whether the load hardly drove the motor: then a square wave is tried, too.
+
+    Returns
+    -------
+    list of Trial
+        A known mass under the torque of the longest recording, where all carry the same; and a
+        square wave with a multisine. What cannot be simulated, or stands still, is left out.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
@@ -285,11 +367,23 @@ def trials(
 def remedies(
     local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str]
 ) -> tuple[Remedy, ...]:
-    """Find what lifts one direction ``(d,)`` in the local units, known values first.
+    """Find what lifts one direction, known values first.
 
-    Those ``told`` have a narrow prior already, and it is no step to give them one. A recording is
-    only named if it leaves less than :data:`WEAK` along the direction and half of what was left
-    before.
+    Parameters
+    ----------
+    row
+        ``(d,)`` the direction in its units.
+    tried
+        Recordings that could help.
+    told
+        Parameters that have a narrow prior already: it is no step to give them one.
+
+    Returns
+    -------
+    tuple of Remedy
+        Known values only where fewer directions are open, or null, then; a recording only if it
+        leaves less than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half
+        of what was left before.
     """
     information = local.information
     before = left_along(information, row)
@@ -319,7 +413,20 @@ def remedies(
 
 
 def left_along(information: Array, row: Array) -> float:
-    """Sd of the logarithm of the most changed parameter, moving along one direction alone."""
+    """Sd of the logarithm of the most changed parameter, moving along one direction alone.
+
+    Parameters
+    ----------
+    information
+        ``(d, d)`` in the local units.
+    row
+        ``(d,)`` the direction r.
+
+    Returns
+    -------
+    float
+        ``max(abs(r)) / sqrt(r' I r)``; infinite where the information is rounding.
+    """
     size = float(np.abs(row).max())
     told = float(row @ information @ row)
     # what squaring leaves of a null direction is rounding

@@ -1,4 +1,8 @@
-"""Recordings that could be made next: what to play to the joint, and what it would do."""
+"""Recordings that could be made next: what to play to the joint, and what it would do.
+
+Candidates come with the torque lowered until the simulated joint keeps the limits of torque, speed
+and position.
+"""
 
 from __future__ import annotations
 
@@ -48,38 +52,79 @@ _TRIES = 12
 
 @dataclass(frozen=True)
 class Limits:
-    """Between what the next recording has to stay."""
+    """Between what the next recording has to stay.
 
-    torque: float  # largest command, N m or N
-    speed: float  # of the joint, rad/s or m/s
-    angles: tuple[float, float] | None  # lowest and highest position, rad or m, if there is a limit
-    duration: float  # s
-    lag: float  # time constant of the current loop, s
-    masses: tuple[Inputs, ...]  # each known mass that may be bolted on; none is one of them
-    # where the joint rests when the recording begins, rad or m: where gravity holds it, else where
-    # the longest recording began
+    Attributes
+    ----------
+    torque
+        Largest command, N m or N.
+    speed
+        Of the joint, rad/s or m/s.
+    angles
+        Lowest and highest position, rad or m; ``None`` for no limit.
+    duration
+        s.
+    lag
+        Time constant of the current loop, s.
+    masses
+        Each known mass that may be bolted on; none is one of them.
+    start
+        Where the joint rests when the recording begins, rad or m: where gravity holds it, else
+        where the longest recording began.
+    recorded_angles
+        Lowest and highest of the recordings, rad or m.
+    held
+        Whether a controller seems to have held the joint: then what can be played is its motion.
+    """
+
+    torque: float
+    speed: float
+    angles: tuple[float, float] | None
+    duration: float
+    lag: float
+    masses: tuple[Inputs, ...]
     start: float
-    recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
-    # whether a controller seems to have held the joint: then what can be played is its motion
+    recorded_angles: tuple[float, float]
     held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A command for the motor, and what is bolted to the load meanwhile."""
+    """A command for the motor, and what is bolted to the load meanwhile.
+
+    Attributes
+    ----------
+    kind, form
+        What is new about it, and name of the signal, without the amplitude.
+    amplitude
+        Largest command, N m or N.
+    command
+        ``(N,)`` N m or N.
+    period, lag
+        From one sample of it to the next, and time constant of the current loop, s.
+    inputs
+        What is bolted on, and how warm it is.
+    q0, qd0
+        Position and speed at the first sample, rad or m and s.
+    made
+        What would be recorded, where that is known without a simulation: the longest recording once
+        more, or its motion with another mass.
+    lowered, because_of
+        Factor on the torque that it took to keep the limits, and which limit that was.
+    """
 
     kind: CandidateKind
-    form: str  # name of the signal, without the amplitude
-    amplitude: float  # largest command, N m or N
-    command: Array  # (N,) N m or N
-    period: float  # from one sample of it to the next, s
-    lag: float  # time constant of the current loop, s
-    inputs: Inputs  # what is bolted on
-    q0: float  # position and speed at the first sample, rad or m and s
+    form: str
+    amplitude: float
+    command: Array
+    period: float
+    lag: float
+    inputs: Inputs
+    q0: float
     qd0: float
-    made: Observation | None = None  # for "longer": what there is, one more of which would be made
-    lowered: float = 1.0  # factor on the torque that it took to keep the limits
-    because_of: str | None = None  # which limit that was
+    made: Observation | None = None
+    lowered: float = 1.0
+    because_of: str | None = None
 
     @property
     def duration(self) -> float:
@@ -97,13 +142,24 @@ def limits_of(
 ) -> Limits:
     """Settle every limit that the configuration leaves out.
 
-    A mass is chosen to suit the chain's ``values`` ``(n_parameters,)`` at the estimate.
+    Parameters
+    ----------
+    options
+        The ``[advice]`` table.
+    chain, values
+        The joint, and ``(n_parameters,)`` at the estimate, which a mass is chosen to suit.
+
+    Returns
+    -------
+    Limits
+        By default the largest filtered torque, 1.2 times the highest speed that is used, the
+        recorded positions unless a free joint went through a whole turn, and at most 30 s.
 
     Raises
     ------
     BadInput
-        If a mass for a turning load has no radius, or the joint would have to start
-        outside its limits.
+        If a mass for a turning load has no radius, or the joint would have to start outside its
+        limits.
     """
     rotary = chain.load.motion == "rotary"
     recorded = (
@@ -185,10 +241,22 @@ def candidates(
 ) -> Iterator[Candidate]:
     """List everything that is worth trying; of a joint that was held, its recorded motion alone.
 
-    The cheapest come first: what was recorded again, as it was, and with another known mass. What
-    these ask of the torque along that motion is of the chain's ``values``
-    ``(n_parameters,)``. Whether one keeps the limits of speed and angle is known once it is played,
-    see :func:`try_out`.
+    The cheapest come first: what was recorded again, as it was, and with another known mass. Then
+    square waves, sines, chirps and multisines, about the pace at which the joint went to and fro.
+
+    Parameters
+    ----------
+    chain, values
+        The joint, and ``(n_parameters,)`` by which a motion asks for another torque with another
+        mass.
+    limits
+        From :func:`limits_of`.
+
+    Yields
+    ------
+    Candidate
+        Whether it keeps the limits of speed and angle is known once it is played, see
+        :func:`try_out`.
     """
     base = longest(observations)
     period, hertz, stretch = sample_period(base), base.pace, longest_stretch(base, None)
@@ -258,9 +326,22 @@ def try_out(
 ) -> tuple[Candidate, Observation] | str:
     """Play a candidate, lowering its torque until it keeps the limits.
 
-    ``values`` ``(n_parameters,)`` are the chain's; ``base`` is the recording whose filter and dead
-    zone are used. Gives the candidate with its torque as it was in the end and what would be
-    recorded, or says why it is no use.
+    Parameters
+    ----------
+    chain, values
+        The joint and its parameters ``(n_parameters,)``.
+    base
+        Recording whose filter and dead zone are used.
+    candidate
+        Lowered by 15 % at a time, eleven times at most; one that repeats a motion is not.
+    limits
+        Of torque, speed and position.
+
+    Returns
+    -------
+    tuple or str
+        The candidate with its torque as it was in the end and what would be recorded; or why it is
+        no use.
     """
     if candidate.made is not None:  # as it was made it would be made again, or not at all
         if candidate.amplitude > limits.torque:

@@ -1,4 +1,8 @@
-"""Recordings that nobody made: the same joint, simulated with another mass or torque."""
+"""Recordings that nobody made: the same joint, simulated with another mass or torque.
+
+They are looked at through the filters of a recording that was made; what they tell is weighed with
+its noise.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +50,7 @@ def sample_period(observation: Observation) -> float:
 
 
 def of_load(chain: Joint, values: Array) -> dict[str, float]:
-    """Give what ``values`` ``(n_parameters,)`` say of the load, by quantity."""
+    """Give the load's own parameters among ``values`` ``(n_parameters,)``, by quantity."""
     pairs = zip(chain.parameters, values.tolist(), strict=True)
     return {p.quantity: value for p, value in pairs if p.owner == "load"}
 
@@ -54,8 +58,17 @@ def of_load(chain: Joint, values: Array) -> dict[str, float]:
 def known_mass(chain: Joint, values: Array) -> Inputs:
     """Choose a mass and a radius about as heavy as the load itself, rounded.
 
-    Their inertia and first moment come to those of the load where it has both and is not too
-    heavy; where it has neither, to the inertia of the whole. ``values`` ``(n_parameters,)``.
+    Parameters
+    ----------
+    chain, values
+        The joint and its parameters ``(n_parameters,)``.
+
+    Returns
+    -------
+    Inputs
+        kg, at most 5, and m. Inertia and first moment come to those of the load where it has both
+        and is not too heavy; where it has no first moment, to the inertia, of the whole joint if
+        need be. 2 kg where there is none.
     """
     of = of_load(chain, values)
     inertia, moment = of.get("inertia", 0.0), of.get("first_moment", 0.0)
@@ -90,7 +103,15 @@ def sines(time: Array, lines: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TorqueNoise:
-    """Noise of the filtered torque: its model, and the model's scales ``(Q,)``."""
+    """Noise of the filtered torque.
+
+    Attributes
+    ----------
+    model
+        White or autoregressive.
+    scales
+        ``(Q,)`` its size, N m or N, then partial autocorrelations.
+    """
 
     model: Autoregressive
     scales: Array
@@ -103,7 +124,16 @@ class TorqueNoise:
 def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
     """Give the noise of a recording's filtered torque, whatever the likelihood is of.
 
-    ``parameters`` ``(d,)``, noise scales last.
+    Parameters
+    ----------
+    parameters
+        ``(d,)``, noise scales last.
+
+    Returns
+    -------
+    TorqueNoise
+        Of a likelihood that is not of the torque: the noise of a sample, as the filter passes it,
+        without correlation.
     """
     scales = target.noise.scales(parameters[None, len(target.free) :])[0, number]
     likelihood = target.likelihood
@@ -117,17 +147,41 @@ def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
 def scaled_jacobian(
     target: Target, observation: Observation, values: Array, at: LocalUnits, noise: TorqueNoise
 ) -> Array:
-    """Differentiate a recording's filtered torque over its noise, ``(n_outputs, k)`` per unit.
+    """Differentiate a recording's filtered torque over its noise.
 
-    Its square is the recording's Fisher information. The recording may be none of the target's;
-    ``values`` ``(n_parameters,)`` are the chain's.
+    Parameters
+    ----------
+    target
+        Posterior; the recording may be none of its.
+    observation, noise
+        The recording, and the noise of its torque.
+    values
+        ``(n_parameters,)`` of the chain.
+    at
+        What counts as a change of one.
+
+    Returns
+    -------
+    ndarray
+        ``(n_outputs, d)`` J per unit; ``J'J`` is the recording's Fisher information.
     """
     jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
     return noise.whitened(jacobian.T, observation).T
 
 
 def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> slice:
-    """Find the longest stretch that outputs come from, no more than ``most`` s of it."""
+    """Find the longest stretch without a gap that outputs come from.
+
+    Parameters
+    ----------
+    most
+        No more than so many seconds of it, and 20 000 samples; all of it for ``None``.
+
+    Returns
+    -------
+    slice
+        Of the raw samples.
+    """
     number = observation.segment_of
     segments, counts = np.unique(number, return_counts=True)
     starts = observation.filter.starts[number == segments[int(np.argmax(counts))]]
