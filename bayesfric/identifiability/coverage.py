@@ -125,7 +125,8 @@ def _behind(
         )
     rest = Joint(chain.elements[i + 1 :], chain.load)
     columns = [chain.names.index(name) for name in rest.names]
-    return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=o.stamps)
+    time = o.stamps[at]
+    return inverse_torque(rest, values[:, columns], q, qd, qdd, inputs=o.inputs, time=time)
 
 
 def _steady(chain: Joint, o: Observation, values: Array) -> float:

@@ -29,7 +29,7 @@ from bayesfric.recordings.arrays import Array
 # at least.
 _DRAWS, _NEAR = 2000, 0.3
 # Stream of the seed that they are drawn from; and what no spread comes near.
-_STARTS, _WIDEST = 15, 1e300
+_STARTS, _WIDEST = 15, 1e100
 
 
 class JointTarget(LogPosterior):

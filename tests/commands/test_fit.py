@@ -39,9 +39,7 @@ ALPHA = {"drive": 0.7432, "back": 1.408}
 
 
 # Too few steps to converge: for tests of the folder, not of the numbers.
-FEW = CONFIG.replace(
-    "min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 50\nwalkers = 10\nensembles = 2"
-)
+FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nwalkers = 10\nensembles = 2")
 
 
 @pytest.fixture(scope="module")

@@ -85,7 +85,7 @@ def test_what_is_determined_is_said_to_be(bench):
 
 
 def test_the_likelihood_of_the_position(bench):
-    bench.simulated(AXIS + '\n[likelihood]\nmethod = "output-error"\nsegment = 0.25\n')
+    bench.simulated(AXIS + '\n[likelihood]\nmethod = "output-error"\n')
     found = bench.told("identify", "c.toml")
     assert found["method"] == "output-error"
     assert null(found) == []

@@ -12,7 +12,7 @@ import pytest
 from tests.commands.bench import simulated
 from tests.commands.test_fit import CONFIG, draws
 
-FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nblock = 10\nwalkers = 10")
+FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nwalkers = 10")
 COMMAND = [sys.executable, "-m", "bayesfric", "fit", "few.toml", "-o", "run"]
 
 

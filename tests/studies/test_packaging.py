@@ -42,7 +42,6 @@ def test_what_is_no_module_is_installed_too():
         "examples/knee.truth.json",
         "report/page/templates/run.html.j2",
         "report/paper/references.bib",
-        "identifiability/wording/sentences.toml",
         "export/templates/feedforward.c.j2",
     ):
         assert root.joinpath(*name.split("/")).is_file(), name

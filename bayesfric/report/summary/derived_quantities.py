@@ -142,7 +142,7 @@ def prior_draws(fit: Fit, draws: int, key: int) -> Array:
 def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
     rows = {}
-    for group in derived:
+    for group in (one for one in derived if one.found):
         of_each = (
             group.values(prior_draws(fit, *group.prior)),
             gradients(fit, group),

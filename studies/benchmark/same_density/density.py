@@ -75,6 +75,8 @@ class Reduced:
         region = SignRegion.around(linear.coefficients(values).leg, linear.typical_size())
         assert region is not None
         m = moment_matrices(linear, o, 0, region, RADIUS)
+        k, (form, *_), signs, jumps, weights = m.to_columns.shape[0], *m.arrays[:3], m.arrays[5]
+        slopes = m.arrays[6].reshape(m.ratios.size, -1, m.padded)
         at = {name: i for i, name in enumerate(target.free)}
         # without losses minus c is front and behind together, and the leg is what is behind
         units = linear.coefficients(np.eye(len(at)) * (1.0 - _losses(at)))
@@ -104,12 +106,12 @@ class Reduced:
             centre=np.linalg.solve(region.root, region.centre),
             whiten=np.linalg.inv(region.root),
             to_columns=m.to_columns,
-            matrix=m.matrices[0],
+            matrix=0.5 * (form[:, :k] + form[:, :k].T),  # each product stands once
             ratios=m.ratios,
-            signs=np.ascontiguousarray(m.signs.T),
-            jumps=m.jumps[:, 0],
-            weights=m.weights[:, 0] ** 2,
-            slopes=np.ascontiguousarray(m.slopes[:, 0, : m.to_columns.shape[0]]),
+            signs=np.ascontiguousarray(signs.T),
+            jumps=jumps[:, 0],
+            weights=weights[:, 0] ** 2,
+            slopes=np.ascontiguousarray(slopes[:, 0, :k]),
             samples=o.measured.size,
         )
 
