@@ -25,6 +25,7 @@ from bayesfric.report.figures.style import (
     SMALL,
     Array,
     Look,
+    explained,
     few_ticks,
     mathtext,
     paper_figure,
@@ -82,7 +83,7 @@ def corner_figure(fit: Fit, summary: Summary) -> Figure:
                 _label(ax, shown[j] if i == k - 1 else None, shown[i] if 0 == j < i else None)
         figure.align_labels()
         # in the empty upper triangle
-        handles = _handles()
+        handles = explained(figure, _handles())
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
         if left_out and k > 1:
             below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
@@ -122,7 +123,7 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float]) -> None:
         # those of the tables, to the digit; of a limit the end away from the bound
         told = [q.cell.limit] if q.cell.limit is not None else q.cell.interval or ()
         for end in told:
-            ax.axvline(end, ymax=0.8, **_END)
+            ax.axvline(end, ymax=0.8, gid="interval", **_END)
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
         highest = max(peak, min(2.0 * peak, highest))
@@ -146,6 +147,7 @@ def _pair(
         look |= {"fill_contours": not any(q.is_open for q in pair)}
         look |= {"bins": _BINS, "range": list(limits), "levels": MASSES, "smooth": _SMOOTH}
         corner.hist2d(*(q.draws for q in pair), ax=ax, quiet=True, **look)
+        ax.set_gid("contours")
     ax.set(xlim=limits[0], ylim=limits[1])
     few_ticks(ax.yaxis, 3, inner=True, exponent=pair[1].exponent)
 
@@ -164,12 +166,13 @@ def _label(ax: Axes, below: Quantity | None, beside: Quantity | None) -> None:
 def _handles() -> list[Artist]:
     """List what the legend explains."""
     share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
+    contours = f"contours around {share} % of the draws"
     return [
-        Patch(label="posterior", **_TOLD),
-        Patch(label="posterior that the data leave open", **_OPEN),
-        Line2D([], [], label="prior", **_PRIOR),
-        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", **_END),
-        Line2D([], [], color=POSTERIOR, label=f"contours around {share} % of the draws"),
+        Patch(label="posterior", gid="posterior", **_TOLD),
+        Patch(label="posterior that the data leave open", gid="open", **_OPEN),
+        Line2D([], [], label="prior", gid="prior", **_PRIOR),
+        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", gid="interval", **_END),
+        Line2D([], [], color=POSTERIOR, label=contours, gid="contours"),
     ]
 
 

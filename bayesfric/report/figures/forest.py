@@ -209,17 +209,18 @@ def _reference(ax: Axes, cell: Cell) -> None:
 def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
     grey: Look = {"color": _ESTIMATES["output-error"][1]}
-    open_ = _SPAN | {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
-    capped = Line2D([], [], label="90 %, uncorrelated residuals", **_THIN, **grey)
+    open_ = _SPAN | {"gid": "open", "marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
+    capped = Line2D([], [], label="90 %, uncorrelated residuals", gid="thin", **_THIN, **grey)
     handles = [
-        Line2D([], [], label="90 %, correlated residuals", **_THICK, **grey),
+        Line2D([], [], label="90 %, correlated residuals", gid="thick", **_THICK, **grey),
         capped,
         Line2D([], [], label="not determined", markerfacecolor="white", **open_, **grey),
-        Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference"),
+        Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference", gid="reference"),
     ]
-    look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
-    across = 2 if figure.get_figwidth() == style.COLUMN else 4
-    figure.legend(handles=handles, loc="outside upper right", ncols=across, **look)
+    if shown := style.explained(figure, handles):
+        look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
+        across = 2 if figure.get_figwidth() == style.COLUMN else 4
+        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
 
 
 _BARS = (

@@ -78,7 +78,7 @@ def friction_figure(fit: Fit) -> Figure:
         few_ticks(ax.yaxis, 6)
         if len(curves) > 1:
             ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
-        legend_above(figure, _handles(), 2)
+        legend_above(figure, style.explained(figure, _handles()), 2)
     return figure
 
 
@@ -92,7 +92,8 @@ def _draw(ax: Axes, curve: Curve, colour: str, label: str) -> None:
             inside = (binary_dilation(where) & shown).tolist()
             gid = "open" if open_ else "band"
             ax.fill_between(x, low, high, where=inside, gid=gid, **_area(colour, open_))
-    ax.plot(x, median, color=colour, gid="outside", **_OUTSIDE)
+    if not shown[np.isfinite(median)].all():
+        ax.plot(x, median, color=colour, gid="outside", **_OUTSIDE)
     seen = np.where(binary_dilation(shown), median, np.nan)
     ax.plot(x, seen, color=colour, label=label, gid="median")
 
@@ -105,12 +106,19 @@ def _area(colour: str, open_: bool) -> Look:
 
 def _handles() -> list[Artist]:
     """List what a legend explains of curves."""
-    colour = style.PALETTE[0]
+    colour, few = style.PALETTE[0], f"fewer than {FEWEST} outputs near"
     return [
-        Line2D([], [], color=colour, label="posterior median"),
-        Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False)),
-        Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE),
-        Patch(label="NOT determined by the data", **_area(colour, True)),
+        Line2D([], [], color=colour, label="posterior median", gid="median"),
+        Patch(label=f"{100 * LEVEL:.0f} % band", gid="band", **_area(colour, False)),
+        Line2D(
+            [],
+            [],
+            color=colour,
+            label=f"fewer than {FEWEST} outputs near",
+            gid="outside",
+            **_OUTSIDE,
+        ),
+        Patch(label="NOT determined by the data", gid="open", **_area(colour, True)),
     ]
 
 

@@ -201,6 +201,12 @@ def panel_grid(
     return [figure.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
 
 
+def explained(figure: Figure, handles: Sequence[Artist]) -> list[Artist]:
+    """Keep the handles of what a figure shows: of a kind, by its ``gid``, that is drawn in it."""
+    drawn = {artist.get_gid() for artist in figure.findobj()}
+    return [handle for handle in handles if handle.get_gid() in drawn]
+
+
 def legend_above(figure: Figure, handles: Sequence[Artist], columns: int | None = None) -> None:
     """Explain a figure above its panels, in one line if ``columns`` is left out."""
     figure.legend(handles=handles, loc="outside upper left", ncols=columns or len(handles))
