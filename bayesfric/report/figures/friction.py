@@ -110,14 +110,7 @@ def _handles() -> list[Artist]:
     return [
         Line2D([], [], color=colour, label="posterior median", gid="median"),
         Patch(label=f"{100 * LEVEL:.0f} % band", gid="band", **_area(colour, False)),
-        Line2D(
-            [],
-            [],
-            color=colour,
-            label=f"fewer than {FEWEST} outputs near",
-            gid="outside",
-            **_OUTSIDE,
-        ),
+        Line2D([], [], color=colour, label=few, gid="outside", **_OUTSIDE),
         Patch(label="NOT determined by the data", gid="open", **_area(colour, True)),
     ]
 
