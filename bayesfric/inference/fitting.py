@@ -94,7 +94,10 @@ class Fit:
         if self.told is not None:
             held = self.told[None, None]
             unknown = np.full(held.shape[:-1], np.nan)
-            changed = replace(posterior, draws=held, log_density=unknown)
+            # whose walkers are not told: those that never moved were left out
+            diagnostics = replace(posterior.diagnostics, acceptance=np.ones(held.shape[:2]))
+            told = {"draws": held, "log_density": unknown, "diagnostics": diagnostics}
+            changed = replace(posterior, **told)
             return replace(self, posterior=changed, told=None)
         if self.discrepancy is None or not self.discrepancy.shown:
             return self

@@ -1,5 +1,7 @@
 """The whole sampler against posteriors known in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -160,3 +162,13 @@ def test_starts_at_zero_probability_are_redrawn():
         climb(log_density, np.array([[-1.0, -1.0]]))
     with pytest.raises(RuntimeError, match="no start"):
         Start(np.array([-1e3, -1e3]), np.eye(2)).draw(5, log_density, np.random.default_rng(2))
+
+
+def test_what_a_finished_run_holds_is_used_whole_though_a_walker_never_moved(axis_fit):
+    acceptance = axis_fit.posterior.diagnostics.acceptance.copy()
+    acceptance[0, 0] = 0.0
+    diagnostics = replace(axis_fit.posterior.diagnostics, acceptance=acceptance)
+    stuck = replace(axis_fit.posterior, diagnostics=diagnostics)
+    told = axis_fit.posterior.flat(50)
+    read = replace(axis_fit, posterior=stuck, told=told)
+    np.testing.assert_array_equal(read.wide.posterior.flat(), told)
