@@ -96,8 +96,7 @@ class Fit:
             unknown = np.full(held.shape[:-1], np.nan)
             # whose walkers are not told: those that never moved were left out
             diagnostics = replace(posterior.diagnostics, acceptance=np.ones(held.shape[:2]))
-            told = {"draws": held, "log_density": unknown, "diagnostics": diagnostics}
-            changed = replace(posterior, **told)
+            changed = replace(posterior, draws=held, log_density=unknown, diagnostics=diagnostics)
             return replace(self, posterior=changed, told=None)
         if self.discrepancy is None or not self.discrepancy.shown:
             return self
