@@ -109,9 +109,9 @@ def tests_of(place: Place, data: CoverageData) -> list[str]:
     room = next(tests for folder, tests in ROOMS.items() if file.startswith(f"bayesfric/{folder}/"))
     by_line = data.contexts_by_lineno(str(HOUSE / file))
     found = {name.partition("|")[0] for name in by_line.get(line, []) if name}
-    # those of the room notice first, and are few enough for a change that none of them notices
-    ranked = sorted(found, key=lambda name: (not name.startswith(f"tests/{room}/"), name))
-    return ranked[:MOST] or [f"tests/{room}"]
+    # every so many of them, those of the room first
+    some = sorted(found)[:: -(-len(found) // MOST) or 1]
+    return sorted(some, key=lambda name: not name.startswith(f"tests/{room}/")) or [f"tests/{room}"]
 
 
 def noticed(place: Place, tests: list[str], tree: Path) -> dict[str, Any]:
