@@ -5,6 +5,8 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import least_squares, starting_values
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 
 KNEE, AXIS, SERVO = (PRESETS[n] for n in ("rabbit-knee", "motor-axis", "servo-pendulum"))
@@ -105,3 +107,13 @@ def test_split_totals_add_up_to_the_totals(preset, make_observation):
     again = make_observation(chain, start, sigma=0.0)
     size = np.sqrt(np.mean(o.measured**2))
     assert np.sqrt(np.mean((again.measured - o.measured) ** 2)) < 0.05 * size
+
+
+def test_a_total_without_a_part_of_the_motor_is_shared_by_the_others(make_observation):
+    parts = Element("gearbox", viscous=True, ratio=2.0), Element("joint", viscous=True)
+    chain = Joint((Element("motor", inertia=True), *parts), Load(inertia=True))
+    true = {"motor.inertia": 0.01, "gearbox.viscous": 0.2, "joint.viscous": 0.3}
+    o = make_observation(chain, true | {"load.inertia": 0.02}, sigma=0.0)
+    start = starting_values(chain, least_squares(chain, [o]), 0.0, 0.5)
+    # both at the input of the gearbox, whose ratio a friction of the joint passes twice
+    assert start["gearbox.viscous"] + start["joint.viscous"] / 4.0 == pytest.approx(0.2 + 0.3 / 4.0)
