@@ -16,7 +16,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import emcee
@@ -200,14 +200,27 @@ def sample(
         before = target.not_finite
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
+    found = _concluded(main, look, settings, warm.steps, settled=settled, before=before)
+    took = time.perf_counter() - began
+    return replace(found, diagnostics=replace(found.diagnostics, seconds=took))
+
+
+def _concluded(
+    main: _Ensembles, look: _Look, settings: Sampling, warmup: int, *, settled: bool, before: int
+) -> Posterior:
+    """Thin what was sampled, and say whether it can be trusted.
+
+    ``before`` counts the places without a likelihood until the ``warmup`` steps had ended.
+    """
+    target, walkers = main.target, main.acceptance().shape[1]
     wanted = max(_KEPT_DRAWS, 2 * int(settings.min_ess))
     thin = min(max(1, main.steps * walkers * settings.ensembles // wanted), main.steps)
     kept = main.chain()[:, :, thin - 1 :: thin]
-    draws = target.to_parameters(kept.reshape(-1, d))[0].reshape(kept.shape)
+    draws = target.to_parameters(kept.reshape(-1, kept.shape[-1]))[0].reshape(kept.shape)
     acceptance = main.acceptance()
     problems = list(_problems(target, settings, look, main, draws))
     if look.hopeless and acceptance.any():
-        steps = warm.steps + main.steps
+        steps = warmup + main.steps
         problems.insert(0, _given_up(target.names, look.needed, steps, settings.max_steps))
     if not settled:
         problems.append(_UNSETTLED)
@@ -230,11 +243,11 @@ def sample(
             acceptance=acceptance,
             ensembles=settings.ensembles,
             walkers=walkers,
-            warmup=warm.steps,
+            warmup=warmup,
             steps=main.steps,
             thin=thin,
             not_finite=target.not_finite,
-            seconds=time.perf_counter() - began,
+            seconds=0.0,
             not_finite_share=share,
             warnings=tuple(warnings),
             max_rhat=settings.max_rhat,
