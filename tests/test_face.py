@@ -60,6 +60,7 @@ def same_draws(first, second):
         assert first[name].values.tobytes() == second[name].values.tobytes(), name
 
 
+@pytest.mark.slow
 def test_the_example_of_the_reference_is_the_fit(bench, monkeypatch):
     text = (REPOSITORY / "studies/reference/python.md").read_text()
     without_figures(monkeypatch)  # of runs: it is the draws that are compared

@@ -60,6 +60,7 @@ def verdicts(summary):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unexplained")
 def test_a_controllers_law_is_not_learned_as_friction(fitted):
     """Torque 0.9 N m times the sign of speed: 0.1.0 called that Coulomb friction, and data."""

@@ -66,6 +66,7 @@ def test_another_mechanism_is_one_that_is_not_in_use():
     assert doubt["units"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "judged"), [(1.0, True), (np.pi / 180.0, False)])
 def test_no_delay_is_advised_while_little_is_explained(times, judged):
     """A position 10 samples late, in its own unit and in a wrong one."""

@@ -52,6 +52,7 @@ def simulated(bench, name, *arguments):
     return tuple((bench.folder / f"{name}{end}").read_bytes() for end in (".csv", ".truth.json"))
 
 
+@pytest.mark.slow
 def test_a_simulated_recording_says_so(bench):
     bench.config(SIMULATION)
     told = bench.told("simulate", "c.toml", "-o", "a.csv")

@@ -83,6 +83,7 @@ def test_what_a_scaling_leaves_open_has_no_sd():
     assert (1 + point[scaling.drive]) * (1 - point[scaling.back]) == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_known_mass_takes_the_scaling_away():
     chain, values, torque, q = simulated("rabbit-knee")
     heavy = 1.5 * excite(3.0, 0.8, seed=5)

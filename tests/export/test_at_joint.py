@@ -94,6 +94,7 @@ def test_load_losses_are_right_at_the_reference_load_both_ways(load):
     assert passes == pytest.approx(load * (1.0 + 0.5 * (0.3 - 0.4)))
 
 
+@pytest.mark.slow
 def test_an_open_scale_changes_no_export():
     done = found("rabbit-knee")
     joint, values = preset("rabbit-knee")

@@ -104,6 +104,7 @@ def wrong():
     return fitted(cubic=0.005)
 
 
+@pytest.mark.slow
 def test_a_right_model_keeps_its_intervals(right):
     assert not right.fit.discrepancy.shown
     for row in right.summary.joint.values():

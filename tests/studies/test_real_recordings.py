@@ -58,6 +58,7 @@ def test_ur10e_needs_load_friction():
     assert np.quantile(mu, 0.95) < 0.070
 
 
+@pytest.mark.slow
 def test_xl330_has_load_friction():
     problem, result = run("xl330/xl330.toml")
     assert len(problem.recordings) == 16
