@@ -72,6 +72,15 @@ def test_back_emf_is_a_viscous_loss():
     assert np.abs(q - wanted.q).max() < 1e-6
 
 
+def test_a_drive_gives_its_torque_until_it_is_off():
+    values = PLAIN.vector({"motor.inertia": 0.02, "motor.viscous": 0.05})
+    off = TIME >= 1.0
+    wanted = simulate(PLAIN, values, np.where(off, 0.0, 0.1), PERIOD, hold="zero")
+    q, _ = played(PLAIN, values, of(np.full(N, 0.1), off=off), held=True, step=2.5e-4)
+    assert np.abs(q - wanted.q).max() < 1e-6
+    assert q[-1] > q[off][0] > 0.0
+
+
 def test_a_limit_is_a_constant_torque():
     values = PLAIN.vector({"motor.inertia": 0.02, "motor.viscous": 0.0})
     q, qd = played(PLAIN, values, of(np.full(N, 1e6), kp=1.0, limit=0.5))
