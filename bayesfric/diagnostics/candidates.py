@@ -555,7 +555,6 @@ KINDS: tuple[Kind, ...] = (
         positive=True,
         loss=True,
     ),
-    Kind("viscous_by_angle", _one(lambda a: a.o.qd * np.cos(a.o.q)), loss=True),
     Kind("inertia", _one(lambda a: a.o.qdd), option="inertia"),
     Kind("gravity", _gravity, option="gravity_angle"),
     Kind("spring", _term("spring"), option="spring"),
