@@ -102,7 +102,7 @@ def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list
         band that was asked for, in which the inertia comes out smaller than in a narrower one) and
         ``negative`` (a loss or an inertia below zero). None names ``parameters``: all are doubtful.
     """
-    return [*_feedback(observations), *_attenuated(observations), *_negative(totals), *_one_way(observations)]
+    return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
 
 
 def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
@@ -171,13 +171,6 @@ def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]
             },
             "times": max(float(numbers["inertia_narrower"]) for numbers in seen.values()),
         }
-
-
-def _one_way(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name recordings that moved one way only: a constant torque is then friction's, too."""
-    for o in observations:
-        if o.speed.size and (np.all(o.speed >= 0.0) or np.all(o.speed <= 0.0)):
-            yield {"kind": "one-way", "recording": o.name}
 
 
 def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
