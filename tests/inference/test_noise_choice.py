@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from bayesfric.inference.likelihood.autoregression import simulated
+from bayesfric.inference.likelihood.autoregression import burg, simulated
 from bayesfric.inference.likelihood.noise_choice import choose_order
 from bayesfric.inference.prior.priors import read_prior
+from tests.inference.test_autoregression import covariance
 
 FOLLOWS = np.ones(2999, dtype=bool)
 FOLLOWS[[500, 501, 1700]] = False
@@ -101,3 +102,31 @@ def test_hardly_any_evidence_for_a_memory_is_none():
         gains.append(min(one.bic for one in found.tried))
         assert found.order == 0 or found.tried[found.order].bic < -6.0
     assert min(gains) < 0.0  # some would have been taken for a memory
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_the_criterion_is_that_of_the_exact_density(own):
+    """Multivariate normals of two runs each, their size at its estimate."""
+    rng = np.random.default_rng(2)
+    lengths, factors = (50, 40), (0.1, 0.3)
+    follows = np.ones(sum(lengths) - 1, dtype=bool)
+    follows[lengths[0] - 1] = False
+    residuals = [s * simulated(np.array([0.6, -0.3]), follows, 1, rng)[0] for s in factors]
+    tried = choose_order(residuals, [follows, follows], own).tried
+    n = 2 * sum(lengths)
+
+    def deviance(order):
+        groups = [[r] for r in residuals] if own else [residuals]
+        scaled = [r / np.sqrt(np.mean(np.square(g))) for g in groups for r in g]
+        series = burg(scaled, [follows, follows], order)
+        inverse = [np.linalg.inv(covariance(series, k)) for k in lengths]
+        total = -2.0 * sum(np.linalg.slogdet(one)[1] for one in inverse)
+        for group in groups:
+            runs = [np.split(r, [lengths[0]]) for r in group]
+            squares = sum(x @ w @ x for pair in runs for x, w in zip(pair, inverse, strict=True))
+            size = sum(r.size for r in group)
+            total += size * np.log(squares / size)
+        return total + order * np.log(n)
+
+    for one in tried[1:]:
+        assert one.bic == pytest.approx(deviance(one.order) - deviance(0), abs=1e-8)

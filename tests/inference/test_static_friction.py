@@ -83,3 +83,18 @@ def test_rests_correct_what_motion_beside_them_gets_wrong(with_rests):
     assert sum(o.rest.q.size for o in with_rests.fit.observations) > 20
     assert after.interval[0] < 1.0 < after.interval[1]
     assert not before.interval[0] < 1.0 < before.interval[1]
+
+
+def test_the_density_has_the_rests_as_a_factor(with_rests):
+    target = with_rests.fit.target
+    values = np.concatenate([vectors(coulomb=c) for c in (0.8, 1.0, 1.2)])
+    scales = np.full((3, 1, target.noise.places.shape[1]), 0.05)
+    likelihood = target.likelihood
+    (one,) = likelihood._static
+    plain, moments = likelihood._plain, likelihood.moments.at(values)
+    moving = likelihood.noise.log_density(moments, plain.counts, plain.head_counts, scales)
+    terms = one.log_terms(values, likelihood.noise.marginal(scales[:, 0]))
+    found = likelihood.log_density(values, scales)
+    assert found - moving == pytest.approx(terms.sum(axis=1))
+    outputs = likelihood.standardised(values, scales[0])[0].shape[1]
+    assert outputs == likelihood.outputs[0].measured.size + terms.shape[1]
