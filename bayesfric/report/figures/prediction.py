@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,7 +32,8 @@ _GREY = "#8a8a8a"
 _MOST_POINTS = 5000
 
 
-class Predictive(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Predictive:
     """Posterior predictive of one recording, ``(n_outputs,)`` each."""
 
     mean: Array
