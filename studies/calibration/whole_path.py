@@ -2,7 +2,7 @@
 
 ``python studies/calibration/whole_path.py`` makes recordings as files (:mod:`bench`), fits each
 with default settings, and counts how often the intervals hold the truth. Writes
-``whole_path.json``; ``--recordings N`` and ``--cases A B`` for less.
+``whole_path.json``; ``--recordings N``, ``--cases A B`` for less, ``--seed N`` for others.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ HERE = Path(__file__).resolve().parent
 SEED = 2026
 
 
-def one(task: tuple[str, int]) -> dict[str, Any]:
+def one(task: tuple[int, str, int]) -> dict[str, Any]:
     """Fit one recording, and say of every quantity where the truth lies."""
-    name, number = task
+    seed, name, number = task
     bench = CASES[name]
-    seed = np.random.SeedSequence(SEED, spawn_key=(list(CASES).index(name), number))
-    rng = np.random.default_rng(seed)
+    stream = np.random.SeedSequence(seed, spawn_key=(list(CASES).index(name), number))
+    rng = np.random.default_rng(stream)
     with TemporaryDirectory() as folder:
         truth, recordings, stuck = recorded(bench, rng, Path(folder))
         begun = time.process_time()
@@ -161,6 +161,7 @@ def table(case: str, result: dict[str, Any]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--recordings", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--cases", nargs="*", default=list(CASES))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--to", type=Path, default=HERE / "whole_path.json")
@@ -168,7 +169,7 @@ def main() -> None:
     result = json.loads(options.to.read_text(encoding="utf-8")) if options.to.exists() else {}
     with ProcessPoolExecutor(options.workers) as pool:
         for case in options.cases:
-            tasks = [(case, n) for n in range(options.recordings)]
+            tasks = [(options.seed, case, n) for n in range(options.recordings)]
             result[case] = judged(list(pool.map(one, tasks)))
             text = json.dumps(result, indent=1) + "\n"
             options.to.write_text(text, encoding="utf-8")

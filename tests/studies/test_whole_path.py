@@ -53,7 +53,7 @@ def test_self_checks_foretell_what_filters_do_and_correct_it(result):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["geared", "knee"])
 def test_a_few_files_again(study, case):
-    found = study.judged([study.one((case, number)) for number in range(1000, 1008)])
+    found = study.judged([study.one((study.SEED, case, number)) for number in range(1000, 1008)])
     assert found["refused"] == []
     assert found["reliable"] >= 7
     rows = dict(found["statuses"]["identified"])
