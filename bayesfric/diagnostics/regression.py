@@ -38,6 +38,7 @@ from bayesfric.diagnostics.policy import (
 from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
     HALF,
+    OPEN,
     Columns,
     Key,
     asked,
@@ -60,8 +61,6 @@ from bayesfric.recordings.processing import Processing
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
-# Singular values of an estimate below this share of the largest are open.
-_OPEN = 1e-7
 # Share of a quantity's direction that must be determined.
 _TOLD = 0.999
 # Widest share of a parameter by which twins' truths differ.
@@ -248,7 +247,7 @@ class Regression:
         rows = self.data.base * size
         variance = mean_square(without(basis_of(self.data.base), self.data.left), rows.shape[1])
         power, vectors = np.linalg.eigh(rows.T @ rows)
-        told = power > _OPEN * power.max()
+        told = power > OPEN * power.max()
         sds = np.minimum(np.sqrt(variance / power[told]), _WIDEST)
         drawn = rng.standard_normal((self.number, int(told.sum()))) * sds
         lower = np.array([p.lower for p in self.chain.parameters])

@@ -19,8 +19,9 @@ from bayesfric.diagnostics.policy import TESTABLE
 from bayesfric.diagnostics.scans import DELAY, Scan, push, tone
 from bayesfric.recordings.arrays import Array
 
-# Singular values below these shares of the largest are rounding, or an open direction.
-_ROUNDING, _OPEN = 1e-9, 1e-7
+# Eigenvalues of a Gram matrix, singular values squared, below these shares of the largest are
+# rounding, or an open direction.
+_ROUNDING, OPEN = 1e-9, 1e-7
 # What twins show as a mean is half known: the recording may share it or not.
 HALF = 0.5
 # Correlation from which two columns are one, and eigenvalue below which several are.
@@ -191,7 +192,7 @@ def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
     unit = np.sqrt((rows**2).sum(axis=0))
     unit[unit == 0.0] = 1.0
     power, vectors = np.linalg.eigh((rows / unit).T @ (rows / unit))
-    kept = power > _OPEN * power.max()
+    kept = power > OPEN * power.max()
     inverse = (vectors[:, kept] / power[kept]) @ vectors[:, kept].T / np.outer(unit, unit)
     found = inverse @ (rows.T @ y)
     variance = mean_square(y - rows @ found, int(kept.sum()))

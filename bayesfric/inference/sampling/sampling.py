@@ -16,7 +16,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import emcee
@@ -200,15 +200,20 @@ def sample(
         before = target.not_finite
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
 
-    found = _concluded(main, look, settings, warm.steps, settled=settled, before=before)
-    took = time.perf_counter() - began
-    return replace(found, diagnostics=replace(found.diagnostics, seconds=took))
+    return _concluded(main, look, settings, warm.steps, began, settled=settled, before=before)
 
 
 def _concluded(
-    main: _Ensembles, look: _Look, settings: Sampling, warmup: int, *, settled: bool, before: int
+    main: _Ensembles,
+    look: _Look,
+    settings: Sampling,
+    warmup: int,
+    began: float,
+    *,
+    settled: bool,
+    before: int,
 ) -> Posterior:
-    """Thin what was sampled, and say whether it can be trusted.
+    """Thin what was sampled since ``began``, and say whether it can be trusted.
 
     ``before`` counts the places without a likelihood until the ``warmup`` steps had ended.
     """
@@ -247,7 +252,7 @@ def _concluded(
             steps=main.steps,
             thin=thin,
             not_finite=target.not_finite,
-            seconds=0.0,
+            seconds=time.perf_counter() - began,
             not_finite_share=share,
             warnings=tuple(warnings),
             max_rhat=settings.max_rhat,
