@@ -40,6 +40,8 @@ ROOMS = {
 }
 # One change of a sign is as good as another: nobody writes a bit's shift for a sum.
 ARITHMETIC = {"Add": "Sub", "Sub": "Add", "Mul": "Div", "Div": "Mul", "Pow": "Mul", "MatMul": "Mul"}
+# What a call says for its reader only, or asserts of lengths that are equal.
+IDLE = ("strict", "description", "examples", "json_schema_extra")
 # Seconds after which tests that do not end have noticed.
 PATIENCE = 400
 # Tests that are asked at most.
@@ -56,16 +58,30 @@ def wanted(operator: str) -> bool:
     return ARITHMETIC.get(old) == new
 
 
+def idle(tree: ast.AST) -> Iterator[Any]:
+    """Give what changes no result: annotations, decorators, checks of lengths, what help tells."""
+    for node in ast.walk(tree):
+        yield from filter(None, (getattr(node, "annotation", None), getattr(node, "returns", None)))
+        yield from getattr(node, "decorator_list", ())
+        if isinstance(node, ast.arg):
+            yield node
+        if isinstance(node, ast.keyword) and node.arg in IDLE:
+            yield node
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "model_config":
+            yield node
+
+
 def places(path: Path) -> Iterator[Place]:
-    """Give every change of a file that may be made, but in annotations."""
+    """Give every change of a file that may be made, but in what changes no result."""
     tree, shown = get_ast_from_path(path), str(path.relative_to(HOUSE))
     noted = {
         (line, column)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        for note in (getattr(node, "annotation", None), getattr(node, "returns", None))
-        if note is not None
-        for line in range(note.lineno, note.end_lineno + 1)
-        for column in range(note.col_offset, note.end_col_offset)
+        for node in idle(ast.parse(path.read_text(encoding="utf-8")))
+        for line in range(node.lineno, node.end_lineno + 1)
+        for column in range(
+            node.col_offset if line == node.lineno else 0,
+            node.end_col_offset if line == node.end_lineno else 1000,
+        )
     }
     for name in filter(wanted, operator_names()):
         operator = get_operator(name)
@@ -91,10 +107,10 @@ def environment(tree: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"}
 
 
-def contexts(to: Path) -> CoverageData:
+def contexts(to: Path, rooms: list[str]) -> CoverageData:
     """Run the rooms' tests once, and keep which of them runs which line."""
     if not to.exists():
-        tests = [f"tests/{room}" for room in dict.fromkeys(ROOMS.values())]
+        tests = [f"tests/{room}" for room in dict.fromkeys(ROOMS[room] for room in rooms)]
         command = [sys.executable, "-m", "pytest", "-q", "--cov=bayesfric", "--cov-context=test"]
         there = {**environment(HOUSE), "COVERAGE_FILE": str(to)}
         subprocess.run([*command, "--cov-report=", *tests], cwd=HOUSE, env=there, check=True)
@@ -152,11 +168,12 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--mutants", type=int, default=50, help="of every room")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rooms", nargs="+", default=list(ROOMS), choices=ROOMS)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--contexts", type=Path, default=HERE / "contexts.sqlite")
     parser.add_argument("--to", type=Path, default=HERE / "mutants.json")
     options = parser.parse_args()
-    data = contexts(options.contexts)
+    data = contexts(options.contexts, options.rooms)
     trees: Queue[Path] = Queue()
     for _ in range(options.workers):
         tree = Path(mkdtemp()) / HOUSE.name
@@ -175,7 +192,7 @@ def main() -> None:
 
     result: dict[str, Any] = {}
     with ThreadPoolExecutor(options.workers) as pool:
-        for room in ROOMS:
+        for room in options.rooms:
             found = list(pool.map(one, drawn(room, options.mutants, options.seed)))
             killed = sum(mutant["found"] == "killed" for mutant in found)
             result[room] = {
