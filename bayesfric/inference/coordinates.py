@@ -93,13 +93,15 @@ class BoundedCoordinates(Coordinates):
         ``(d,)`` about the posterior's standard deviations; plain logarithms of the distance from a
         bound if they are not known yet.
 
-    Notes ----- A parameter above a bound is ``lower + w h(u)``, with the half-normal quantile
-    ``h(u) = Phi^-1((1 + Phi(u))/2)``: a straight line where the posterior lies several widths ``w``
-    above the bound, a normal's distribution function next to it. So a normal stays one that keeps
-    away from the bound, and becomes one that is cut by it in its middle. (A logarithm would give
-    either a long left tail, in which walkers hang on.) Of a parameter between two bounds less than
-    ten widths apart the normal quantile of its place between them, ``lower + span Phi(u)``, is
-    sampled, for the same reason.
+    Notes
+    -----
+    A parameter above a bound is ``lower + w h(u)``, with the half-normal quantile ``h(u) =
+    Phi^-1((1 + Phi(u))/2)``: a straight line where the posterior lies several widths ``w`` above
+    the bound, a normal's distribution function next to it. So a normal stays one that keeps away
+    from the bound, and becomes one that is cut by it in its middle. (A logarithm would give either
+    a long left tail, in which walkers hang on.) Of a parameter between two bounds less than ten
+    widths apart the normal quantile of its place between them, ``lower + span Phi(u)``, is sampled,
+    for the same reason.
     """
 
     def __init__(

@@ -325,9 +325,11 @@ def chance_missing(missing: Missing) -> float:
     float
         0 without candidates.
 
-    Notes ----- For a candidate of sd ``s`` the evidence against none is that of a linear regression
-    with a normal size, the noise's variance integrated out, averaged over the grid of ``s``, over
-    its shapes, and over kinds. Prior odds are 1 to 9.
+    Notes
+    -----
+    For a candidate of sd ``s`` the evidence against none is that of a linear regression with a
+    normal size, the noise's variance integrated out, averaged over the grid of ``s``, over its
+    shapes, and over kinds. Prior odds are 1 to 9.
     """
     variance = missing.power / missing.free
     scores = missing.scores / missing.spread

@@ -282,9 +282,11 @@ def fit(
         could start from, a simulation's linearisation does not hold over the posterior, or a
         checkpoint is of another target.
 
-    Notes ----- Estimates that simulate, and only stand beside a posterior of the torque, are not
-    started from: they may be cut off by the clock, and a fit must be repeatable. Everything else
-    random comes from ``sampling.seed``.
+    Notes
+    -----
+    Estimates that simulate, and only stand beside a posterior of the torque, are not started from:
+    they may be cut off by the clock, and a fit must be repeatable. Everything else random comes
+    from ``sampling.seed``.
     """
     likelihood = target.likelihood
     if not estimates:

@@ -21,7 +21,7 @@ from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.problem.config import Config
+from bayesfric.problem.config import Config, Tables
 from bayesfric.recordings.held_out import Divided, HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
@@ -61,59 +61,16 @@ def prepare(
         raise BadInput(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
-    found: list[Measurement] = []
-    if recordings is None:
-        folder = config.folder
-        recordings = [Recording(source, folder) for source in tables.recordings]
-    for number, recording in enumerate(recordings, start=1):
-        found += _read(config, chain, recording, number)
-    kept = config.origin.recordings if config.origin else {}
-    for k, r in enumerate(found):
-        if r.name in kept and kept[r.name].sha256 != r.sha256:
-            text = f"changed since the run was made: its SHA-256 was {kept[r.name].sha256}"
-            found[k] = replace(r, warnings=(*r.warnings, text))
-    _check_recordings(config, chain, found)
+    found = _recorded(config, chain, recordings)
     with config.named():
-        divided = divide(found, tables.processing, tables.validation)
-        doubted: tuple[Attenuated, ...] = ()
-        for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
-            for o in divided.observations:
-                if getattr(o.inputs, signal) is None:
-                    raise BadInput(
-                        f"recording {o.name!r}",
-                        f"has no {signal}, and the mechanism has losses that depend on it",
-                        f"name its column with {signal} = {{ column = ... }}",
-                    )
-        both = divided.recordings, divided.observations
-        if attenuated := attenuations(chain, *both, tables.processing):
-            narrower = {one.recording: one.narrower for one in attenuated}
-            if tables.processing.chooses_band:
-                found = [replace(r, widest_band=narrower.get(r.name)) for r in found]
-                divided = divide(found, tables.processing, tables.validation)
-            else:
-                doubted = tuple(attenuated)
-                divided = _doubted(divided, doubted)
+        found, divided, doubted = _banded(found, chain, tables)
         # the torque's rate sizes a prior, whatever the delay is
         observations = (_timed(divided, 0.0) if chain.delay else divided).observations
     if tables.mechanism.offset == "per-recording":
         chain = replace(chain, own_offsets=tuple(o.name for o in observations))
     with config.named():
-        outputs = sum(len(o.time) for o in observations)
-        if outputs < len(chain.parameters):
-            raise BadInput(
-                ", ".join(f"recording {o.name!r}" for o in observations),
-                f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
-                "record longer, or decimate less",
-            )
-        for name in config.priors:
-            parameter = name.rpartition(".")[0]
-            # a table that stands for a prior but names no distribution
-            if parameter in chain.names or parameter.startswith("noise."):
-                raise BadInput(
-                    f"priors.{parameter}",
-                    "its table names no distribution",
-                    'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
-                )
+        _check_size(chain, observations)
+        _check_priors(config, chain)
         priors = read_priors(chain, config.priors, observations, _noise_quantities(config))
         if chain.delay:
             prior = priors[chain.delay_name]
@@ -133,6 +90,41 @@ def prepare(
         divided = _refined(divided, chain, as_knowledge(chain, priors), tables.estimation)
     observations = divided.observations
     return Prepared(chain, divided.recordings, observations, encoder, priors, divided.held_out)
+
+
+def _recorded(
+    config: Config, chain: Joint, recordings: Sequence[Recording] | None
+) -> list[Measurement]:
+    """Read them, and note which have changed since a run."""
+    found: list[Measurement] = []
+    if recordings is None:
+        recordings = [Recording(source, config.folder) for source in config.tables.recordings]
+    for number, recording in enumerate(recordings, start=1):
+        found += _read(config, chain, recording, number)
+    kept = config.origin.recordings if config.origin else {}
+    for k, r in enumerate(found):
+        if r.name in kept and kept[r.name].sha256 != r.sha256:
+            text = f"changed since the run was made: its SHA-256 was {kept[r.name].sha256}"
+            found[k] = replace(r, warnings=(*r.warnings, text))
+    _check_recordings(config, chain, found)
+    return found
+
+
+def _banded(
+    found: list[Measurement], chain: Joint, tables: Tables
+) -> tuple[list[Measurement], Divided, Sequence[Attenuated]]:
+    """Filter to a band that keeps the inertia's size, or doubt the one that was asked for."""
+    divided = divide(found, tables.processing, tables.validation)
+    _check_signals(chain, divided.observations)
+    recorded = divided.recordings, divided.observations
+    attenuated = attenuations(chain, *recorded, tables.processing)
+    if not attenuated:
+        return found, divided, ()
+    if not tables.processing.chooses_band:
+        return found, _doubted(divided, attenuated), attenuated
+    narrower = {one.recording: one.narrower for one in attenuated}
+    found = [replace(r, widest_band=narrower.get(r.name)) for r in found]
+    return found, divide(found, tables.processing, tables.validation), ()
 
 
 def _doubted(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
@@ -205,6 +197,41 @@ def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]
             "is not offered for the output-error likelihood",
             'leave it out, or set likelihood.method = "input-error"',
         )
+
+
+def _check_signals(chain: Joint, observations: Sequence[Observation]) -> None:
+    """Refuse losses by a signal that a recording does not have."""
+    for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
+        for o in observations:
+            if getattr(o.inputs, signal) is None:
+                raise BadInput(
+                    f"recording {o.name!r}",
+                    f"has no {signal}, and the mechanism has losses that depend on it",
+                    f"name its column with {signal} = {{ column = ... }}",
+                )
+
+
+def _check_size(chain: Joint, observations: Sequence[Observation]) -> None:
+    """Refuse fewer outputs than parameters."""
+    outputs = sum(len(o.time) for o in observations)
+    if outputs < len(chain.parameters):
+        raise BadInput(
+            ", ".join(f"recording {o.name!r}" for o in observations),
+            f"too short: {outputs} outputs after filtering, {len(chain.parameters)} parameters",
+            "record longer, or decimate less",
+        )
+
+
+def _check_priors(config: Config, chain: Joint) -> None:
+    """Refuse a table that stands for a prior but names no distribution."""
+    for name in config.priors:
+        parameter = name.rpartition(".")[0]
+        if parameter in chain.names or parameter.startswith("noise."):
+            raise BadInput(
+                f"priors.{parameter}",
+                "its table names no distribution",
+                'write for example {distribution = "norm", loc = 0.4, scale = 0.05}',
+            )
 
 
 def _noise_quantities(config: Config) -> tuple[str, ...]:

@@ -199,9 +199,11 @@ def burg(series: Sequence[Array], follows: Sequence[Flags], order: int) -> Array
     ndarray
         ``(order,)``. Always stationary, whatever the series; fewer are the first of more.
 
-    Notes ----- The k-th is ``2 sum(f b) / sum(f^2 + b^2)``, of the errors ``f`` and ``b`` of
-    predicting forwards and backwards from ``k - 1`` values between (J. P. Burg, "Maximum entropy
-    spectral analysis", thesis, Stanford University, 1975).
+    Notes
+    -----
+    The k-th is ``2 sum(f b) / sum(f^2 + b^2)``, of the errors ``f`` and ``b`` of predicting
+    forwards and backwards from ``k - 1`` values between (J. P. Burg, "Maximum entropy spectral
+    analysis", thesis, Stanford University, 1975).
     """
     runs = [
         part

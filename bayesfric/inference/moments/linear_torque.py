@@ -8,23 +8,27 @@ friction too. At exact standstill the mechanism takes no loss while eq. (13) lea
 all coefficients.
 
 What multiplies a loss by a function of speed (a Stribeck rise, a load loss that grows with speed or
-depends on the direction) multiplies its columns: with ``mu_1`` and ``mu_2`` sums of such functions
-``phi``, so are ``lambda_1`` and ``lambda_2``. A function of unknown shape is a sum of functions of
-known ones, :mod:`bayesfric.inference.moments.shape_nodes`. A square of the load has the products of
-the columns of ``psi2``.
+depends on the direction) multiplies its columns, and the law itself is asked for it: with
+``mu_1`` and ``mu_2`` sums of such functions ``phi``, so are ``lambda_1`` and ``lambda_2``. A
+function of unknown shape is a sum of functions of known ones,
+:mod:`bayesfric.inference.moments.shape_nodes`. A square of the load has the products of the columns
+of ``psi2``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.estimates.torque_form import Term, columns, filled, torque_form
 from bayesfric.inference.moments.shape_nodes import ShapeNodes
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import load_losses
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.arrays import Array
@@ -32,9 +36,12 @@ from bayesfric.recordings.observation import Observation
 
 Along = Callable[[Observation], Array]  # (m, n) functions of the motion along a piece of it
 Weights = Callable[[Array], Array]  # (n, m) what multiplies them, for parameter vectors
+T = TypeVar("T")
 
 # Samples of a recording from which the size of its columns is judged.
 _TRIED = 20_000
+# Speeds that tell functions of it apart, rad/s or m/s.
+_ASKED = np.array([1.0, -1.0, 0.3, -0.3, 7.0, -7.0])
 
 
 @dataclass(frozen=True)
@@ -242,39 +249,46 @@ class LinearTorque:
         return found
 
     def _all_losses(self, loss: str) -> Iterator[_Loss]:
-        """Functions that the load loss is a sum of, constant first; one without any loss."""
+        """Functions that the load loss is a sum of, constant first; one without any loss.
+
+        The law is asked for one parameter at a time; those that multiply the same function of speed
+        and direction share its columns.
+        """
         if not loss:
             yield _Loss(_one, _nothing, _nothing)
             return
-        drive, back = (self._column(loss, "load", f"load_{way}") for way in ("drive", "back"))
-        yield _Loss(_one, drive, back)
-        names = ("load_difference", "load_{}_difference")
-        sides = [self._column(loss, names[0], names[1].format(way)) for way in ("drive", "back")]
-        turned = any(f"{loss}.{one}" in self._at for one in (names[0], "load_drive_difference"))
-        if turned:
-            yield _Loss(_direction, *sides)
-        risen = self._rise(loss, "stribeck_load_ratio")
-        if risen is not None:
-            along, weights = risen
-            yield _Loss(along, _times(weights, drive), _times(weights, back))
-            if turned:
-                yield _Loss(
-                    lambda o: np.sign(o.qd) * along(o), *(_times(weights, one) for one in sides)
-                )
-        if f"{loss}.load_speed" in self._at:
-            reach, grows = self.chain.reaches[loss], self._column(loss, "load_speed")
-            yield _Loss(lambda o: np.abs(reach * o.qd)[None], grows, grows)
+        steady, grown = (list(self._asked(loss, part)) for part in (0, 1))
+        yield from steady
+        rise = self._rise(loss, "stribeck_load_ratio")
+        if rise is not None:
+            low, weights = rise
+            for one in steady:
+                drive, back = _times(weights, one.drive), _times(weights, one.back)
+                yield _Loss(_times(low, one.along), drive, back)
+        yield from grown
 
-    def _column(self, owner: str, *quantities: str) -> Weights:
-        """One parameter of an element, the first of these that it has."""
-        found = [self._at[f"{owner}.{q}"] for q in quantities if f"{owner}.{q}" in self._at]
-        return lambda values: values[:, found[:1]]
+    def _asked(self, loss: str, part: int) -> Iterator[_Loss]:
+        """Functions in one part of :func:`_losses`, alike ones once."""
+        element = [e.name for e in self.chain.elements].index(loss)
+        rows = self.chain.tables(np.eye(len(self.chain.names))).elements[:, element]
+        alike: dict[tuple[float, ...], tuple[Along, Array]] = {}
+        for i, row in enumerate(rows):
+            for way, asked in enumerate(_losses(row, _ASKED)[part]):
+                if asked[0] != 0.0:
+                    along = _multiplier(row, self.chain.reaches[loss], part, way)
+                    new = along, np.zeros((2, len(rows), 1))
+                    shape = tuple((asked / asked[0]).round(12).tolist())
+                    alike.setdefault(shape, new)[1][way, i] = asked[0]
+        for along, shares in alike.values():
+            yield _Loss(along, _sum(shares[0]), _sum(shares[1]))
 
     def coefficients(self, values: Array) -> Coefficients:
         """Give the coefficients of parameter vectors ``(n, n_parameters)``, SI units.
 
-        Notes ----- ``lambda_1 = 1 + (mu_1 - mu_2)/2`` and ``lambda_2 = (mu_1 + mu_2)/2``, with each
-        function of speed that the load-dependent friction is a sum of.
+        Notes
+        -----
+        ``lambda_1 = 1 + (mu_1 - mu_2)/2`` and ``lambda_2 = (mu_1 + mu_2)/2``, with each function of
+        speed that the load-dependent friction is a sum of.
         """
         n, k1 = values.shape[0], len(self.names1)
         parts = [self._multiplied(values, way) for way in (0, 1)]
@@ -437,10 +451,6 @@ def _one(o: Observation) -> Array:
     return np.ones((1, o.qd.size))
 
 
-def _direction(o: Observation) -> Array:
-    return np.asarray(np.sign(o.qd)[None])
-
-
 def _ones(values: Array) -> Array:
     return np.ones((values.shape[0], 1))
 
@@ -449,8 +459,35 @@ def _nothing(values: Array) -> Array:
     return np.zeros((values.shape[0], 1))
 
 
-def _times(one: Weights, other: Weights) -> Weights:
-    return lambda values: one(values) * other(values)
+@njit(cache=True)
+def _losses(element: Array, speed: Array) -> Array:
+    """Load losses ``(2, 2, n)``: what a rise multiplies and what not, of each way of power."""
+    out = np.empty((2, 2, speed.size))
+    for j in range(speed.size):
+        v = speed[j]
+        for part in range(2):
+            out[part, 0, j], out[part, 1, j] = load_losses(element, np.sign(v), v, 1.0 - part)
+        out[0, :, j] -= out[1, :, j]
+    return out
+
+
+def _multiplier(element: Array, reach: float, part: int, way: int) -> Along:
+    """One function of :func:`_losses`, one at the first speed that is asked for."""
+
+    def along(o: Observation) -> Array:
+        speed = np.concatenate([_ASKED[:1], reach * o.qd])
+        found = _losses(element, speed)[part, way]
+        return np.asarray(found[None, 1:] / found[0])
+
+    return along
+
+
+def _sum(share: Array) -> Weights:
+    return lambda values: values @ share
+
+
+def _times(one: Callable[[T], Array], other: Callable[[T], Array]) -> Callable[[T], Array]:
+    return lambda at: one(at) * other(at)
 
 
 def _lagrange(nodes: ShapeNodes) -> Weights:

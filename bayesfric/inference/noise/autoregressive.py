@@ -58,10 +58,12 @@ class Autoregressive(NoiseDescription):
     order
         Of the autoregression, ``p``; white noise for 0.
 
-    Notes ----- ``r_t = a_1 r_(t-1) + .. + a_p r_(t-p) + e_t`` with innovations ``e_t`` of sd
-    ``sigma``, stationary from each run's beginning. A run is a stretch of outputs that follow each
-    other one period apart; runs are independent of each other. The scales are ``sigma`` and the
-    partial autocorrelations ``pacf_1, .., pacf_p``, from which
+    Notes
+    -----
+    ``r_t = a_1 r_(t-1) + .. + a_p r_(t-p) + e_t`` with innovations ``e_t`` of sd ``sigma``,
+    stationary from each run's beginning. A run is a stretch of outputs that follow each other one
+    period apart; runs are independent of each other. The scales are ``sigma`` and the partial
+    autocorrelations ``pacf_1, .., pacf_p``, from which
     :mod:`bayesfric.inference.likelihood.autoregression` makes the coefficients ``a``. They come as
     ``(n, R, Q)``, vectors, recordings and scales, ``Q = p + 1``.
     """
@@ -97,9 +99,11 @@ class Autoregressive(NoiseDescription):
         ndarray
             ``(n,)``, of all recordings together.
 
-        Notes ----- The density is the product of each output's normal one given its predecessors:
-        mean by the best predictor from as many as there are, up to ``p``, and variance
-        ``sigma^2 / prod(1 - pacf_k^2)`` over the lags ``k`` that are not used yet.
+        Notes
+        -----
+        The density is the product of each output's normal one given its predecessors: mean by the
+        best predictor from as many as there are, up to ``p``, and variance ``sigma^2 / prod(1 -
+        pacf_k^2)`` over the lags ``k`` that are not used yet.
         """
         if not self.order:
             sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
@@ -180,8 +184,10 @@ class Autoregressive(NoiseDescription):
         ndarray
             ``(Q, Q)``.
 
-        Notes ----- ``2/sigma^2`` an output for ``sigma``; for the coefficients of a long series
-        their autocovariance matrix over the innovations' variance (Box and Jenkins, "Time Series
+        Notes
+        -----
+        ``2/sigma^2`` an output for ``sigma``; for the coefficients of a long series their
+        autocovariance matrix over the innovations' variance (Box and Jenkins, "Time Series
         Analysis", section 7.2), carried over to partial autocorrelations by the chain rule. Both
         are independent.
         """
