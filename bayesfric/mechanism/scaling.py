@@ -36,8 +36,7 @@ class Scaling:
     Notes
     -----
     With factor k: ``leg -> k leg``, ``1 + mu_1 -> (1 + mu_1)/k``, ``1 - mu_2 -> (1 - mu_2)/k``,
-    which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes, unless a
-    Stribeck rise multiplies ``mu_1`` and ``mu_2``: the scaling then holds away from low speed only.
+    which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes.
     """
 
     chain: Chain
@@ -186,7 +185,8 @@ def scalings(
     -------
     tuple of Scaling
         One for every element with ``mu_1`` and ``mu_2`` that has something behind it. One mu for
-        both power flows leaves none: ``lambda_1`` is 1 then.
+        both power flows leaves none: ``lambda_1`` is 1 then. Nor does a Stribeck rise of the load
+        loss, which multiplies ``mu_1`` and not ``1 + mu_1``: low speed tells the factor.
     """
     known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
     known = {name: amount for name, amount in known.items() if amount}
@@ -194,7 +194,12 @@ def scalings(
         return ()
     found = []
     for i, element in enumerate(chain.elements):
-        if element.load_loss != "two":
+        risen = any(
+            "stribeck_load_ratio" in (p.row.slots or (p.quantity,))
+            for p in chain.parameters
+            if p.owner == element.name
+        )
+        if element.load_loss != "two" or risen:
             continue
         owners = {e.name for e in chain.elements[i + 1 :]} | {"load"}
         # ratios, angles and speeds do not grow with the torque behind the gearbox

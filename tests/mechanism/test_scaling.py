@@ -1,5 +1,7 @@
 """The scaling of section 4.2: no torque changes, and where it ends."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,6 +25,7 @@ FULL = Joint(
     gain=True,
 )
 CHAINS = {"knee": KNEE.chain(), "full": FULL}
+GEARBOX = Element("gearbox", inertia=True, coulomb="symmetric", load_loss="two")
 
 
 def random_values(chain, rng):
@@ -48,6 +51,33 @@ def test_no_torque_changes_along_a_scaling(name, seed, place):
     after = inverse_torque(chain, scaling.scaled(values, factor), q, qd, qdd)
     # where the leg passes next to no torque, rounding may change which side drives
     np.testing.assert_allclose(after, before, rtol=0, atol=1e-12 * np.abs(before).max())
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"stribeck": True}, {"stribeck": "either"}, {"stribeck": "apart"}, {"load_speed": True},
+        {"load_square": True}, {"load_direction": True}, {"load_direction": "quadrants"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_there_is_one_where_the_factor_changes_no_torque(more):
+    """Asked of the Jacobian itself: whether it has a null direction."""
+    chain = Joint((replace(GEARBOX, **more),), Load(inertia=True, first_moment=True))
+    rng = np.random.default_rng(3)
+    values = random_values(chain, rng) * 0.3
+    q, qd, qdd = rng.standard_normal((3, 400)) * np.array([[1.5], [0.3], [40.0]])
+    steps = 1e-6 * np.eye(values.size)
+    jacobian = [
+        (
+            inverse_torque(chain, values + h, q, qd, qdd)
+            - inverse_torque(chain, values - h, q, qd, qdd)
+        )
+        for h in steps
+    ]
+    rows = np.array(jacobian)
+    singular = np.linalg.svd(rows / np.linalg.norm(rows, axis=1)[:, None], compute_uv=False)
+    assert len(scalings(chain)) == np.count_nonzero(singular < 1e-6)
 
 
 @pytest.mark.parametrize("name", CHAINS)
