@@ -18,7 +18,7 @@ from compliant import Compliant
 
 from bayesfric import Element, Joint, Load, Term
 
-__all__ = ["BENCHES", "LACKING", "RIGHT", "UNLISTED", "USUAL", "recorded"]
+__all__ = ["BENCHES", "LACKING", "RIGHT", "SIZES", "UNLISTED", "USUAL", "recorded"]
 
 
 def recorded(bench: Bench | Compliant, rng: np.random.Generator, folder: Path) -> tuple[Any, ...]:
@@ -171,6 +171,18 @@ USUAL = {
     name: LACKING[name]
     for name in [*(f"{name} {x:g}" for name, (x, *_) in EFFECTS.items()), *COMPLIANT]
 }
+# Cases of one effect, in three sizes: what an encoder's period and a compliance have, by theirs.
+SIZES = {
+    **{
+        name: tuple(f"{name} {times * x:g}" for times in (0.5, 1.0, 2.0))
+        for name, (x, *_) in EFFECTS.items()
+    },
+    **{
+        word: tuple(name for name in COMPLIANT if name.startswith(word))
+        for word in ("elastic", "a gap", "a bristle")
+    },
+    **{name: (name,) for name in UNLISTED},
+}
 BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
     **{name: ((), CASES[name]) for name in RIGHT},
     "arm": ((), _arm_bench),
@@ -192,4 +204,9 @@ BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
         if isinstance(bench, Bench)
     },
     **UNLISTED,
+    **{
+        f"closed loop, {name}": (kinds, replace(bench, loop=4.0))
+        for name, (kinds, bench) in (LACKING | UNLISTED).items()
+        if name not in USUAL
+    },
 }

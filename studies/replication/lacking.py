@@ -1,8 +1,10 @@
 """Do intervals hold where the model lacks a term? SIMULATED joints of the diagnostics' benches.
 
 ``python studies/replication/lacking.py`` fits recordings of :mod:`joints`, each with one thing that
-the model does not have and is not given, and counts how often intervals hold the true values of
-what model and joint share. Writes ``lacking.json``; ``--recordings N``, ``--cases A B`` for less.
+the model does not have and is not given, in three sizes and two motions (a torque that is
+commanded, and a path that a position loop follows), and counts how often intervals hold the true
+values of what model and joint share. Writes ``lacking.json``; ``--recordings N`` of each,
+``--effects A B`` for less; ``--table`` prints what is there.
 """
 
 from __future__ import annotations
@@ -27,12 +29,22 @@ HERE = Path(__file__).resolve().parent
 for folder in ("calibration", "diagnostics"):
     sys.path.insert(0, str(HERE.parent / folder))
 
-from joints import BENCHES, RIGHT, UNLISTED, USUAL, recorded
+from joints import BENCHES, RIGHT, SIZES, recorded
 
 from bayesfric import Model
 
 SEED = 41
-CASES = (*RIGHT[:6], "arm", *USUAL, *UNLISTED)
+MOTIONS = ("", "closed loop, ")
+EFFECTS: dict[str, tuple[str, ...]] = {
+    **{name: (name,) for name in RIGHT[:6]},
+    "arm": ("arm",),
+    "closed loop": ("closed loop",),
+    **{
+        f"{motion}{name}": tuple(motion + case for case in cases)
+        for name, cases in SIZES.items()
+        for motion in MOTIONS
+    },
+}
 
 
 def true_values(truth: dict[str, float], names: list[str]) -> dict[str, float]:
@@ -76,7 +88,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
 
 
 def line(name: str, found: list[dict[str, Any]]) -> str:
-    """Sum one case up."""
+    """Sum one effect up."""
     rows = [row for one in found for row in one["rows"]]
     off = [not one["findings"] and any(abs(row["z"]) > 2.0 for row in one["rows"]) for one in found]
     wider = [row["wider"] for row in rows]
@@ -93,16 +105,20 @@ def main() -> None:
     """Fit what is asked for, and keep it case by case."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=int, default=10)
-    parser.add_argument("--cases", nargs="*", default=list(CASES))
+    parser.add_argument("--effects", nargs="*", default=list(EFFECTS))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--to", type=Path, default=HERE / "lacking.json")
+    parser.add_argument("--table", action="store_true")
     told = parser.parse_args()
     result = json.loads(told.to.read_text()) if told.to.exists() else {}
     with ProcessPoolExecutor(told.workers) as pool:
-        for case in told.cases:
-            result[case] = list(pool.map(one, [(case, k) for k in range(told.recordings)]))
-            told.to.write_text(json.dumps(result, indent=1) + "\n")
-            print(line(case, result[case]), flush=True)
+        for effect in told.effects:
+            for case in EFFECTS[effect]:
+                if not told.table:
+                    tasks = [(case, k) for k in range(told.recordings)]
+                    result[case] = list(pool.map(one, tasks))
+                    told.to.write_text(json.dumps(result, indent=1) + "\n")
+            print(line(effect, [f for case in EFFECTS[effect] for f in result[case]]), flush=True)
 
 
 if __name__ == "__main__":
