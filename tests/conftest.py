@@ -42,7 +42,7 @@ LONG = {
     "": """
         face own_term""",
     "commands": """
-        advise again alerts bad_input bad_output compare doubts estimate
+        advise again bad_input bad_output compare doubts estimate
         explain fit identify init_from little_explained own_offsets
         pool report resume simulate_check_init validation voltage""",
     "diagnostics": """

@@ -55,11 +55,6 @@ def test_what_is_missing_is_named_with_what_to_write(swing):
     assert list(found.frame["kind"]) == ["viscous_by_direction"]
 
 
-def test_a_model_that_lacks_nothing_is_told_so(swing):
-    swing.config(JOINT + BY_DIRECTION + recorded())
-    assert swing.run("explain", "c.toml").out.startswith("None of")
-
-
 def test_too_few_outputs_are_said_to_be(swing):
     more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
     swing.config(JOINT + recorded() + more)

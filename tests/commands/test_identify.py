@@ -75,15 +75,6 @@ def test_the_known_mass_determines_everything(bench):
     assert {row["status"] for row in found["parameters"].values()} == {"identified"}
 
 
-def test_what_is_determined_is_said_to_be(bench):
-    bench.simulated(AXIS)
-    ended = bench.run("identify", "c.toml")
-    assert ended.out.splitlines()[0] == "This recording can tell every parameter."
-    found = bench.told("identify", "c.toml")
-    assert found["method"] == "input-error"
-    assert found["voltage"] is None
-
-
 def test_the_likelihood_of_the_position(bench):
     bench.simulated(AXIS + '\n[likelihood]\nmethod = "output-error"\n')
     found = bench.told("identify", "c.toml")

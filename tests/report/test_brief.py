@@ -1,13 +1,9 @@
 """The answer of a run: short, in one order, the same on terminal and page."""
 
-import ast
-from pathlib import Path
-
 import pytest
 
-import bayesfric
 from bayesfric.report.page.pages import run_page
-from bayesfric.report.terminal import FINDINGS, ROWS, WIDTH, brief, fit_text
+from bayesfric.report.terminal import FINDINGS, ROWS, brief
 from bayesfric.report.words import line_of, words
 from bayesfric.results.reported import ORDER, Spread, concluded
 
@@ -23,14 +19,6 @@ def crowded():
     for k in range(30):
         told["parameters"][f"offset.recording_{k}"] = dict(told["parameters"]["motor.inertia"])
     return told
-
-
-@pytest.mark.parametrize("made", [knee, loaded, every_kind, crowded])
-def test_the_terminal_has_thirty_lines_of_a_hundred_columns_and_250_words(made):
-    lines = list(fit_text(made()))
-    assert len(lines) <= 30
-    assert max(map(len, lines)) <= WIDTH
-    assert len(" ".join(lines).split()) <= 250
 
 
 @pytest.mark.parametrize(
@@ -89,22 +77,6 @@ def test_every_kind_that_is_told_has_its_line():
         line = line_of(kind, values)
         assert line
         assert "{" not in line
-    finding = FOUND | {"kind": "viscous_by_direction"}
-    finding["hint"] = 'mechanism.elements.motor.viscous = "by-direction"'
-    line = line_of(finding["kind"], finding)
-    assert line.endswith('viscous = "by-direction" in [mechanism.elements.motor]')
-    assert len(line) <= WIDTH - 2
-
-
-def test_no_view_makes_an_interval_of_parts():
-    """What joins posterior, model error and bias stands in one place, below all views."""
-    parts = {"model_error_interval", "model_error_sd", "corrected", "corrected_interval"}
-    package = Path(bayesfric.__file__).parent
-    for path in (package / "report").rglob("*.py"):
-        if path.parent.name == "summary":
-            continue
-        nodes = ast.walk(ast.parse(path.read_text()))
-        assert not parts & {one.attr for one in nodes if isinstance(one, ast.Attribute)}, path
 
 
 @needs_browser

@@ -18,7 +18,6 @@ from bayesfric.report.comparison.comparison import (
     comparison_text,
     explained,
 )
-from bayesfric.report.numbers import TEXT
 from bayesfric.report.paper.tables import methods_latex, parameter_table
 
 from .made_summaries import (
@@ -196,31 +195,6 @@ def test_noise_accounts_for_correlation_where_it_has_a_memory(noise, method, acc
 # -- what is shown, in which order
 
 
-def test_totals_first_then_what_no_scaling_changes():
-    found = comparison({"knee": knee()})
-    assert [row.name for row in found.rows] == [*TOTALS, *DERIVED, *MOTOR, *LEG]
-    labels = ["least-squares", "input-error", "output-error", "posterior", "reference"]
-    assert [column.label for column in found.columns] == labels
-    # what they are comes along; noise is no quantity of the joint
-    row = found["motor.inertia"]
-    assert (row.unit, row.symbol, row.meaning) == ("kg m²", "J_{m}", "made up")
-    assert row.kind == "parameter"
-    assert row.gauge_free
-    assert not found["load.inertia"].gauge_free
-
-
-def test_several_runs_show_posteriors_unless_asked():
-    runs = {"a": knee(), "b": loaded()}
-    labels = [column.label for column in comparison(runs).columns]
-    assert labels == ["a: posterior", "b: posterior", "reference"]
-    labels = [column.label for column in comparison(runs, estimates=True).columns]
-    methods = ["least-squares", "input-error", "output-error", "posterior"]
-    assert labels == [*(f"{run}: {m}" for run in "ab" for m in methods), "reference"]
-    assert comparison(runs).baseline == "a: posterior"
-    lone = comparison({"a": knee()}, estimates=False)
-    assert [column.label for column in lone.columns] == ["posterior", "reference"]
-
-
 # -- what is open
 
 
@@ -356,19 +330,6 @@ def test_summaries_without_the_newer_keys():
 # -- layouts
 
 
-@pytest.mark.parametrize("width", [80, 120])
-def test_text_fits_and_has_every_cell(width):
-    runs = {f"run {k}": knee() for k in range(7)}
-    found = comparison(runs, estimates=True)
-    lines = list(comparison_text(found, width))
-    assert max(map(len, lines)) <= width
-    cells = [cell for row in found.rows for cell in row.cells.values()]
-    with_sd = [cell for cell in cells if cell.sd is not None]
-    assert sum(line.count(" ± ") for line in lines) == len(with_sd)
-    left_out = [cell for cell in cells if cell.status == "undetermined"]
-    assert sum(line.count("not determined") for line in lines) == len(left_out)
-
-
 def test_csv_and_json_hold_the_same():
     found = comparison({"a": knee(), "b": loaded()}, estimates=True)
     record = json.loads(json.dumps(comparison_dict(found), allow_nan=False))
@@ -379,20 +340,3 @@ def test_csv_and_json_hold_the_same():
         assert float(row["value"]) == cell["value"]
         assert row["sd"] == ("" if cell["sd"] is None else str(cell["sd"]))
         assert row["status"] == cell["status"]
-
-
-@pytest.mark.parametrize(
-    ("value", "sd", "printed"),
-    [
-        (4.6179018e-4, 4.07e-7, "4.6179e-4 ± 4.1e-7"),
-        (0.235988, 0.000943, "0.23599 ± 9.4e-4"),
-        (-0.0044147, 0.0009, "-0.00441 ± 9.0e-4"),
-        (0.0, 0.01, "0 ± 0.010"),
-        (0.008, 0.16, "0.01 ± 0.16"),
-        (-0.001, 0.16, "0 ± 0.16"),
-        (1234.5, 120.0, "1.23e3 ± 1.2e2"),
-        (3.0, 12.0, "3 ± 12"),
-    ],
-)
-def test_numbers_are_rounded_by_their_sd(value, sd, printed):
-    assert TEXT.value(value, sd) == printed

@@ -26,10 +26,6 @@ def quantities(fit):
     return corner.quantities(fit, summarise(fit))
 
 
-def drawn(fit):
-    return corner_figure(fit, summarise(fit))
-
-
 def determined(fit):
     """Its summary where nothing is open: the corner shows parameters in their order."""
     summary = summarise(fit).as_dict()
@@ -53,13 +49,6 @@ def test_prior_is_drawn_in_the_posteriors_density_unit(knee):
         heights, edges, _ = by_gid(ax, "posterior").get_data()
         # all but the two thousandths outside the margins, at most
         assert 0.997 < np.sum(heights * np.diff(edges)) <= 1.0 + 1e-12
-
-
-def test_eight_by_default_and_the_rest_named(knee, many):
-    for fit in (knee, many):
-        figure = drawn(fit)
-        assert max(panels(figure))[0] == 7
-        assert any(text.get_text().startswith("not shown") for text in figure.texts)
 
 
 def test_what_the_data_tell_comes_first(knee):
@@ -109,14 +98,6 @@ def test_ensembles_that_disagree_determine_nothing(knee):
     figure = corner_figure(knee, Summary.read(failed(summarise(knee).as_dict())))
     for k in range(8):
         assert "posterior" not in {a.get_gid() for a in panels(figure)[k, k].get_children()}
-
-
-def test_scales_of_axes(knee):
-    label = {q.name: q.label() for q in quantities(knee)}
-    assert label["motor.inertia"].endswith("(10$^{-4}$ kg m²)")
-    assert label["gearbox.load_drive"].endswith("(–)")
-    assert label["joint.viscous"].endswith("(N m s)")
-    assert label["noise.sigma"].endswith("(10$^{-2}$ N m)")
 
 
 def test_contours_hold_the_stated_mass(make_fit):

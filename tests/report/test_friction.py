@@ -15,13 +15,9 @@ from bayesfric.report.figures.friction import (
     band,
     covered,
     friction_curves,
-    friction_figure,
     friction_torque,
     near,
 )
-from bayesfric.report.figures.style import COLUMN
-
-from .conftest import draw_fast
 
 KNEE = PRESETS["rabbit-knee"].chain()
 TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
@@ -213,20 +209,3 @@ def test_points_without_a_value_in_most_draws_have_none(knee):
 
 
 # -- the figure
-
-
-def open_and_bands(figure):
-    found = [c.get_gid() for ax in figure.axes for c in ax.collections if c.get_gid()]
-    return found.count("open"), found.count("band")
-
-
-def test_loads_for_the_knee_none_for_an_axis(knee, slide):
-    loaded, plain = friction_figure(knee), friction_figure(slide)
-    for figure in (loaded, plain):
-        assert figure.get_figwidth() == COLUMN
-        draw_fast(figure)
-        assert open_and_bands(figure)[1] > 0
-    legend = loaded.axes[0].get_legend()
-    assert [text.get_text()[:2] for text in legend.get_texts()] == ["no", "+0", "\N{MINUS SIGN}0"]
-    assert plain.axes[0].get_legend() is None
-    assert plain.axes[0].get_ylabel() == "friction force $F$ (N)"
