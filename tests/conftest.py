@@ -51,8 +51,6 @@ LONG = {
         attenuation delay input_error output_error""",
     "export": """
         at_joint command mujoco""",
-    "fleet": """
-        population""",
     "hostile": """
         findings odd runs special_files""",
     "identifiability": """

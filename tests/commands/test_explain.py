@@ -39,9 +39,6 @@ LINE = 'mechanism.elements.motor.viscous = "by-direction"'
 
 
 def test_what_is_missing_is_named_with_what_to_write(swing):
-    text = swing.run("explain", "c.toml").out
-    has(" ".join(text.split()), 'viscous = "by-direction" in [mechanism.elements.motor]')
-    assert len(text.splitlines()) < 10
     found = printed = swing.told("explain", "c.toml")
     (one,) = found["findings"]
     assert (one["kind"], one["hint"]) == ("viscous_by_direction", LINE)

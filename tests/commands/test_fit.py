@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 import time
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.progress import Spent
-from bayesfric.commands.fit import demo_config, fit, fit_text
+from bayesfric.commands.fit import demo_config, fit
 from bayesfric.fit.model import Model
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
@@ -160,15 +159,6 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     status = written["sampler"]["status"]
     assert status in ("tentative", "unusable")
     assert written["sampler"]["problems"]
-    assert "Not converged:" in ended.out.splitlines()[1]
-    spent = re.fullmatch(
-        r"run/report.html   in all ([\d.]+) s by the clock, ([\d.]+) s of CPU time",
-        ended.out.splitlines()[-1],
-    )
-    assert spent is not None
-    told = "\n".join(fit_text(written, verbose=True))
-    for problem in written["sampler"]["problems"]:
-        assert problem in told
     kept = {path.name for path in (bench.folder / "run").iterdir()}
     assert kept >= {"posterior.nc", "summary.json", "summary.csv", "config.toml"}
 

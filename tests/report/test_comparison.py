@@ -16,9 +16,8 @@ from bayesfric.report.comparison.comparison import (
     comparison_csv,
     comparison_dict,
     comparison_text,
-    explained,
 )
-from bayesfric.report.paper.tables import methods_latex, parameter_table
+from bayesfric.report.paper.tables import parameter_table
 
 from .made_summaries import (
     DERIVED,
@@ -67,48 +66,36 @@ def test_disagreement_of_references_and_runs_adds_their_variance():
 
 def test_totals_of_the_motion_are_not_measured_between_runs():
     a, b = knee(), loaded()
-    assert not [note for note in comparison({"a": a, "b": b}).notes if "own motion" in note]
     b["derived"]["total.inertia"]["of_motion"] = True  # an older run does not tell
     found = comparison({"a": a, "b": b})
     assert found["total.inertia"].cells["b: posterior"].disagreement is None
     assert found["total.viscous"].cells["b: posterior"].disagreement is not None
-    (note,) = [note for note in found.notes if "own motion" in note]
-    assert "total.inertia" in note
     # of one recording the methods have one motion
     alone = comparison({"b": b})
     assert alone["total.inertia"].cells["input-error"].disagreement is not None
-    (note,) = [note for note in alone.notes if "own motion" in note]
-    assert "runs are not measured" not in note
 
 
 def test_white_noise_that_was_found_and_passes_is_not_called_assumed():
     run = knee()
     run["noise"] |= {"accounts_for_correlation": False, "order_chosen_from": []}
     run["noise"]["innovation_whiteness"] = {"test": "Ljung-Box", "p_value": 0.16, "white": True}
-    told = "takes residuals for uncorrelated"
     cells = comparison({"knee": run})["total.inertia"].cells
     assert not cells["posterior"].accounts
     tried = [{"order": k, "bic": 4.0 * k} for k in range(3)]
     run["noise"]["order_chosen_from"] = tried
     found = comparison({"knee": run})
     assert found["total.inertia"].cells["posterior"].accounts
-    # as the estimates' sds are robust nothing is left to mark
-    assert not [line for line in explained(found) if told in line]
     run["noise"]["innovation_whiteness"]["white"] = False
     assert not comparison({"knee": run})["total.inertia"].cells["posterior"].accounts
 
 
 def test_estimates_that_disagree_are_named():
     run = knee()
-    assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
     row = run["estimates"]["least-squares"]["parameters"]["total.inertia"]
     row["value"] += 4.0 * TOTALS["total.inertia"][4]
     # 1.4 - 4 sds: 2.6, and then 3.6
-    assert not [note for note in comparison({"knee": run}).notes if "differs" in note]
+    assert comparison({"knee": run}).contested == ()
     row["value"] += 1.0 * TOTALS["total.inertia"][4]
-    (note,) = [note for note in comparison({"knee": run}).notes if "differs" in note]
-    assert note.startswith("Least-squares differs from the posterior by more than 3 sd")
-    assert "total.inertia" in note
     assert comparison({"knee": run}).contested == ("total.inertia",)
     (told,) = [one for one in alerts_of(run) if one.kind == "methods"]
     assert "total.inertia" in told.text
@@ -165,8 +152,6 @@ def test_the_sd_is_the_one_for_correlated_residuals():
     # a posterior that takes noise for white says so
     found = comparison({"old": old()})
     assert not found["motor.inertia"].cells["posterior"].accounts
-    assert "†" in text(found)
-    assert "†" not in text(comparison({"knee": knee()}))
 
 
 @pytest.mark.parametrize(
@@ -258,10 +243,6 @@ def test_an_estimate_that_did_not_converge_is_told_in_its_own_column_only():
         assert (cell.status, cell.converged) == ("undetermined", False)
         assert cell.remark == "the search has not converged"
         assert cells == {k: c for k, c in sound[name].cells.items() if k != "output-error"}
-    printed = methods_latex(told)
-    assert "n.c.: not converged" in printed
-    assert "not determined" not in printed
-    assert printed.count("n.c. ") == len(told.rows)
 
 
 @pytest.mark.parametrize("span", [None, [0.0, 0.0]])

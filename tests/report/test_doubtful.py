@@ -2,12 +2,10 @@
 
 import csv
 import io
-import re
 
 import pytest
 
-from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.paper.tables import latex_texts, methods_latex, summary_texts
+from bayesfric.report.paper.tables import summary_texts
 
 from .made_summaries import loaded
 
@@ -28,23 +26,6 @@ def told():
     found["parameters"][LIMIT] |= doubted | bound
     found["model_error"] = {"shown": True}
     return found
-
-
-def test_in_the_same_cell_of_every_table(told):
-    for row in latex_texts(told, "run")["tables/parameters.tex"].splitlines():
-        cells = row.split(" & ")
-        if len(cells) < 5:
-            continue
-        interval = [cell for cell in cells if re.search(r"\[.*\]", cell)][:1]
-        value = [cell for cell in cells if r"\leq" in cell]
-        if NAME in cells[0]:
-            assert interval[0].rstrip("$ ").endswith("(doubtful)"), row
-        elif value:
-            assert value[0].endswith("(doubtful)"), row
-        else:
-            assert "doubtful" not in row, row
-    assert r"\textsuperscript{d}" in methods_latex(comparison({"run": told}))
-    assert "d: doubtful" in methods_latex(comparison({"run": told}))
 
 
 def test_a_table_that_is_filtered_by_status_does_not_pass_it(told):
