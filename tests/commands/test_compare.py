@@ -37,11 +37,6 @@ def undrawn(monkeypatch):
 def test_one_run_in_a_process_of_its_own(runs):
     ended = runs.run_apart("compare", "knee", "-o", "out")
     assert (ended.code, ended.err) == (0, ""), ended
-    for word in ("least-squares", "input-error", "output-error", "posterior", "CAD", *TOTALS, *LEG):
-        assert word in ended.out
-    lines = ended.out.split("\n")
-    assert lines[-2] == "Written to out"
-    assert max(map(len, lines)) <= 120
     found = {str(path.relative_to(runs.folder / "out")) for path in runs.folder.glob("out/**/*")}
     assert found == {
         "report.html", "comparison.csv", "comparison.tex", "comparison.json", "figures",

@@ -7,20 +7,13 @@ from bayesfric.base.errors import BadInput
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 
-from .bench import SMALL, cases, has
+from .bench import SMALL, cases, has, simulation
 
 CONFIG = f"""{SMALL}
 [references]
 "motor.inertia" = {{ value = 0.0101, sd = 2e-4, source = "data sheet" }}
 motor.viscous = 0.05
-
-[simulation]
-duration = 4.0
-rate = 500
-excitation = "multisine"
-encoder_counts = 1048576
-torque_noise = 0.01
-"""
+{simulation(duration=4.0, rate=500, encoder_counts=2**20, torque_noise=0.01)}"""
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
 METHODS = ["least-squares", "input-error", "output-error"]
 
@@ -98,14 +91,8 @@ def test_a_noise_prior_of_the_other_likelihood_is_refused(small):
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-PENDULUM = f"""{SMALL.replace("motor-axis", "servo-pendulum")}
-[simulation]
-duration = 6.0
-rate = 200
-excitation = "multisine"
-amplitude = 0.4
-torque_noise = 0.005
-"""
+PENDULUM = SMALL.replace("motor-axis", "servo-pendulum")
+PENDULUM += simulation(duration=6.0, amplitude=0.4, torque_noise=0.005)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from bayesfric.fit.model import Model
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
 
-from .bench import SMALL, simulated, without_figures
+from .bench import SMALL, simulated, simulation, without_figures
 
 CONFIG = f"""{SMALL}
 [sampling]
@@ -24,13 +24,7 @@ seed = 3
 
 [self_check]
 recordings = 10
-
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-"""
+{simulation(encoder_counts=2**20)}"""
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
 KINDS = ("pdf", "png", "svg")
 # Table 3 of the 2005 paper: gearbox 50, alpha_1, alpha_2

@@ -11,7 +11,7 @@ from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 
 from ..conftest import DATA, REPOSITORY
-from .bench import JOINT, SMALL, has, recorded, simulated
+from .bench import JOINT, SMALL, has, recorded, simulated, simulation
 
 FOLDER = Path(str(files("bayesfric") / "examples"))
 UR10E = REPOSITORY / "studies" / "ur10e" / "ur10e-joint2.toml"
@@ -25,14 +25,7 @@ SCALED = {
     "load.inertia",
     "load.first_moment",
 }
-AXIS = f"""{SMALL}
-[simulation]
-duration = 2.0
-rate = 500
-excitation = "multisine"
-encoder_counts = 1048576
-torque_noise = 0.01
-"""
+AXIS = SMALL + simulation(duration=2.0, rate=500, encoder_counts=2**20, torque_noise=0.01)
 
 
 def null(found):
@@ -119,14 +112,8 @@ def test_xl330_confounds_back_emf(bench, real_data):
     has(found["voltage"]["meaning"], "viscous loss and back-EMF cannot be told apart")
 
 
-PENDULUM = f"""{JOINT.replace("motor-axis", "servo-pendulum")}{recorded("swing")}
-[simulation]
-duration = 6.0
-rate = 200
-excitation = "multisine"
-amplitude = 0.35
-encoder_counts = 1048576
-"""
+PENDULUM = JOINT.replace("motor-axis", "servo-pendulum") + recorded("swing")
+PENDULUM += simulation(duration=6.0, amplitude=0.35, encoder_counts=2**20)
 
 
 @pytest.mark.parametrize("advise", [(), ("--advise", "motor.viscous")])

@@ -7,18 +7,11 @@ import pytest
 
 from bayesfric.inference.archive import read_archive
 
-from .bench import JOINT, has, recorded, without_figures
+from .bench import JOINT, has, recorded, simulation, without_figures
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-SIMULATION = """
-[simulation]
-duration = 3.0
-rate = 400
-excitation = "multisine"
-encoder_counts = 0
-torque_noise = 0.01
-"""
+SIMULATION = simulation(rate=400, encoder_counts=0, torque_noise=0.01)
 NAMES = ("one", "two", "three")
 SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
 PROCESSING = '\n[processing]\nlowpass = "100 Hz"\ndecimate = 1\n'

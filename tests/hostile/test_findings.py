@@ -307,17 +307,6 @@ def test_unit_that_would_be_computed_for_ever(text):
         quantity(text, "time")
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("1e-3 s", 1e-3), ("2 s", 2.0), ("10**3 ms", 1.0), ("1/50 s", 0.02), ("3**2 s", 9.0),
-        ("5s", 5.0),
-    ],
-)  # fmt: skip
-def test_numbers_in_units_are_still_read(text, value):
-    assert quantity(text, "time") == pytest.approx(value, rel=1e-15)
-
-
 # -- configuration
 
 

@@ -163,9 +163,3 @@ def test_two_files_with_one_name(tmp_path):
     for name in ("a.csv", "b.csv"):
         write(tmp_path, "\n".join(ROWS), name)
     has(refused(tmp_path, source("*.csv", name="x")), "name", "2 files")
-
-
-@pytest.mark.parametrize("unit", ["%", "N", "V", "rad", "bananas", "", "9**9**9", "N m +/- 1"])
-def test_wrong_unit_of_the_torque(tmp_path, unit):
-    write(tmp_path, "\n".join(ROWS))
-    has(refused(tmp_path, torque(unit)), "run.csv", "'tau'", "unit of torque", "N m")

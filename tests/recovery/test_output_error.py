@@ -7,7 +7,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
-from tests.commands.bench import SMALL, simulated
+from tests.commands.bench import SMALL, simulated, simulation
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -19,15 +19,7 @@ method = "output-error"
 min_ess = 800
 walkers = 16
 seed = 4
-
-[simulation]
-duration = 3.0
-rate = 250
-excitation = "multisine"
-amplitude = 3.0
-encoder_counts = 65536
-torque_noise = 0.02
-"""
+{simulation(rate=250, amplitude=3.0, encoder_counts=65536, torque_noise=0.02)}"""
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
 
 

@@ -258,18 +258,6 @@ def test_on_a_bound(span):
     assert cell.disagreement == pytest.approx((0.0 - 3.8e-3) / 4.4e-4, rel=1e-9)
 
 
-@pytest.mark.parametrize(("bound", "words", "limit"), [("lower", "at most", 1), ("upper", "at", 0)])
-def test_pushed_against_a_bound_is_a_limit(bound, words, limit):
-    run = knee()
-    row = run["parameters"]["motor.viscous"]
-    row |= {"at_bound": bound, "verdict": "weak", "data_sd": 1e-3, "prior_sd": 4e-3}
-    cell = comparison({"a": run})["motor.viscous"].cells["posterior"]
-    assert cell.status == "limit"
-    assert cell.limit == row["interval"][limit]
-    assert cell.remark.startswith(words)
-    assert (cell.sd, cell.interval) == (None, None)
-
-
 def test_what_is_known_is_no_result():
     one, two = knee(), knee()
     row = one["parameters"].pop("motor.viscous")

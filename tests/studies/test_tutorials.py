@@ -100,12 +100,6 @@ def test_committed_outputs_say_what_the_words_say(name):
     assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
 
 
-def test_they_are_listed_and_small():
-    readme = (FOLDER / "README.md").read_text(encoding="utf-8")
-    assert sorted(re.findall(r"^\| \[`(\w+)`\]", readme, re.M)) == NAMES
-    assert sum(path.stat().st_size for path in FOLDER.rglob("*.*")) < 2e6
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_it_runs_and_says_it_again(name, monkeypatch):
