@@ -2,12 +2,10 @@
 
 import pytest
 
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.terminal import FINDINGS, ROWS, brief
 from bayesfric.report.words import line_of, words
 from bayesfric.results.reported import ORDER, Spread, concluded
 
-from .chromium import needs_browser, show, until
 from .made_summaries import FOUND, every_kind, knee, loaded
 
 
@@ -77,15 +75,3 @@ def test_every_kind_that_is_told_has_its_line():
         line = line_of(kind, values)
         assert line
         assert "{" not in line
-
-
-@needs_browser
-def test_what_a_link_leads_to_is_opened(browser, tmp_path):
-    path = tmp_path / "report.html"
-    path.write_text(run_page(tmp_path, knee(), "run"), encoding="utf-8")
-    page = show(browser, path, folded=True)
-    fold = page.find_element("css selector", "#parameters > details")
-    assert fold.get_attribute("open") is None
-    assert len(page.find_element("tag name", "body").text.split()) < 1200
-    page.find_element("css selector", 'nav a[href="#parameters"]').click()
-    until(lambda: fold.get_attribute("open") is not None)
