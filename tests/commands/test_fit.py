@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.progress import Spent
-from bayesfric.commands.fit import demo_config, fit
-from bayesfric.fit.model import Model
+from bayesfric.commands.fit import fit
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
 
@@ -173,17 +172,6 @@ def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
 
 
 # -- the demo
-
-
-def test_the_demo_reads_what_the_package_holds():
-    config = demo_config()
-    problem = Model.from_config(config)
-    assert problem.chain.made_from == "rabbit-knee"
-    (recording,) = problem.recordings
-    assert recording.path.name == "knee.csv"
-    assert recording.time.size == 10_000
-    assert config.tables.sampling.seed == 2005
-    assert "SIMULATED" in config.text
 
 
 def totals_of_table_3():

@@ -200,20 +200,3 @@ def test_real_logs(bench, real_data, file, columns, units):
     assert bench.run("check", bench.folder / "made.toml").code == 2
     if units is not None:
         passes(bench, text, **units)
-
-
-def test_an_axis_that_slides_is_offered(bench):
-    """Metres cannot be told from radians: both are said, with what they take."""
-    rows = {"t": T, "qm": 0.12 * Q / np.ptp(Q), "vir": 0.3 * TAU}
-    pd.DataFrame(rows).to_csv(bench.folder / "axis.csv", index=False)
-    text, _ = written(bench, "axis.csv")
-    assert '# motion = "linear"' in text
-    assert '; with motion = "linear" m or mm' in text
-    # and what is said is right
-    text = text.replace('# motion = "linear"', 'motion = "linear"')
-    text = text.replace('torque = { column = "?", unit = "?"',
-                        'torque = { column = "vir", unit = "V", constant = "35 N/V"')  # fmt: skip
-    assert "motor.inertia" in passes(bench, text, position="m")
-    (bench.folder / "made.toml").unlink()
-    text, told = written(bench, "axis.csv", "servo-pendulum")
-    assert 'motion = "linear"' not in text + told

@@ -42,15 +42,6 @@ def test_the_truth_and_both_noises_are_found(run):
     assert (rows["noise.torque"]["unit"], rows["noise.position"]["unit"]) == ("N m", "rad")
 
 
-def test_the_summary_says_what_was_explained(run):
-    _, summary = run
-    assert summary["likelihood"]["method"] == "output-error"
-    assert (summary["fit"]["quantity"], summary["fit"]["unit"]) == ("joint position", "rad")
-    # drifting residuals are what this likelihood expects, no reason to warn
-    assert not any("too narrow" in text for text in summary["warnings"])
-    assert set(summary["estimates"]) == {"least-squares", "input-error", "output-error"}
-
-
 def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
     folder, _ = run
     data = read_archive(folder / "posterior.nc")
