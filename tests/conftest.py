@@ -92,6 +92,14 @@ def pytest_ignore_collect(collection_path, config):
     return True if config.option.markexpr == "quick" and collection_path in LONG_FILES else None
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give a file's tests to one worker: what they share is made once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
+
+
 @pytest.hookimpl(tryfirst=True)  # before pytest chooses by marks
 def pytest_collection_modifyitems(items):
     """Mark ``quick`` all but the long ones, so that ``-m quick`` is most of the facts soon."""
