@@ -37,24 +37,23 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
 
 
-# Files that take more than a second or two each: they sample, draw or start processes.
+# Files that take too long for each commit: they sample, draw or start processes.
 LONG = {
     "": """
         face own_term""",
     "commands": """
-        advise again bad_input bad_output compare doubts estimate
-        explain fit identify init_from little_explained names own_offsets
-        pool report resume simulate_check_init validation voltage""",
+        advise again compare doubts estimate explain fit identify little_explained
+        names own_offsets pool report resume validation voltage""",
     "diagnostics": """
         explanation self_check""",
     "estimates": """
         attenuation collinear_losses delay input_error output_error shooting""",
     "export": """
-        at_joint command mujoco""",
+        command mujoco""",
     "fleet": """
         cluster work""",
     "hostile": """
-        bounds findings odd runs special_files""",
+        bounds odd runs""",
     "identifiability": """
         advise""",
     "inference": """
@@ -68,7 +67,7 @@ LONG = {
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        bounds browser calculator corner figures forest model_error prediction residual ridge
+        bounds browser calculator corner figures model_error prediction residual ridge
         run_directory self_check summary validation""",
     "rollouts": """
         rollout""",
