@@ -299,6 +299,18 @@ def test_summaries_without_the_newer_keys():
 # -- layouts
 
 
+def test_a_table_that_is_filtered_by_status_does_not_pass_what_is_doubtful():
+    run = loaded()
+    doubted = {"verdict": "weak", "doubted": ["some"]}
+    run["parameters"]["motor.inertia"] |= doubted
+    limit = {"at_bound": "lower", "bound": 0.0, "data_sd": 1e-3, "prior_sd": 1.0}
+    run["parameters"]["load.inertia"] |= doubted | limit
+    rows = csv.DictReader(io.StringIO(comparison_csv(comparison({"run": run}))))
+    status = {row["name"]: row["status"] for row in rows if row["column"] == "posterior"}
+    assert (status["motor.inertia"], status["load.inertia"]) == ("doubtful", "doubtful")
+    assert status["motor.viscous"] == "determined"
+
+
 def test_csv_and_json_hold_the_same():
     found = comparison({"a": knee(), "b": loaded()}, estimates=True)
     record = json.loads(json.dumps(comparison_dict(found), allow_nan=False))

@@ -16,7 +16,6 @@ from bayesfric.report.figures.friction import (
     covered,
     friction_curves,
     friction_torque,
-    near,
 )
 
 KNEE = PRESETS["rabbit-knee"].chain()
@@ -167,16 +166,6 @@ def test_places_are_where_the_recordings_ran(knee, curves):
     assert {np.sign(c.load[0]) for c in curves} == {-1.0, 0.0, 1.0}
 
 
-def test_a_fast_output_alone_is_not_near():
-    """Two of 103 outputs are fast: recorded, yet too few to cover a place."""
-    for recorded, places, seen in (
-        (np.linspace(0, 10, 101), [5.0, 10.4, 14.0], [True, True, False]),
-        (np.r_[np.linspace(0, 4, 101), 9.0, 9.1], [2.0, 9.0], [True, False]),
-        (np.r_[np.linspace(0, 4, 101), 9.0, 9.05, 9.1], [9.05], [True]),
-    ):
-        assert near(np.array([places]), recorded[None]).tolist() == seen
-
-
 def as_before(fit):
     """Make the posterior of a fit its prior: the data told nothing."""
     rng = np.random.default_rng(1)
@@ -194,18 +183,6 @@ def test_what_is_as_wide_as_before_is_not_determined(knee):
     assert low < median < high
     assert determined.all()
     assert not band(as_before(knee), friction)[1].any()
-
-
-def test_points_without_a_value_in_most_draws_have_none(knee):
-    def half(x):
-        out = np.tile(x[:, :1], (1, 2))
-        out[: int(0.7 * len(out)), 1] = np.nan
-        return out
-
-    ends, determined = band(knee, half)
-    assert np.isfinite(ends[:, 0]).all()
-    assert np.isnan(ends[:, 1]).all()
-    assert not determined[1]
 
 
 # -- the figure
