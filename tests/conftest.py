@@ -63,7 +63,7 @@ LONG = {
     "population": """
         pooled""",
     "recordings": """
-        load_torque temperature""",
+        inputs""",
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
