@@ -6,7 +6,7 @@ import pytest
 
 from tests.conftest import imported
 
-from .bench import STUDIES, committed
+from .bench import STUDIES, results
 
 
 @pytest.fixture(scope="module")
@@ -14,9 +14,7 @@ def monte_carlo():
     return imported(STUDIES / "rabbit_knee" / "monte_carlo.py")
 
 
-@pytest.fixture(scope="module")
-def result():
-    return committed("rabbit_knee/monte_carlo.json")
+result = results("rabbit_knee/monte_carlo.json")
 
 
 @pytest.mark.slow

@@ -1,13 +1,10 @@
-"""The study of the scaling: what its committed result claims, and its ridge once more."""
+"""The study of the scaling: what its committed result claims."""
 
 import pytest
 
-from .bench import STUDIES, committed
+from .bench import STUDIES, results
 
-
-@pytest.fixture(scope="module")
-def result():
-    return committed("scaling/result.json")
+result = results("scaling/result.json")
 
 
 def test_it_is_simulated_and_every_case_was_sampled_to_the_end(result):
