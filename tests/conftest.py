@@ -96,7 +96,7 @@ def pytest_xdist_make_scheduler(config, log):
     """Give a file's tests to one worker: what they share is made once."""
     from xdist.scheduler import LoadFileScheduling
 
-    return LoadFileScheduling(config, log)
+    return LoadFileScheduling(config, log) if config.option.dist == "load" else None
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest chooses by marks
