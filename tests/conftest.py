@@ -37,24 +37,23 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY.parent / "shared" / "data"
 
 
-# Files that take more than two seconds each: they sample, draw or start processes.
+# Files that take too long for each commit: they sample, draw or start processes.
 LONG = {
     "": """
         face own_term""",
     "commands": """
-        advise again alerts bad_input bad_output compare doubts estimate
-        explain fit identify init_from little_explained own_offsets
-        pool report resume simulate_check_init validation voltage""",
+        advise again compare doubts estimate explain fit identify little_explained
+        names own_offsets pool report resume validation voltage""",
     "diagnostics": """
         explanation self_check""",
     "estimates": """
-        attenuation delay input_error output_error""",
+        attenuation collinear_losses delay input_error output_error shooting""",
     "export": """
-        at_joint command mujoco""",
+        command mujoco""",
     "fleet": """
-        population""",
+        cluster work""",
     "hostile": """
-        findings odd runs special_files""",
+        bounds odd runs""",
     "identifiability": """
         advise""",
     "inference": """
@@ -64,30 +63,47 @@ LONG = {
     "population": """
         pooled""",
     "recordings": """
-        load_torque temperature""",
+        inputs""",
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        browser corner figures forest prediction residual ridge
+        bounds browser calculator corner figures model_error prediction residual ridge
         run_directory self_check summary validation""",
     "rollouts": """
         rollout""",
     "studies": """
         dfki_pendulum real_recordings""",
 }
+LONG_FILES = {
+    Path(__file__).parent / folder / f"test_{name}.py"
+    for folder, names in LONG.items()
+    for name in names.split()
+}
+
+
+def pytest_configure():
+    missing = [path for path in LONG_FILES if not path.is_file()]
+    assert not missing, missing
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Import nothing of the long ones where the quick are asked for: programs and figures."""
+    return True if config.option.markexpr == "quick" and collection_path in LONG_FILES else None
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give a file's tests to one worker: what they share is made once."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log) if config.option.dist == "load" else None
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest chooses by marks
 def pytest_collection_modifyitems(items):
     """Mark ``quick`` all but the long ones, so that ``-m quick`` is most of the facts soon."""
-    long = {
-        Path(__file__).parent / folder / f"test_{name}.py"
-        for folder, names in LONG.items()
-        for name in names.split()
-    }
-    assert all(path.is_file() for path in long), [path for path in long if not path.is_file()]
     for item in items:
-        if item.path not in long and not item.get_closest_marker("slow"):
+        if item.path not in LONG_FILES and not item.get_closest_marker("slow"):
             item.add_marker("quick")
 
 

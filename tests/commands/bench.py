@@ -56,6 +56,12 @@ torque = {{ column = "torque", unit = "N m" }}
 """
 
 
+def simulation(**more):
+    """Table of a recording that is simulated in a moment."""
+    keys = {"duration": 3.0, "rate": 200, "excitation": "multisine"} | more
+    return "\n[simulation]\n" + "".join(f"{key} = {json.dumps(x)}\n" for key, x in keys.items())
+
+
 SMALL = JOINT + recorded()
 # Simulated and sampled in a moment.
 SAMPLED = f"""{SMALL}
@@ -67,13 +73,7 @@ seed = 5
 
 [noise]
 model = "white"
-
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-"""
+{simulation(encoder_counts=2**20)}"""
 
 
 def simulated(path, text, name="small", seed=None):

@@ -1,8 +1,5 @@
 """``bayesfric identify --advise`` as a user sees it."""
 
-from importlib.resources import files
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,11 +9,6 @@ from bayesfric.recordings.read import read_recordings
 from .bench import cases, has
 from .test_identify import AXIS
 
-FOLDER = Path(str(files("bayesfric") / "examples"))
-# short recordings, so that the test is quick
-KNEE = (
-    FOLDER / "knee.toml"
-).read_text() + "\n[advice]\nduration = 1.5\ntorque_limit = 0.7\nmasses = []\n"
 SHORT = "\n[advice]\nduration = 1.0\n"
 
 
@@ -69,21 +61,6 @@ def test_a_file_that_is_there_is_not_lost(axis):
     assert path.read_text() == "mine\n"
     axis.run(*asked, "--force")
     assert path.read_text().startswith("time,torque\n")
-
-
-def test_the_knee_needs_a_mass_and_says_so(bench):
-    """Recordings with nothing bolted on never tell the leg (section 4.2 of the paper)."""
-    bench.config(KNEE)
-    (bench.folder / "knee.csv").write_bytes((FOLDER / "knee.csv").read_bytes())
-    ended = bench.run("identify", "c.toml", "--advise", "load.inertia")
-    assert ended.code == 0, ended.err
-    has(ended.out, "No recording that was tried determines load.inertia", "rests on the priors")
-    has(ended.out, "recordings alone leave it open", "the load drives gearbox in")
-    # nothing that is not determined is given as a value, nor its sd as a share of one
-    has(ended.out.splitlines()[0], "load.inertia (inertia", "): not determined yet")
-    rows = [line.split() for line in ended.out.splitlines() if " none " in line]
-    assert len(rows) >= 8
-    assert {row[2] for row in rows} == {"-"}
 
 
 @pytest.mark.parametrize(

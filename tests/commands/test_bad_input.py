@@ -18,32 +18,22 @@ def test_recording_too_short_for_its_processing(bench, n, parts):
     has(bench.refused(), "c.toml", *parts)
 
 
-# -- which file
-
-
-@pytest.mark.parametrize(
-    ("file", "parts"),
-    cases(
-        ("missing", '"ran.csv"', ["ran.csv", "does not exist", "give a file"]),
-        ("pattern", '"runs/*.csv"', ["c.toml: recordings.1", "'runs/*.csv'", "no file"]),
-        ("folder", '"."', ["is a folder", "give a file"]),
-        ("suffix", '"c.toml"', ["'.toml'", "set format to csv"]),
-        ("number", "3", ["c.toml: recordings.1.file: got 3"]),
-        ("long", f'"{"a" * 300}.csv"', ["c.toml: recordings.1.file", "too long"]),
-        ("nul", r'"a\u0000.csv"', ["c.toml", "NUL"]),
-    ),
-)
-def test_file(bench, file, parts):
-    bench.edit('"run.csv"', file)
-    has(bench.refused(), *parts)
-
-
 # -- configuration: edits of the good one
+
+FILE = '"run.csv"'
 
 
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     cases(
+        # which file
+        ("file-missing", FILE, '"ran.csv"', ["ran.csv", "does not exist", "give a file"]),
+        ("file-pattern", FILE, '"runs/*.csv"', ["c.toml: recordings.1", "'runs/*.csv'", "no file"]),
+        ("file-folder", FILE, '"."', ["is a folder", "give a file"]),
+        ("file-suffix", FILE, '"c.toml"', ["'.toml'", "set format to csv"]),
+        ("file-number", FILE, "3", ["c.toml: recordings.1.file: got 3"]),
+        ("file-long", FILE, f'"{"a" * 300}.csv"', ["c.toml: recordings.1.file", "too long"]),
+        ("file-nul", FILE, r'"a\u0000.csv"', ["c.toml", "NUL"]),
         # units
         ("mass-for-angle", '"rad"', '"kg"', ["run.csv", "'q'", "an angle like", "'kg'"]),
         ("no-such-unit", '"rad"', '"radd"', ["run.csv", "'q'", "'radd' is not a known unit"]),

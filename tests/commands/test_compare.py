@@ -37,11 +37,6 @@ def undrawn(monkeypatch):
 def test_one_run_in_a_process_of_its_own(runs):
     ended = runs.run_apart("compare", "knee", "-o", "out")
     assert (ended.code, ended.err) == (0, ""), ended
-    for word in ("least-squares", "input-error", "output-error", "posterior", "CAD", *TOTALS, *LEG):
-        assert word in ended.out
-    lines = ended.out.split("\n")
-    assert lines[-2] == "Written to out"
-    assert max(map(len, lines)) <= 120
     found = {str(path.relative_to(runs.folder / "out")) for path in runs.folder.glob("out/**/*")}
     assert found == {
         "report.html", "comparison.csv", "comparison.tex", "comparison.json", "figures",
@@ -62,21 +57,6 @@ def test_runs_of_one_name_are_told_apart(runs, monkeypatch):
     assert named("a/run", "b/run") == ["a/run", "b/run"]
     monkeypatch.chdir(runs.folder / "knee")  # the working folder has a name, too
     assert named(".", "../a/run") == ["knee", "run"]
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_open_numbers_stay_without_sd_in_every_file(runs):
-    run = knee()
-    for name in LEG:
-        run["parameters"][name] |= {"sd": 0.0717171, "interval": [0.1717171, 0.9717171]}
-    write(runs.folder / "knee", json.dumps(run))
-    ended = runs.run("compare", "knee", "-o", "out")
-    assert ended.code == 0, ended
-    texts = [path.read_text(encoding="utf-8") for path in runs.folder.glob("out/comparison.*")]
-    assert len(texts) == 3
-    for text in (ended.out, *texts):
-        assert "7171" not in text
-        assert "not determined" in text
 
 
 # -- bad input: one line, exit code 2, nothing written (``refused`` looks)
@@ -137,18 +117,6 @@ def test_the_page_of_several_runs(runs):
     for cell in page.all("td", **{"data-status": "undetermined"}):
         assert cell.text.startswith("not determined")
         assert not set("[±") & set(cell.text)
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_runs_that_differ_are_named_first(runs):
-    other = loaded()
-    other["derived"]["total.inertia"]["mean"] *= 1.2
-    write(runs.folder / "a/run", json.dumps(other, ensure_ascii=False))
-    assert runs.run("compare", "knee", "a/run", "-o", "out").code == 0
-    page = page_of(runs)
-    (first,) = page.all("section", id="findings")
-    assert "differ" in first.text
-    assert "total.inertia" in first.text
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -1,7 +1,5 @@
 """``bayesfric estimate``: the three methods as a user sees them, and references."""
 
-from importlib.resources import files
-
 import numpy as np
 import pytest
 
@@ -9,55 +7,19 @@ from bayesfric.base.errors import BadInput
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 
-from .bench import SMALL, cases, has
+from .bench import SMALL, cases, has, simulation
 
 CONFIG = f"""{SMALL}
 [references]
 "motor.inertia" = {{ value = 0.0101, sd = 2e-4, source = "data sheet" }}
 motor.viscous = 0.05
-
-[simulation]
-duration = 4.0
-rate = 500
-excitation = "multisine"
-encoder_counts = 1048576
-torque_noise = 0.01
-"""
-TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
-METHODS = ["least-squares", "input-error", "output-error"]
+{simulation(duration=4.0, rate=500, encoder_counts=2**20, torque_noise=0.01)}"""
 
 
 @pytest.fixture
 def small(bench):
     bench.simulated(CONFIG)
     return bench
-
-
-def test_all_methods_agree_with_the_truth(small):
-    found = small.told("estimate", "c.toml")
-    assert list(found["estimates"]) == METHODS
-    for method, estimate in found["estimates"].items():
-        for name, value in TRUTH.items():
-            row = estimate["parameters"][name]
-            assert abs(row["value"] - value) < 5 * row["sd_robust"], (method, name)
-            assert row["determined"] is True
-    assert "ANOTHER MINIMUM" not in small.run("estimate", "c.toml").out
-    assert found["references"]["motor.inertia"] == {
-        "value": 0.0101,
-        "sd": 2e-4,
-        "source": "data sheet",
-        "unit": "kg m²",
-    }
-
-
-def test_nothing_undetermined_gets_a_deviation(bench):
-    """The packaged knee alone leaves the scale open: no number there has an sd."""
-    knee = files("bayesfric") / "examples" / "knee.toml"
-    ended = bench.run("estimate", knee, "--method", "input-error")
-    for name in ("load.first_moment", "gearbox.load_drive", "joint.viscous"):
-        (line,) = [one for one in ended.out.splitlines() if one.strip().startswith(name)]
-        has(line, "not determined", "fit as well")
-        assert "±" not in line
 
 
 @pytest.mark.parametrize(
@@ -110,14 +72,8 @@ def test_a_noise_prior_of_the_other_likelihood_is_refused(small):
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-PENDULUM = f"""{SMALL.replace("motor-axis", "servo-pendulum")}
-[simulation]
-duration = 6.0
-rate = 200
-excitation = "multisine"
-amplitude = 0.4
-torque_noise = 0.005
-"""
+PENDULUM = SMALL.replace("motor-axis", "servo-pendulum")
+PENDULUM += simulation(duration=6.0, amplitude=0.4, torque_noise=0.005)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 import time
@@ -11,12 +10,11 @@ import numpy as np
 import pytest
 
 from bayesfric.base.progress import Spent
-from bayesfric.commands.fit import demo_config, fit, fit_text
-from bayesfric.fit.model import Model
+from bayesfric.commands.fit import fit
 from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
 
-from .bench import SMALL, simulated, without_figures
+from .bench import SMALL, simulated, simulation, without_figures
 
 CONFIG = f"""{SMALL}
 [sampling]
@@ -25,13 +23,7 @@ seed = 3
 
 [self_check]
 recordings = 10
-
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-"""
+{simulation(encoder_counts=2**20)}"""
 TRUTH = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.coulomb": 0.2, "offset": 0.02}
 KINDS = ("pdf", "png", "svg")
 # Table 3 of the 2005 paper: gearbox 50, alpha_1, alpha_2
@@ -160,15 +152,6 @@ def test_too_few_steps_end_with_3_and_are_marked(bench, folder):
     status = written["sampler"]["status"]
     assert status in ("tentative", "unusable")
     assert written["sampler"]["problems"]
-    assert "Not converged:" in ended.out.splitlines()[1]
-    spent = re.fullmatch(
-        r"run/report.html   in all ([\d.]+) s by the clock, ([\d.]+) s of CPU time",
-        ended.out.splitlines()[-1],
-    )
-    assert spent is not None
-    told = "\n".join(fit_text(written, verbose=True))
-    for problem in written["sampler"]["problems"]:
-        assert problem in told
     kept = {path.name for path in (bench.folder / "run").iterdir()}
     assert kept >= {"posterior.nc", "summary.json", "summary.csv", "config.toml"}
 
@@ -189,17 +172,6 @@ def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
 
 
 # -- the demo
-
-
-def test_the_demo_reads_what_the_package_holds():
-    config = demo_config()
-    problem = Model.from_config(config)
-    assert problem.chain.made_from == "rabbit-knee"
-    (recording,) = problem.recordings
-    assert recording.path.name == "knee.csv"
-    assert recording.time.size == 10_000
-    assert config.tables.sampling.seed == 2005
-    assert "SIMULATED" in config.text
 
 
 def totals_of_table_3():

@@ -158,23 +158,6 @@ def test_columns_without_names_are_counted(bench):
     has(bench.refused("check", bench.folder / "made.toml"), "recordings.1.rate", "left open")
 
 
-def test_what_could_be_meant_instead_is_told(bench):
-    """A preset was taken: what else there is stands beside."""
-    pd.DataFrame({"t": T, "q": Q, "q_target": Q + 0.01, "tau": TAU}).to_csv(
-        bench.folder / "log.csv", index=False
-    )
-    text, out = written(bench, bench.folder / "log.csv")
-    others = [name for name in PRESETS if name != "motor-axis"]
-    assert len(others) >= 2
-    for name in others:
-        has(out, f'preset = "{name}" is for {PRESETS[name].when}')
-        assert f'"{name}"' in text
-    (bench.folder / "made.toml").unlink()
-    named, said = written(bench, bench.folder / "log.csv", "servo-pendulum")
-    has(named, 'preset = "servo-pendulum"')
-    assert "motor-axis" not in said  # it was asked for
-
-
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_load_loss_sees_the_inertia_that_init_writes(bench, preset):
     """Before a load loss it would see gravity only; without one it stays the motor's."""
@@ -217,20 +200,3 @@ def test_real_logs(bench, real_data, file, columns, units):
     assert bench.run("check", bench.folder / "made.toml").code == 2
     if units is not None:
         passes(bench, text, **units)
-
-
-def test_an_axis_that_slides_is_offered(bench):
-    """Metres cannot be told from radians: both are said, with what they take."""
-    rows = {"t": T, "qm": 0.12 * Q / np.ptp(Q), "vir": 0.3 * TAU}
-    pd.DataFrame(rows).to_csv(bench.folder / "axis.csv", index=False)
-    text, _ = written(bench, "axis.csv")
-    assert '# motion = "linear"' in text
-    assert '; with motion = "linear" m or mm' in text
-    # and what is said is right
-    text = text.replace('# motion = "linear"', 'motion = "linear"')
-    text = text.replace('torque = { column = "?", unit = "?"',
-                        'torque = { column = "vir", unit = "V", constant = "35 N/V"')  # fmt: skip
-    assert "motor.inertia" in passes(bench, text, position="m")
-    (bench.folder / "made.toml").unlink()
-    text, told = written(bench, "axis.csv", "servo-pendulum")
-    assert 'motion = "linear"' not in text + told

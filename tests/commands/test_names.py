@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from tests.commands.bench import SAMPLED, simulated
+from tests.commands.bench import simulated
 from tests.commands.test_fit import FEW
 
 
@@ -93,16 +93,3 @@ def test_a_run_whose_name_is_not_utf_8(folder):
             refused(ran(folder, *words), "run\\udcff", "not UTF-8")
     finally:
         (folder / name).rename(folder / "run")
-
-
-def test_a_recording_whose_name_is_not_utf_8(folder):
-    name = os.fsdecode(b"s\xff.csv")
-    (folder / name).write_bytes((folder / "small.csv").read_bytes())
-    (folder / "odd.toml").write_text(SAMPLED.replace("small.csv", "s*.csv"))
-    try:
-        for words in (("check", "odd.toml"), ("fit", "odd.toml", "-o", "odd")):
-            refused(ran(folder, *words), "s\\udcff.csv", "not UTF-8")
-        assert not [*folder.glob("*odd*checkpoint*")]
-    finally:
-        (folder / name).unlink()
-        (folder / "odd.toml").unlink()

@@ -2,20 +2,10 @@
 
 import pytest
 
-from .bench import JOINT, recorded
+from .bench import JOINT, recorded, simulation
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-SIMULATION = """
-[simulation]
-duration = 4.0
-rate = 500
-excitation = "multisine"
-encoder_counts = 1048576
-torque_noise = 0.01
-seed = {seed}
-parameters = {{ offset = {offset} }}
-"""
 OFFSETS = {"one": 0.08, "two": -0.05}
 SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
 
@@ -23,8 +13,11 @@ SHORT = "\n[sampling]\nwalkers = 32\nmax_steps = 400\nmin_ess = 200\n"
 @pytest.fixture
 def two(bench):
     for seed, (name, offset) in enumerate(OFFSETS.items(), start=1):
-        simulation = SIMULATION.format(seed=seed, offset=offset)
-        bench.simulated(JOINT + recorded(name) + simulation, name)
+        made = simulation(
+            duration=4.0, rate=500, encoder_counts=2**20, torque_noise=0.01, seed=seed
+        )
+        made += f"parameters = {{ offset = {offset} }}\n"
+        bench.simulated(JOINT + recorded(name) + made, name)
     both = "".join(map(recorded, OFFSETS))
     bench.config(JOINT + 'offset = "per-recording"\n' + both + SHORT)
     return bench

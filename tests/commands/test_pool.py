@@ -6,7 +6,6 @@ import os
 import pytest
 
 import bayesfric as bf
-from bayesfric.report.words import filled
 
 from .bench import JOINT, recorded
 from .test_explain import SIMULATION
@@ -45,10 +44,6 @@ def test_it_prints_what_python_returns(bench):
     # of 3.3 sds, 100 independent draws leave a median uncertain by an eighth of one
     for true, run in zip(VISCOUS, viscous["jointly"]["runs"], strict=True):
         assert abs(run["median"] - true) < run["high"] - run["low"]
-    text = filled("pool.txt.j2", found=pooled, findings=[])
-    assert "the next recording" in text
-    assert f"{pooled.cpu_seconds:.1f} s of CPU time; 90 % intervals" in text
-    assert "Shared by all recordings" in text
 
 
 def test_fit_refuses_what_varies(bench):

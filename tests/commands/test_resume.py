@@ -23,12 +23,10 @@ from bayesfric.report import run_directory
 from tests.conftest import REPOSITORY
 
 from .bench import has, simulated, without_figures
-from .test_fit import CONFIG, draws, without_seconds
+from .test_fit import FEW, draws, without_seconds
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
-# Few steps: what is tested is the bytes, not what they say.
-FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nwalkers = 10\nensembles = 2")
 HIDDEN = ".run.checkpoint"
 
 

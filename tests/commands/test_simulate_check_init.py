@@ -16,7 +16,6 @@ from bayesfric.commands.simulate import simulate
 from bayesfric.fit.conclusion import may_be_simulated
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import parse_config, read_config
-from tests.conftest import REPOSITORY
 
 from .bench import CONFIG, has
 
@@ -37,7 +36,6 @@ TABLE_3 = {
     "load.inertia": (0.206, "kg m²"),
     "load.first_moment": (0.42, "kg m"),
 }
-VERSION = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]["version"]
 COMMANDS = sorted(typer.main.get_command(cli.app).commands)
 
 SIMULATION = CONFIG + "\n[simulation]\nduration = 1.0\nrate = 500\nseed = 4\n"
@@ -201,35 +199,6 @@ LOADED = LOADED.replace(
 
 def checked(bench):
     return bench.told("check", "c.toml")
-
-
-def test_check_lists_every_prior(bench):
-    found = checked(bench)["priors"]
-    assert set(found) == {*PRESETS["motor-axis"].values, "noise.sigma"}
-    given = {name for name, prior in found.items() if not prior["default"]}
-    assert given == {"motor.coulomb"}
-    assert all(prior["prior"] for prior in found.values())
-    text = bench.run("check", "c.toml", "--verbose").out
-    for name, prior in found.items():
-        line = next(line for line in text.split("\n") if line.split()[:1] == [name])
-        assert prior["prior"] in line
-        assert ("(default)" in line) == prior["default"]
-
-
-def test_check_tells_numbers_that_were_given(bench):
-    bench.edit("order = 4", "order = 3\nlowpass = 8\ndecimate = 2\ndead_zone = 0.05\ntrim = 0.3")
-    settings = checked(bench)["recordings"][0]["settings"]
-    expected = {"order": 3, "lowpass": 8, "decimate": 2, "dead_zone": 0.05, "sampling_rate": 100}
-    assert {key: settings[key] for key in expected} == pytest.approx(expected)
-    assert settings["trim"] == pytest.approx(0.3)
-    assert settings["n_samples"] == 400
-
-
-def test_check_names_the_added_mass(bench):
-    bench.config(LOADED)
-    (recording,) = checked(bench)["recordings"]
-    assert recording["added_mass"] == pytest.approx(0.25)
-    assert recording["radius"] == pytest.approx(0.12)
 
 
 # -- all commands

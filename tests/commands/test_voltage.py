@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.export.exported import export
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.paper.tables import parameter_table
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -56,19 +54,10 @@ def test_viscous_loss_takes_up_the_back_emfs_error(one):
 
 
 @pytest.mark.parametrize("options", [{}, {"viscous": "by-direction", "delay": True}])
-def test_every_place_says_what_the_number_holds(one, tmp_path, options):
+def test_which_numbers_hold_it_is_told(one, options):
     found = fitted(**options) if options else one
-    found.write(tmp_path / "run")
     told = found.summary.fit.back_emf
     names = [n for n in found.summary.parameters if "viscous" in n]
     assert told.same_as_back_emf == names
     assert told.nominal == pytest.approx(KT**2 / R)
-    (alert,) = (a for a in alerts_of(found.summary) if a.kind == "back-EMF")
-    assert alert.text.count("viscous loss plus the error of the nominal kt²/R") == 1
-    rows = {r.name: r for r in parameter_table(found.summary).rows}
-    for name in names:
-        assert rows[name].meaning.endswith("and the error of the nominal back-EMF")
-    for form in ("mujoco", "c"):
-        said = export(tmp_path / "run", form).text()
-        assert f"({KT**2 / R:.3g} N m s) times the motor's speed, which is not part" in said
-        assert all(name in said for name in names)
+    assert [a.kind for a in alerts_of(found.summary)].count("back-EMF") == 1

@@ -154,8 +154,6 @@ def test_a_joint_of_a_model_is_changed_and_nothing_else(tmp_path):
         exported.main
     )
     assert path.read_text() == MODEL
-    # what a model of ours does against creeping is left to the user's
-    assert "creeps: set solreffriction" in exported.text()
 
 
 def test_a_joint_that_is_not_there_is_refused_by_its_nearest_name(tmp_path):

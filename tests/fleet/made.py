@@ -2,15 +2,9 @@
 
 import shutil
 
-from tests.commands.bench import SMALL, simulated
+from tests.commands.bench import SMALL, simulated, simulation
 
-SIMULATED = """
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-encoder_counts = 1048576
-"""
+SIMULATED = simulation(encoder_counts=2**20)
 TEMPLATE = f"""{SMALL.replace("small.csv", "{file}")}
 [sampling]
 min_ess = 300

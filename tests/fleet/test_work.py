@@ -3,17 +3,15 @@
 import errno
 import json
 import sys
-import time
 
 import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.commands.fleet import fleet_text
 from bayesfric.fleet import work
 from bayesfric.fleet.fleet import _Course
 from bayesfric.fleet.plan import read_plan
-from bayesfric.fleet.results import Results, failure
+from bayesfric.fleet.results import Results
 from bayesfric.report.comparison.between_runs import read_draws
 from bayesfric.report.summary.record import Summary, read_summary_file
 
@@ -61,20 +59,6 @@ def test_a_unit_is_done_once_while_nothing_changes(tasks, tmp_path):
     assert changed["record"]["rows"] != first["record"]["rows"]
     csv.write_text(before)
     assert work.do_unit(task)["record"] == first["record"]
-
-
-def test_cpu_seconds_are_of_what_was_done_now(tmp_path):
-    course, _ = begun(tmp_path, good=2)
-    for name, again in (("a0", False), ("a1", True)):
-        record = failure("as a stand-in")
-        course.arrived(name, {"record": record, "again": again, "cpu_seconds": 1000.0})
-    course.arrived("missing", "its worker died")
-    course.results.records["broken"] = failure("as a stand-in")
-    (tmp_path / "units").mkdir()
-    found = course.end(tmp_path, time.monotonic())
-    assert 2000.0 < found.cpu_seconds < 2060.0
-    assert found.seconds < 60.0
-    assert f"{found.cpu_seconds:.1f} s of CPU time, 1 of them done before" in fleet_text(found)[0]
 
 
 def test_a_unit_that_fails_is_told_in_its_line_until_it_is_mended(tasks, tmp_path):

@@ -18,7 +18,7 @@ from bayesfric.base.opened import (
     read_json,
     read_text,
 )
-from tests.commands.bench import SAMPLED, simulated
+from tests.commands.bench import SAMPLED, recorded, simulated
 from tests.conftest import REPOSITORY
 from tests.hostile.rule import run
 
@@ -252,13 +252,7 @@ def test_nothing_else_opens_a_file():
 
 # -- who is at fault, and when it is told
 
-RECORDING = """
-[[recordings]]
-file = "small.csv"
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-"""
+RECORDING = recorded()
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,6 @@ def test_lagged_square_torque_leaves_the_papers_scaling_and_nothing_else(lagged)
     zero = np.array([label not in SCALED for label in lagged.local.labels])
     np.testing.assert_allclose(lagged.local.null_rows[0][zero], 0.0, atol=1e-6)
     assert lagged.directions[0] is null
-    assert "can all be multiplied by one factor" in null.meaning
 
 
 def test_an_ideal_square_wave_leaves_three(lagged):
@@ -112,7 +111,6 @@ def test_with_a_sine_the_load_never_drives(sine):
     assert sine.back_driving == {"gearbox": 0.0}
     alone = next(one for one in sine.directions if set(one.exponents) == {"gearbox.alpha_back"})
     assert alone.null
-    assert "ever drives" in alone.reasons[0]
     assert any("load drives the motor" in r.text for r in alone.remedies)
     # five totals are all that a motor that always drives can tell
     assert sum(one.null for one in sine.directions) == len(CHAIN.names) - 5

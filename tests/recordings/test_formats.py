@@ -10,12 +10,11 @@ import pytest
 from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Position, tables, units
+from bayesfric.recordings import Position, units
 from bayesfric.recordings.tables import read_table, sha256
-from bayesfric.recordings.tables.reader import readers
 from tests.hostile import good
 
-from .samples import has, lines, numbered, read, refused, source, swing, write
+from .samples import lines, numbered, read, source, swing, write
 
 HEADER = "t,q,tau"
 
@@ -181,27 +180,3 @@ def test_recorder_preamble_of_a_real_file(real_data):
     torque = table.column(3) * units.scale(["9.84e-5 N m"], "torque", "torque")
     assert torque[0] == pytest.approx(-0.106 * 9.84e-3)
     assert table.row(0) == "row 1 (line 15)"
-
-
-def test_a_format_is_one_file(tmp_path, monkeypatch):
-    (tmp_path / "raw_floats.py").write_text(
-        "import numpy as np\n"
-        "from bayesfric.recordings.tables.reader import Reader\n"
-        "from bayesfric.recordings.tables.table import Table\n"
-        "def read(path, options):\n"
-        "    columns = np.fromfile(path).reshape(3, -1)\n"
-        "    return Table(str(path), ['t', 'q', 'tau'], columns.__getitem__)\n"
-        "READERS = (Reader('raw', ('.raw',), read),)\n"
-    )
-    t, q, tau = swing()
-    np.concatenate([t, q, tau]).tofile(tmp_path / "run.raw")
-    message = refused(tmp_path, source("run.raw"))
-    has(message, "'.raw'", "csv, hdf5, mat")
-    monkeypatch.setattr(tables, "__path__", [*tables.__path__, str(tmp_path)])
-    readers.cache_clear()
-    try:
-        np.testing.assert_array_equal(read(tmp_path, source("run.raw"))[0].torque, tau)
-        assert read(tmp_path, source("run.raw", format="raw"))[0].name == "run"
-    finally:
-        monkeypatch.undo()
-        readers.cache_clear()

@@ -81,20 +81,3 @@ def test_a_recipe_gives_back_what_was_simulated(tmp_path, simulated, file):
     for name in ("position", "velocity", "torque"):
         one, two = getattr(found, name), getattr(simulated, name)
         np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * np.abs(two).max())
-
-
-@pytest.mark.parametrize("file", ["robot_data.csv", "output.csv"])
-def test_init_recognises_what_a_recipe_says(tmp_path, simulated, file):
-    """All but units that only a manual tells."""
-    from bayesfric.recordings.recognition import recognise
-    from bayesfric.recordings.tables import read_table
-    from bayesfric.recordings.tables.reader import TableOptions
-
-    LOGS[file](tmp_path / file, simulated)
-    log = recognise(
-        read_table(tmp_path / file, TableOptions()), "1" if file == "robot_data.csv" else None
-    )
-    recipe = recipes()[file]
-    drive = "torque" if "torque" in recipe else "current"
-    for channel in ("time", "position", "velocity", drive):
-        assert log.chosen[channel].column == recipe[channel]["column"], channel

@@ -1,6 +1,5 @@
 """Made-up fits: the truth with a little spread around it, no sampling."""
 
-import io
 from dataclasses import replace
 
 import numpy as np
@@ -112,11 +111,6 @@ def by_gid(ax, gid):
     """Return the one artist of that name."""
     (artist,) = [a for a in ax.get_children() if a.get_gid() == gid]
     return artist
-
-
-def draw_fast(figure):
-    """Draw all there is, in few pixels: it must not fail or warn."""
-    figure.savefig(io.BytesIO(), format="png", dpi=30)
 
 
 @pytest.fixture(scope="session")

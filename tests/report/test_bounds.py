@@ -5,13 +5,11 @@ import copy
 import numpy as np
 import pytest
 
-from bayesfric.commands.fit import fit_text
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.comparison.cell import posterior_cells
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import (
     bound_mend,
@@ -25,7 +23,6 @@ from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import brief
 
 from .made_summaries import failed, knee, posterior_row
-from .page_reader import read_page
 
 AXIS = PRESETS["motor-axis"]
 VISCOUS = AXIS.values["motor.viscous"]
@@ -57,9 +54,7 @@ def test_a_bound_that_was_set_is_warned_of_and_widening_it_helps(summaries):
     assert row["bound"] == pytest.approx(0.7 * VISCOUS)
     assert row["bound_physical"] is False
     (told,) = [text for text in narrow["warnings"] if text.startswith("motor.viscous")]
-    for words in ("upper end", f"beyond {0.7 * VISCOUS:.4g} {row['unit']}", "widen priors.motor.v"):
-        assert words in told
-    assert f"- {told}" in list(fit_text(narrow, verbose=True))
+    assert "widen priors.motor.v" in told
     mended = wide["parameters"]["motor.viscous"]
     assert mended["at_bound"] is None
     # the constant loss that is not there pulls at it from its own bound
@@ -73,8 +68,6 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
         row = summary["parameters"]["motor.coulomb"]
         if summary is summaries["wide"]:
             assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
-            (line,) = (x for x in fit_text(summary) if x.startswith("motor.coulomb "))
-            assert f"at most {row['interval'][1]:.3g}" in line
             (printed,) = (r for r in parameter_table(summary).rows if r.name == "motor.coulomb")
             assert "cannot tell it from 0 N m" in printed.mend
         assert not any(text.startswith("motor.coulomb") for text in summary["warnings"])
@@ -143,22 +136,14 @@ def test_noise_that_a_prior_keeps_small_makes_every_number_doubtful(changed, dou
     ("status", "sound"), [("tentative", ["motor.inertia"]), ("unusable", ["motor.inertia"]),
                           ("unusable", [])]
 )  # fmt: skip
-def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, tmp_path, status, sound):
+def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, status, sound):
     summary = failed(summaries["wide"], *sound)
     problem = "the ensembles disagree on motor.viscous: raise sampling.max_steps"
     summary["sampler"] |= {"status": status, "problems": [problem]}
     names = {*summary["parameters"], *summary["derived"]}
-    text = list(fit_text(summary))
-    assert [line.split()[0] for line in text if "[" in line] == sound
-    assert sound or not [line for line in text if "at most" in line or "±" in line]
-    assert any(line.startswith("Not converged:") for line in text)
-    assert f"! {problem}" in list(fit_text(summary, verbose=True))
     lost = set(brief(summary).lost)
     assert {"motor.viscous", "motor.coulomb"} <= lost <= names - set(sound)
     for row in parameter_table(summary).rows:
         assert row.cell.converged == (row.name in sound)
     for name, cell in posterior_cells(summary).items():
         assert (cell.interval is not None) == (name in sound)
-    (first,) = read_page(run_page(tmp_path, summary, "run")).all("section", id="findings")
-    assert "Not converged:" in first.text
-    assert not sound or "Not converged: motor.viscous" in first.text

@@ -1,17 +1,11 @@
 """The answer of a run: short, in one order, the same on terminal and page."""
 
-import ast
-from pathlib import Path
-
 import pytest
 
-import bayesfric
-from bayesfric.report.page.pages import run_page
-from bayesfric.report.terminal import FINDINGS, ROWS, WIDTH, brief, fit_text
+from bayesfric.report.terminal import FINDINGS, ROWS, brief
 from bayesfric.report.words import line_of, words
 from bayesfric.results.reported import ORDER, Spread, concluded
 
-from .chromium import needs_browser, show, until
 from .made_summaries import FOUND, every_kind, knee, loaded
 
 
@@ -23,14 +17,6 @@ def crowded():
     for k in range(30):
         told["parameters"][f"offset.recording_{k}"] = dict(told["parameters"]["motor.inertia"])
     return told
-
-
-@pytest.mark.parametrize("made", [knee, loaded, every_kind, crowded])
-def test_the_terminal_has_thirty_lines_of_a_hundred_columns_and_250_words(made):
-    lines = list(fit_text(made()))
-    assert len(lines) <= 30
-    assert max(map(len, lines)) <= WIDTH
-    assert len(" ".join(lines).split()) <= 250
 
 
 @pytest.mark.parametrize(
@@ -89,31 +75,3 @@ def test_every_kind_that_is_told_has_its_line():
         line = line_of(kind, values)
         assert line
         assert "{" not in line
-    finding = FOUND | {"kind": "viscous_by_direction"}
-    finding["hint"] = 'mechanism.elements.motor.viscous = "by-direction"'
-    line = line_of(finding["kind"], finding)
-    assert line.endswith('viscous = "by-direction" in [mechanism.elements.motor]')
-    assert len(line) <= WIDTH - 2
-
-
-def test_no_view_makes_an_interval_of_parts():
-    """What joins posterior, model error and bias stands in one place, below all views."""
-    parts = {"model_error_interval", "model_error_sd", "corrected", "corrected_interval"}
-    package = Path(bayesfric.__file__).parent
-    for path in (package / "report").rglob("*.py"):
-        if path.parent.name == "summary":
-            continue
-        nodes = ast.walk(ast.parse(path.read_text()))
-        assert not parts & {one.attr for one in nodes if isinstance(one, ast.Attribute)}, path
-
-
-@needs_browser
-def test_what_a_link_leads_to_is_opened(browser, tmp_path):
-    path = tmp_path / "report.html"
-    path.write_text(run_page(tmp_path, knee(), "run"), encoding="utf-8")
-    page = show(browser, path, folded=True)
-    fold = page.find_element("css selector", "#parameters > details")
-    assert fold.get_attribute("open") is None
-    assert len(page.find_element("tag name", "body").text.split()) < 1200
-    page.find_element("css selector", 'nav a[href="#parameters"]').click()
-    until(lambda: fold.get_attribute("open") is not None)

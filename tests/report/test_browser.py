@@ -175,6 +175,17 @@ def test_anchors_lead_to_their_sections(page):
         assert bottom > 0
 
 
+def test_what_a_link_leads_to_is_opened(browser, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text(run_page(tmp_path, knee(), "run"), encoding="utf-8")
+    page = show(browser, path, folded=True)
+    fold = page.find_element("css selector", "#parameters > details")
+    assert fold.get_attribute("open") is None
+    assert len(page.find_element("tag name", "body").text.split()) < 1200
+    page.find_element("css selector", 'nav a[href="#parameters"]').click()
+    until(lambda: fold.get_attribute("open") is not None)
+
+
 def test_the_skip_link_is_the_first_stop(run):
     run.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
     first = run.switch_to.active_element

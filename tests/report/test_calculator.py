@@ -273,16 +273,6 @@ def test_it_says_where_the_data_never_were(browser, made):
         assert all(word in line for word, line in zip(words, told["said"], strict=True))
 
 
-@pytest.mark.parametrize("low", [-3.2909538424063376, -0.8, 1.2313087030248089])
-def test_it_begins_where_the_data_were(low):
-    rng = np.random.default_rng(4)
-    q, qd, qdd = (x * rng.uniform(-1.0, 1.0, 500) for x in (1.0, 0.6, 0.4))
-    q += low + 1.0
-    for x, began in zip((q, qd, qdd), calculator._typical(q, qd, qdd), strict=True):
-        assert x.min() <= began <= x.max()
-        assert abs(began - np.median(np.abs(qd) if x is qd else x)) < 0.2 * np.ptp(x)
-
-
 def test_a_term_it_does_not_know_gives_no_calculator(browser, made):
     path, _, law = made("odd")
     assert law["missing"] == "motor.odd"

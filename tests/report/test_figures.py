@@ -4,6 +4,7 @@ import re
 
 import matplotlib
 import pytest
+from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
@@ -23,26 +24,18 @@ from bayesfric.report.figures.style import (
 )
 from bayesfric.report.summary.summary import summarise
 
-
-def draw_corner(fit):
-    return corner_figure(fit, summarise(fit))
-
-
-DRAW = {"corner": draw_corner, "prediction": prediction_figure}
-figures = pytest.mark.parametrize("draw", DRAW.values(), ids=DRAW.keys())
-
-
-@pytest.fixture(scope="module")
-def drawn_once(request):
-    """Draw a figure of a fit, once for all tests that only look at it."""
-    kept = {}
-
-    def of(draw, which):
-        if (draw, which) not in kept:
-            kept[draw, which] = draw(request.getfixturevalue(which))
-        return kept[draw, which]
-
-    return of
+FIGURES = {
+    "friction": lambda fit, _: friction_figure(fit),
+    "residual": lambda fit, _: residual_figure(fit),
+    "ridge": lambda fit, _: ridge_figure(fit),
+    "forest": lambda _, summary: forest_figure(comparison({"run": summary})),
+    "prediction": lambda fit, _: prediction_figure(fit),
+    "corner": corner_figure,
+}
+CASES = [
+    *((stem, "knee") for stem in ("friction", "residual", "ridge", "forest")),
+    *((stem, fit) for stem in ("prediction", "corner") for fit in ("many", "slide")),
+]
 
 
 def shown_texts(figure):
@@ -104,99 +97,43 @@ def fonts_embedded(pdf, width):
     assert float(box) == pytest.approx(72 * width, abs=1e-3)
 
 
-@figures
-@pytest.mark.parametrize("which", ["many", "slide"])
-def test_a_page_wide_and_nothing_cut_off(draw, which, drawn_once):
-    figure = drawn_once(draw, which)
-    assert figure.get_figwidth() == PAGE
-    assert figure.get_figheight() <= 9.0
-    nothing_cut_off(figure)
-
-
-@figures
-def test_fonts_are_embedded_truetype(draw, drawn_once, tmp_path):
-    save(drawn_once(draw, "many"), tmp_path, "figure")
-    fonts_embedded(tmp_path / "figure.pdf", PAGE)
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")
-
-
-@figures
-def test_same_fit_same_bytes_whatever_the_readers_style(draw, slide, tmp_path):
-    save(draw(slide), tmp_path, "one")
-    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
-        before = dict(matplotlib.rcParams)
-        save(draw(slide), tmp_path, "two")
-        assert dict(matplotlib.rcParams) == before
-    for suffix in ("pdf", "svg", "png"):
-        one, two = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("one", "two"))
-        assert one == two
-    assert b"CreationDate" not in (tmp_path / "one.pdf").read_bytes()
-    assert b"dc:date" not in (tmp_path / "one.svg").read_bytes()
-
-
-FOR_PAPERS = {
-    "friction": lambda fit, _: friction_figure(fit),
-    "residual": lambda fit, _: residual_figure(fit),
-    "ridge": lambda fit, _: ridge_figure(fit),
-    "forest": lambda _, summary: forest_figure(comparison({"run": summary})),
-}
-
-
-@pytest.mark.parametrize("stem", FOR_PAPERS)
-def test_figures_for_papers(stem, knee, tmp_path):
-    """Printed size, nothing cut off or on top of each other, TrueType fonts, units, no title."""
-    summary = summarise(knee)
-    figure = FOR_PAPERS[stem](knee, summary)
-    assert figure.get_figwidth() in (COLUMN, PAGE)
-    nothing_cut_off(figure, upright=False)
-    for ax in figure.axes:
-        assert ax.get_title() == ""
-        assert ax.get_xlabel() == "" or has_unit(ax.get_xlabel())
-        assert ax.get_ylabel() == "" or has_unit(ax.get_ylabel())
-    save(figure, tmp_path, stem)
-    fonts_embedded(tmp_path / f"{stem}.pdf", figure.get_figwidth())
-    # what may differ from one drawing to the next differs in all formats; this is the fastest
-    again = tmp_path / "again.svg"
-    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
-        drawn = FOR_PAPERS[stem](knee, summary)
-    with paper_style():
-        drawn.savefig(again, format="svg", metadata={"Date": None})
-    assert again.read_bytes() == (tmp_path / f"{stem}.svg").read_bytes()
-
-
 def has_unit(label):
     return re.search(r"\(.+\)$", label) is not None
 
 
-@pytest.mark.parametrize("which", ["many", "slide"])
-@figures
-def test_every_axis_says_its_unit(draw, which, drawn_once):
-    for ax in drawn_once(draw, which).axes:
-        place = ax.get_subplotspec()
-        if place.is_last_row():
-            assert has_unit(ax.get_xlabel()), ax.get_xlabel()
+@pytest.mark.parametrize(("stem", "which"), CASES)
+def test_figures_for_papers(stem, which, request, tmp_path):
+    """Printed size, nothing cut off or on top of each other, TrueType fonts, units, same bytes."""
+    fit = request.getfixturevalue(which)
+    summary = summarise(fit)
+    figure = FIGURES[stem](fit, summary)
+    assert figure.get_figwidth() in (COLUMN, PAGE)
+    assert figure.get_figheight() <= 9.2
+    nothing_cut_off(figure, upright=which != "knee")
+    for ax in figure.axes:
+        assert ax.get_xlabel() == "" or has_unit(ax.get_xlabel())
         # the density on the corner's diagonal has no scale
-        if place.is_first_col() and not (draw is draw_corner and place.is_first_row()):
-            assert has_unit(ax.get_ylabel()) or (draw is draw_corner and ax.get_ylabel() == "")
-
-
-def test_no_pyplot_figure_is_left_open(drawn_once):
-    from matplotlib import pyplot
-
-    for draw in DRAW.values():
-        drawn_once(draw, "many")
+        density = stem == "corner" and ax.get_subplotspec().is_first_row()
+        assert density or ax.get_ylabel() == "" or has_unit(ax.get_ylabel())
+    save(figure, tmp_path, stem)
+    fonts_embedded(tmp_path / f"{stem}.pdf", figure.get_figwidth())
+    assert b"CreationDate" not in (tmp_path / f"{stem}.pdf").read_bytes()
+    assert (tmp_path / f"{stem}.png").read_bytes().startswith(b"\x89PNG")
+    # what may differ from one drawing to the next differs in all formats; this is the fastest
+    again = tmp_path / "again.svg"
+    with matplotlib.rc_context({"font.size": 20, "font.family": "serif", "axes.grid": True}):
+        before = dict(matplotlib.rcParams)
+        drawn = FIGURES[stem](fit, summary)
+        assert dict(matplotlib.rcParams) == before
+    with paper_style():
+        drawn.savefig(again, format="svg", metadata={"Date": None})
+    assert again.read_bytes() == (tmp_path / f"{stem}.svg").read_bytes()
     assert pyplot.get_fignums() == []
 
 
 @pytest.mark.parametrize(
     ("symbol", "shown"),
     [
-        ("J_{m}", "$J_{m}$"),
-        (r"\mu_{}", r"$\mu$"),
-        (r"\dot q_{0,m}", r"$\dot q_{0,m}$"),
-        ("C_{gearbox1}", r"$C_{\mathrm{gearbox1}}$"),
-        ("f_{3,left_arm}", r"$f_{3,\mathrm{left\_arm}}$"),
-        (r"J_{\mathrm{x}}", r"$J_{\mathrm{x}}$"),
         # no LaTeX: the parameter's name instead
         ("J_{50%}", "50%.inertia"),
         ("J_{a}b}", "50%.inertia"),

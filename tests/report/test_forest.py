@@ -1,7 +1,6 @@
 """The forest figure: bars are what they say, what is open has none, nothing is cut off."""
 
 import copy
-import re
 
 import numpy as np
 import pytest
@@ -10,10 +9,8 @@ from matplotlib.text import Annotation
 from bayesfric.base.errors import BadInput
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.forest import forest_figure
-from bayesfric.report.figures.style import COLUMN, PAGE
 
-from .made_summaries import LEG, MOTOR, TOTALS, knee, loaded, old
-from .test_figures import nothing_cut_off
+from .made_summaries import LEG, TOTALS, knee
 
 # 90 % of a normal distribution lie within so many sds
 HALF = 1.645
@@ -26,16 +23,6 @@ def only(run, *names):
             if key in group:
                 group[key] = {name: row for name, row in group[key].items() if name in names}
     return run
-
-
-FEW = only(knee(), "total.inertia", "motor.inertia", "load.first_moment")
-CASES = {
-    "methods": {"a": knee()},
-    "runs": {"a": knee(), "b": loaded(), "a long name of a run": old()},
-    "few": {"a": FEW},
-    "old": {"a": old()},
-}
-cases = pytest.mark.parametrize("runs", CASES.values(), ids=CASES.keys())
 
 
 def panels(figure):
@@ -120,54 +107,8 @@ def test_limits_and_bounds():
     )
 
 
-def test_what_only_one_column_tells_is_left_out_if_there_is_more():
-    found = comparison({"a": knee(), "b": old()})
-    shown = panels(forest_figure(found))
-    assert not set(TOTALS) & set(shown)
-    assert set(MOTOR) <= set(shown)
-
-
 def test_nothing_to_draw():
     run = only(knee(), "load.inertia")
     run["estimates"] = {}
     with pytest.raises(BadInput, match="no quantity is determined"):
         forest_figure(comparison({"a": run}))
-
-
-@cases
-def test_width_of_a_paper_and_nothing_cut_off(runs):
-    figure = forest_figure(comparison(runs))
-    assert figure.get_figwidth() == (COLUMN if len(figure.axes) <= 4 else PAGE)
-    assert figure.get_figheight() <= 9.2
-    nothing_cut_off(figure, upright=False)
-    for ax in figure.axes:
-        assert re.search(r"\(.+\)$", ax.get_xlabel())
-        assert ax.get_title() == ""
-    assert len(figure.legends) == 1
-
-
-def test_many_quantities_say_what_is_left_out():
-    run = knee()
-    for k in range(60):
-        name = f"extra{k}.inertia"
-        run["parameters"][name] = run["parameters"]["motor.inertia"]
-        rows = run["estimates"]["input-error"]["parameters"]
-        rows[name] = rows["motor.inertia"]
-    figure = forest_figure(comparison({"a": run}))
-    assert figure.get_figheight() <= 9.2
-    (remark,) = [t.get_text() for t in figure.texts]
-    total = len(comparison({"a": run}).rows)
-    assert remark == f"{total - len(figure.axes)} more quantities are in the table only"
-
-
-def test_an_estimate_that_did_not_converge_says_so_and_takes_no_other_bar():
-    run = loaded()
-    run["estimates"]["output-error"]["converged"] = False
-    figure = forest_figure(comparison({"a": run}))
-    for name, ax in panels(figure).items():
-        if name not in TOTALS:  # least squares has no others
-            continue
-        words = [t.get_text() for t in ax.texts if isinstance(t, Annotation)]
-        assert words.count("not converged") == 1
-        assert "not determined" not in words
-        assert {y for _, y in drawn(ax, "thick")} == {3.0, 2.0, 0.0}

@@ -15,13 +15,8 @@ from bayesfric.report.figures.friction import (
     band,
     covered,
     friction_curves,
-    friction_figure,
     friction_torque,
-    near,
 )
-from bayesfric.report.figures.style import COLUMN
-
-from .conftest import draw_fast
 
 KNEE = PRESETS["rabbit-knee"].chain()
 TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
@@ -171,16 +166,6 @@ def test_places_are_where_the_recordings_ran(knee, curves):
     assert {np.sign(c.load[0]) for c in curves} == {-1.0, 0.0, 1.0}
 
 
-def test_a_fast_output_alone_is_not_near():
-    """Two of 103 outputs are fast: recorded, yet too few to cover a place."""
-    for recorded, places, seen in (
-        (np.linspace(0, 10, 101), [5.0, 10.4, 14.0], [True, True, False]),
-        (np.r_[np.linspace(0, 4, 101), 9.0, 9.1], [2.0, 9.0], [True, False]),
-        (np.r_[np.linspace(0, 4, 101), 9.0, 9.05, 9.1], [9.05], [True]),
-    ):
-        assert near(np.array([places]), recorded[None]).tolist() == seen
-
-
 def as_before(fit):
     """Make the posterior of a fit its prior: the data told nothing."""
     rng = np.random.default_rng(1)
@@ -200,33 +185,4 @@ def test_what_is_as_wide_as_before_is_not_determined(knee):
     assert not band(as_before(knee), friction)[1].any()
 
 
-def test_points_without_a_value_in_most_draws_have_none(knee):
-    def half(x):
-        out = np.tile(x[:, :1], (1, 2))
-        out[: int(0.7 * len(out)), 1] = np.nan
-        return out
-
-    ends, determined = band(knee, half)
-    assert np.isfinite(ends[:, 0]).all()
-    assert np.isnan(ends[:, 1]).all()
-    assert not determined[1]
-
-
 # -- the figure
-
-
-def open_and_bands(figure):
-    found = [c.get_gid() for ax in figure.axes for c in ax.collections if c.get_gid()]
-    return found.count("open"), found.count("band")
-
-
-def test_loads_for_the_knee_none_for_an_axis(knee, slide):
-    loaded, plain = friction_figure(knee), friction_figure(slide)
-    for figure in (loaded, plain):
-        assert figure.get_figwidth() == COLUMN
-        draw_fast(figure)
-        assert open_and_bands(figure)[1] > 0
-    legend = loaded.axes[0].get_legend()
-    assert [text.get_text()[:2] for text in legend.get_texts()] == ["no", "+0", "\N{MINUS SIGN}0"]
-    assert plain.axes[0].get_legend() is None
-    assert plain.axes[0].get_ylabel() == "friction force $F$ (N)"

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from bayesfric.export.central import open_scalings
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.numbers import TEXT
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary
@@ -35,7 +34,7 @@ def weighed(**changes):
     return Summary.read(told)
 
 
-def test_what_the_told_weight_settles_says_so(tmp_path):
+def test_what_the_told_weight_settles_says_so():
     read = weighed()
     assert read.parameters["motor.inertia"].given_by == ["load.first_moment"]
     assert read.parameters["drive.gain"].verdict == "weak"
@@ -43,11 +42,10 @@ def test_what_the_told_weight_settles_says_so(tmp_path):
     assert read.parameters["load.first_moment"].verdict == "prior"
     status = {name: put_reported(read).rows[name].reported.status for name in NAMES}
     assert status["motor.inertia"] == "prior"
-    assert "your prior on load.first_moment" in run_page(tmp_path, read.as_dict(), "run")
     assert Summary.read(read.as_dict()) == read
 
 
-def test_at_its_bound_a_number_of_a_told_scale_is_a_limit_and_no_interval(tmp_path):
+def test_at_its_bound_a_number_of_a_told_scale_is_a_limit_and_no_interval():
     at_zero = {"at_bound": "lower", "bound": 0.0, "bound_physical": True, "interval": [0.0, 0.02]}
     read = weighed(motor__inertia=at_zero)
     assert read.parameters["motor.inertia"].given_by == ["load.first_moment"]
@@ -55,8 +53,6 @@ def test_at_its_bound_a_number_of_a_told_scale_is_a_limit_and_no_interval(tmp_pa
     assert (row.cell.status, row.cell.limit) == ("limit", 0.02)
     assert row.verdict == "data and prior, on one side"
     assert row.shown(TEXT) == ("≤ 0.02", "–")
-    words = "your prior on load.first_moment, on one side only"
-    assert words in run_page(tmp_path, read.as_dict(), "run")
 
 
 def test_a_told_scale_is_not_evened_out_in_an_export():

@@ -101,31 +101,6 @@ def invented_tables():
     return {name: text.replace(r"\label{", r"\label{invented-") for name, text in tables.items()}
 
 
-def test_braces_dollars_and_cells_are_balanced(knee, axis):
-    """What a compiler would stumble over first, for where there is none."""
-    for name, text in (pieces(knee) | axis_pieces(axis) | invented_tables()).items():
-        bare = re.sub(r"\\[{}$&%#_]", "", text)
-        bare = re.sub(r"^%.*$", "", bare, flags=re.MULTILINE)
-        assert bare.count("{") == bare.count("}"), name
-        for line in bare.splitlines():
-            assert line.count("$") % 2 == 0, line
-        if "table-" in name:
-            begin = r"\\begin\{tabularx?\}(?:\{\\textwidth\})?\{(.*)\}$"
-            (columns,) = re.findall(begin, bare, re.MULTILINE)
-            count = len(re.findall("[lX]", re.sub(r"@\{\}|>\{.*?\}(?=X)", "", columns)))
-            rows = [x for x in bare.splitlines() if x.endswith(r" \\") and "multicolumn" not in x]
-            assert {row.count("&") + 1 for row in rows} == {count}, columns
-        for environment in re.findall(r"\\begin\{(\S+?)\}", bare):
-            assert rf"\end{{{environment}}}" in bare
-        if name == "references.bib":
-            continue
-        assert text.isascii(), name
-        # it names the packages that it takes
-        first = text.splitlines()[0]
-        assert first.startswith("% needs"), name
-        assert "booktabs" in first, name
-
-
 def compiled(folder, pdflatex, bibtex=None):
     """Compile ``paper.tex`` and return what TeX and BibTeX wrote into their logs."""
     compile_ = [pdflatex, "-interaction=nonstopmode", "-halt-on-error", "paper"]

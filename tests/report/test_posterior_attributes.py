@@ -19,11 +19,11 @@ def run(make_fit, tmp_path_factory):
     summary = summarise(fit)
     path = tmp_path_factory.mktemp("nc") / "posterior.nc"
     write_archive(path, **archived(fit, summary, "", []))
-    return summary, read_archive(path)
+    return fit, summary, read_archive(path)
 
 
 def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):
-    summary, data = run
+    _, summary, data = run
     for group in ("posterior", "prior"):
         assert set(data[group].data_vars) == set(summary.parameters)
         for name, row in summary.parameters.items():
@@ -36,7 +36,7 @@ def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):
 
 
 def test_derived_quantities_are_those_of_the_summary(run):
-    summary, data = run
+    _, summary, data = run
     found = data["derived"].data_vars
     assert {"total_drive.inertia", "gearbox.alpha_drive"} <= set(found) <= set(summary.derived)
     for name in found:
@@ -45,6 +45,25 @@ def test_derived_quantities_are_those_of_the_summary(run):
         assert draws.attrs["units"] == (row.unit or "1")
         assert draws.attrs["verdict"] == row.verdict
         assert draws.sizes["chain"] == data["posterior"].sizes["chain"]
+
+
+def test_prior_intervals_are_of_the_priors(run):
+    fit, found = run[0], run[1].rows
+    for prior, name in zip(fit.posterior.priors, fit.posterior.names, strict=True):
+        low, high = found[name].prior_interval
+        inside = prior.distribution.cdf([low, high]) - prior.distribution.cdf(prior.lower)
+        assert inside / prior.mass == pytest.approx([0.05, 0.95], abs=1e-9)
+    # of a total, by a large sample of its own
+    rng = np.random.default_rng(1)
+    draws = {
+        name: prior.draw(20_000, rng)
+        for name, prior in zip(fit.posterior.names, fit.posterior.priors, strict=True)
+    }
+    mine = (
+        draws["motor.viscous"] + draws["joint.viscous"] * (1 + draws["gearbox.load_drive"]) / 2500
+    )
+    ends = np.quantile(mine, [0.05, 0.95])
+    assert found["total_drive.viscous"].prior_interval == pytest.approx(ends, rel=0.15)
 
 
 @pytest.mark.parametrize("made", [knee, every_kind])

@@ -1,11 +1,8 @@
 """Prediction: a band that covers what it says, and lines that break at gaps."""
 
-import copy
 import math
-from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import bayesfric.report.figures.prediction as module
 from bayesfric.recordings import Processing
@@ -72,30 +69,6 @@ def test_lines_break_where_outputs_are_missing(knee):
     assert len(by_gid(figure.axes[0], "band").get_paths()) == gaps + 1
 
 
-def test_what_was_left_out_is_hatched_and_named_and_other_gaps_are_not(make_fit):
-    fit = make_fit(recordings=2, samples=600)
-    plain = prediction_figure(fit)
-    assert not [a for ax in plain.axes for a in ax.get_children() if a.get_gid() == "left-out"]
-    # of the second recording only
-    spans = ((0.1, 0.15), (0.2, 0.22))
-    target, likelihood = copy.copy(fit.target), copy.copy(fit.target.likelihood)
-    likelihood.observations = tuple(
-        replace(o, left_out=spans * k) for k, o in enumerate(likelihood.observations)
-    )
-    target.likelihood = likelihood
-    figure = prediction_figure(replace(fit, target=target))
-    for ax, there in zip(figure.axes, (False, True, False, True), strict=True):
-        if there:
-            bars = by_gid(ax, "left-out")
-            assert bars.get_hatch()
-            ends = [path.vertices[:, 0] for path in bars.get_paths()]
-            found = [(x.min(), x.max()) for x in ends]
-            assert found == [pytest.approx((0.1, 0.15)), pytest.approx((0.2, 0.22))]
-    said = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "left out by the user" in said
-    assert len(said) == len(set(said)) == len(plain.legends[0].get_texts()) + 1
-
-
 def test_two_sigma_lines(knee):
     lower = prediction_figure(knee).axes[1]
     levels = [
@@ -103,16 +76,6 @@ def test_two_sigma_lines(knee):
     ]
     (p,) = predictive(knee)
     assert levels == [2 * p.sigma[0], 2 * p.sigma[0]]
-    # a table's sigma is another number where the noise has a memory
-    said = [text.get_text() for text in prediction_figure(knee).legends[0].get_texts()]
-    assert "$\\pm 2$ sds of the noise" in said
-
-
-def test_three_recordings_at_most_and_said(many):
-    figure = prediction_figure(many)
-    assert len(figure.axes) == 6
-    assert [ax.get_title() for ax in figure.axes[:3]] == ["run 0", "run 1", "run 2"]
-    assert [text.get_text() for text in figure.texts] == ["first 3 of 4 recordings"]
 
 
 def test_long_recordings_become_pixels(make_fit, tmp_path):

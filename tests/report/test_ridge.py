@@ -26,7 +26,6 @@ FLAT = {
     "load.inertia": [0.0, 30.0],
     "load.first_moment": [0.0, 30.0],
 }
-ALPHA_1, ML, JC = "gearbox.alpha_drive", "load.first_moment", "load.inertia"
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +45,6 @@ def loaded(flat, make_observation):
     observations = [*flat.observations, make_observation(flat.chain, KNEE.values, **mass)]
     priors = read_priors(flat.chain, FLAT, observations)
     return replace(flat, target=make_target(flat.chain, observations, priors, "shared"))
-
-
-@pytest.fixture(scope="module")
-def figure(flat):
-    return ridge_figure(flat)
 
 
 def mu(made):
@@ -102,17 +96,6 @@ def test_the_posterior_never_leaves_what_a_passive_gearbox_allows(flat):
     assert high == pytest.approx(1.0 + at[names.index("gearbox.load_drive")], rel=1e-14)
 
 
-def test_torque_is_the_same_anywhere_on_the_ridge(flat):
-    found = ridge(flat)
-    rng = np.random.default_rng(0)
-    for values in (found.values, *flat.chain_draws(15)):
-        low, high = found.scaling.bounds(values)
-        along = found.scaling.scaled(values, low * (high / low) ** rng.random(20))
-        (torque,) = flat.target.likelihood.predict(np.concatenate([values[None], along]))
-        assert np.ptp(torque[0]) > 0.5  # N m: there is something to be the same
-        np.testing.assert_allclose(torque[1:], torque[:1].repeat(20, axis=0), rtol=0, atol=1e-10)
-
-
 def test_the_line_ends_where_an_alpha_is_one(flat):
     found, names = ridge(flat), list(flat.chain.names)
     drive, back = (
@@ -141,34 +124,6 @@ def test_a_known_mass_shows_in_the_torque_along_the_line(loaded):
     assert plain <= 1e-10
     # k times the leg without, and once the mass with: g M r (k - 1)/(alpha N) does not cancel
     assert heavy > 0.01
-
-
-def artists(figure, gid, ax=None):
-    return [a for a in (ax or figure).findobj() if a.get_gid() == gid]
-
-
-def panel(figure, name):
-    (ax,) = [ax for ax in figure.axes if ax.get_gid() == name]
-    return ax
-
-
-def test_lines_are_straight_with_slope_one_and_end_at_the_bounds(figure, flat):
-    for ax in figure.axes:
-        (line,) = artists(figure, "line", ax)
-        x, y = (np.log(v) for v in line.get_data())
-        np.testing.assert_allclose(y - x, y[0] - x[0], atol=1e-9)
-        ends = [artists(figure, f"end {k}", ax)[0].get_xydata()[0] for k in (0, 100)]
-        (x_low, y_low), (x_high, _) = ends
-        assert x_high == pytest.approx(1.0, abs=1e-12)  # alpha_1
-        assert [x_low, y_low] == pytest.approx(np.exp([x[0], y[0]]).tolist(), rel=1e-12)
-    assert y_low == pytest.approx(1.0, abs=1e-12)  # alpha_2, in the last panel
-    # posterior draws: the pairs themselves, thinned
-    (dots,) = artists(figure, "posterior", panel(figure, ML))
-    alpha, ml = dots.get_data()
-    of_draws = flat.chain_draws(1500)
-    index = flat.chain.names.index
-    np.testing.assert_allclose(alpha, 1.0 / (1.0 + of_draws[:, index("gearbox.load_drive")]))
-    np.testing.assert_allclose(ml, of_draws[:, index(ML)])
 
 
 def test_a_chain_without_a_scaling_has_no_ridge(slide):

@@ -24,24 +24,13 @@ from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.run_directory import write_run
 from bayesfric.report.summary.summary import summarise
+from tests.commands.bench import JOINT, recorded, simulation
 
 # Two recordings, one with dots and a dash in its name, each with a noise scale of its own.
 NAMES = ("plain", "run-2.left")
-COLUMNS = """
-time = { column = "time", unit = "s" }
-position = { column = "position", unit = "rad" }
-torque = { column = "torque", unit = "N m" }
-"""
-CONFIG = '# ein Kommentar mit ä\n[mechanism]\npreset = "motor-axis"\n'
-CONFIG += "".join(f'\n[[recordings]]\nfile = "{name}.csv"\n{COLUMNS}' for name in NAMES)
+CONFIG = f"# ein Kommentar mit ä\n{JOINT}{''.join(map(recorded, NAMES))}"
 CONFIG += "\n[sampling]\nmin_ess = 500\nseed = 12\n"
-SIMULATION = """
-[simulation]
-duration = 3.0
-rate = 200
-excitation = "multisine"
-torque_noise = 0.05
-"""
+SIMULATION = simulation(torque_noise=0.05)
 OF_OUTPUTS = ("log_likelihood", "posterior_predictive", "observed_data")
 SAMPLED = {
     "motor.inertia",

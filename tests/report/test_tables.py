@@ -13,15 +13,13 @@ from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (
     methods_latex,
     parameter_table,
-    parameters_latex,
 )
-from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import is_skewed
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
 
 from .made_summaries import every_kind, knee, loaded
-from .made_tables import ends, lines, num, skewed
+from .made_tables import lines, num, skewed
 
 CASES = {"open": knee, "loaded": loaded, "invented": every_kind}
 
@@ -34,43 +32,6 @@ def summary(request):
 @pytest.fixture(scope="module")
 def real(make_fit):
     return summarise(make_fit(samples=600)).as_dict()
-
-
-def rows_of(summary):
-    return {**summary["derived"], **summary["parameters"]}
-
-
-def test_latex_is_the_summary_to_its_last_digit(summary):
-    table = parameter_table(summary)
-    found = lines(parameters_latex(table))
-    assert len(found) == len(table.rows)
-    for (_, _, value, interval, unit, verdict), r in zip(found, table.rows, strict=True):
-        assert latex.escaped(r.verdict) == verdict
-        assert unit == latex.unit(r.unit)
-        if r.row is None:
-            assert num(value)[0] == pytest.approx(summary["fixed"][r.name]["value"], rel=1e-3)
-            continue
-        row = rows_of(summary)[r.name]
-        if row["verdict"] == "prior":
-            assert interval == "---"
-        if r.cell.status == "undetermined":
-            assert (value, interval) == ("--- (prior)", "---")
-            continue
-        if r.cell.status == "limit":
-            sign, _, limit = value.partition(" ")
-            assert sign == r"$\leq$"
-            assert num(limit)[0] == pytest.approx(row["interval"][1], rel=5e-3)
-            assert interval == "---"
-            continue
-        *both, last = ends(interval)
-        np.testing.assert_allclose(both, row["interval"], rtol=0, atol=0.5001 * last)
-        # intervals only, skewed or not: no sd stands among distances to their ends
-        middle, up, down, last = skewed(value)
-        assert middle + up == pytest.approx(row["interval"][1], abs=1.001 * last)
-        assert middle - down == pytest.approx(row["interval"][0], abs=1.001 * last)
-        # two digits of the sd, whatever its size
-        assert 10 <= round(row["sd"] / last) <= 99 or last == 1.0
-        assert middle == pytest.approx(row["median"], abs=0.5001 * last)
 
 
 def test_what_least_squares_makes_of_the_motion_is_not_what_the_motor_feels(real):
@@ -108,22 +69,6 @@ def test_methods_table_is_the_comparison(summary):
                     assert sd == pytest.approx(cell.sd, abs=0.5001 * last)
 
 
-def test_a_table_of_runs_is_the_comparison():
-    a, b = knee(), loaded()
-    b["derived"]["total.inertia"]["of_motion"] = True
-    runs = {"a": Summary.read(a, "a"), "b": Summary.read(b, "b")}
-    found = comparison(runs)
-    text = methods_latex(found)
-    body = lines(text)
-    assert len(body) == len(found.rows)
-    assert r"\label{tab:runs}" in text
-    assert "a: posterior & b: posterior" in text
-    marked = [r.name for r, c in zip(found.rows, body, strict=True) if "superscript{m}" in c[0]]
-    assert marked == ["total.inertia"]
-    assert "another motion gives other values" in text
-    assert "along the run's own motion" in methods_latex(comparison({"b": runs["b"]}))
-
-
 # -- numbers
 
 
@@ -155,19 +100,6 @@ def test_any_number_reads_back(value, sd):
 )
 def test_digits_are_set_by_the_uncertainty(value, sd, text):
     assert numbers.LATEX.value(value, sd) == text
-
-
-@pytest.mark.parametrize(
-    ("unit", "text"),
-    [
-        ("kg m²", r"\unit{kg.m^2}"),
-        ("N s²/m²", r"\unit{N.s^2/m^2}"),
-        ("N m s", r"\unit{N.m.s}"),
-        ("", "1"),
-    ],
-)
-def test_units(unit, text):
-    assert latex.unit(unit) == text
 
 
 def test_names_that_latex_would_trip_over():

@@ -11,9 +11,7 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
-from bayesfric.report.summary.record import Validation as ValidationPart
 from bayesfric.report.summary.validation_part import share_of, validation_record
-from bayesfric.report.words import filled
 
 from .conftest import NOISE, recording
 
@@ -78,10 +76,6 @@ def test_a_torque_that_the_model_lacks_is_found_with_its_size(knee, size):
     assert found["interval"][0] < put_in < found["interval"][1]
     assert pooled["verdict"] == "model discrepancy"
     assert pooled["coverage"]["0.9"]["share"] < 0.8
-    assert "N m" in pooled["says"]
-    assert f"{found['value']:.3g} N m" in filled(
-        "validation.txt.j2", found=ValidationPart.read(record)
-    )
 
 
 def test_bands_that_are_too_wide(knee):
@@ -104,7 +98,6 @@ def test_errors_as_large_as_predicted_but_at_some_times_only(knee):
     assert pooled["coverage"]["0.9"]["share"] == pytest.approx(2 / 3, abs=0.05)
     assert pooled["verdict"] == "model discrepancy"
     assert pooled["discrepancy"]["interval"][0] == 0.0
-    assert "changes its size" in pooled["says"]
 
 
 def test_white_noise_on_noise_that_remembers_covers_but_knows_less(knee):
@@ -175,5 +168,3 @@ def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds,
     beyond = pooled["discrepancy"]["interval"][0] > 0.0
     assert (far, beyond) == (n == 1200, sds == 4.0)
     assert pooled["verdict"] == verdict
-    assert ("more than noise and posterior explain" in pooled["says"]) == beyond
-    assert ("too few" in pooled["says"]) == (verdict == "undecided")

@@ -15,6 +15,16 @@ def committed(path):
     return json.loads((STUDIES / path).read_text(encoding="utf-8"))
 
 
+def results(path):
+    """Give a fixture of what a study's committed result says."""
+
+    @pytest.fixture(scope="module")
+    def result():
+        return committed(path)
+
+    return result
+
+
 def scripts(*names, folders):
     """Give a fixture of scripts that import each other from their folders: one, or a list."""
 

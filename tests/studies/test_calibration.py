@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from .bench import committed, scripts
+from .bench import results, scripts
 
 CONTROLS = ("control: white noise on AR(1) data", "control: snooker move")
 
 
-@pytest.fixture(scope="module")
-def result():
-    return committed("calibration/result.json")
-
-
+result = results("calibration/result.json")
 study = scripts("calibrate", folders=["calibration"])
 
 

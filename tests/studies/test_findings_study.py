@@ -5,14 +5,9 @@ from scipy import stats
 
 from bayesfric.diagnostics.policy import FALSE_ALARMS
 
-from .bench import committed, scripts
+from .bench import results, scripts
 
-
-@pytest.fixture(scope="module")
-def result():
-    return committed("diagnostics/findings.json")
-
-
+result = results("diagnostics/findings.json")
 study = scripts("findings", folders=["diagnostics", "calibration"])
 
 

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 
-from .bench import committed, scripts
+from .bench import results, scripts
 
-
-@pytest.fixture(scope="module")
-def result():
-    return committed("calibration/motion.json")
-
-
+result = results("calibration/motion.json")
 study = scripts("motion", folders=["calibration"])
 
 

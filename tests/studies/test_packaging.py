@@ -3,7 +3,6 @@
 import re
 import tomllib
 from importlib.metadata import metadata
-from importlib.resources import files
 
 import bayesfric
 from tests.conftest import REPOSITORY
@@ -31,17 +30,3 @@ def test_conda_asks_for_what_pip_asks_for():
     assert dict(line.split()[1:] for line in run.splitlines()) == {
         "python": PROJECT["requires-python"], **asked,
     }  # fmt: skip
-
-
-def test_what_is_no_module_is_installed_too():
-    """Templates, words, scripts of pages, examples and the mark of types."""
-    root = files("bayesfric")
-    for name in (
-        "py.typed",
-        "examples/knee.csv",
-        "examples/knee.truth.json",
-        "report/page/templates/run.html.j2",
-        "report/paper/references.bib",
-        "export/templates/feedforward.c.j2",
-    ):
-        assert root.joinpath(*name.split("/")).is_file(), name

@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from .bench import committed, scripts
+from .bench import results, scripts
 
-
-@pytest.fixture(scope="module")
-def result():
-    return committed("calibration/whole_path.json")
-
-
+result = results("calibration/whole_path.json")
 study = scripts("whole_path", folders=["calibration"])
 
 
