@@ -10,8 +10,6 @@ from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
 from bayesfric.diagnostics.explanation import finding, setting_of
 from bayesfric.diagnostics.regression import Regression, Step
-from bayesfric.diagnostics.scans import TONE, Scan
-from bayesfric.diagnostics.statistics import Asked, scored, solved
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
@@ -108,47 +106,6 @@ def test_columns_are_finite_and_of_the_samples(right):
             for column in columns:
                 assert column.shape == o.q.shape
                 assert np.isfinite(column).all()
-
-
-# Statistics, against closed forms
-
-
-def test_solved_is_least_squares_and_leaves_out_what_is_open():
-    rng = np.random.default_rng(1)
-    x = rng.standard_normal((200, 3))
-    y = x @ [1.0, -2.0, 0.5] + 0.1 * rng.standard_normal(200)
-    found, covariance, told = solved(x, y, np.ones(3))
-    exact = np.linalg.lstsq(x, y)[0]
-    np.testing.assert_allclose(found, exact, rtol=1e-9)
-    left = y - x @ exact
-    np.testing.assert_allclose(covariance, (left @ left) / 197 * np.linalg.inv(x.T @ x), rtol=1e-9)
-    assert told.shape == (3, 3)
-    # the sum of two equal columns' coefficients is told, their difference is not
-    same = np.column_stack([x, x[:, 0]])
-    found, _, told = solved(same, y, np.ones(4))
-    assert told.shape == (4, 3)
-    assert found[0] + found[3] == pytest.approx(exact[0])
-    assert np.linalg.norm(told.T @ [1.0, 0.0, 0.0, -1.0]) < 1e-6
-
-
-def test_scores_of_twins_like_the_recording_are_standard_normal():
-    """Of many recordings drawn like their twins, squares of a score average to one."""
-    rng = np.random.default_rng(3)
-
-    def drawn():
-        t = rng.standard_normal(2) @ [[1.0, 0.3], [0.0, 0.8]] + [0.2, 0.0]
-        peak = float(rng.gumbel(5.0, 1.0))
-        return Asked([t[:1], t], np.zeros(2), (Scan(TONE, peak, 1.0),))
-
-    scores, twins = [], []
-    for _ in range(200):
-        z, null = scored(drawn(), [drawn() for _ in range(24)])
-        scores.append(z)
-        twins.append(null)
-    # the sd of a mean of 200 chi squares is 0.1
-    # of the recording a mean that the twins show is half known, so it scores a little less
-    assert np.mean(np.square(scores)[:, :2], axis=0) == pytest.approx(1.0, abs=0.3)
-    assert np.mean(np.square(np.concatenate(twins))[:, :2], axis=0) == pytest.approx(1.0, abs=0.15)
 
 
 @pytest.mark.parametrize("times", [1.0, 1.3])
