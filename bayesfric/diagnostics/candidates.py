@@ -71,7 +71,7 @@ _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spr
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
 _BEHIND = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
-_CYCLES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 24, 36, 48)
+_CYCLES = (*range(1, 9), 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
@@ -436,7 +436,7 @@ def _elastic(a: Along) -> Sets:
 
 def _bristles(a: Along) -> Sets:
     q, way = a.o.q, a.direction
-    return {f"{x:.0%}": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
+    return {f"{100 * x:.2g}%": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
 
 
 def _gravity(a: Along) -> Sets:
