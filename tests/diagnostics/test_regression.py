@@ -373,7 +373,8 @@ def test_candidates_to_be_marginalised_are_products_of_dense_residuals():
 
 
 def test_what_a_motion_does_not_tell_is_not_marginalised_and_what_was_found_is():
-    r = made(lambda d: 2.0 * tone_of(d), seed=6)
+    r = made(tone_of, seed=4)
+    r._choose_noise(np.random.SeedSequence(1))
     (step,) = r.steps(1)
     assert (step.kind, step.sure) == (TONE, True)
     others = r.data.others.copy()
