@@ -7,9 +7,9 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.templates import placed
-from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
-from bayesfric.diagnostics.explanation import finding, setting_of
-from bayesfric.diagnostics.regression import Regression, Step
+from bayesfric.diagnostics.candidates import KINDS
+from bayesfric.diagnostics.explanation import setting_of
+from bayesfric.diagnostics.regression import Regression
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
@@ -96,18 +96,6 @@ def test_every_candidate_has_columns_and_a_setting_that_a_joint_takes(preset):
             assert " = " in text
 
 
-def test_columns_are_finite_and_of_the_samples(right):
-    values = np.array([1.0] * len(right.chain.names))
-    scales = scales_of(right.chain, values, right.observations)
-    o = right.observations[0]
-    along = Along(right.chain, values, o, right.recordings[0], scales)
-    for kind in KINDS:
-        for columns in (*kind.columns(along).values(), kind.beside(along)):
-            for column in columns:
-                assert column.shape == o.q.shape
-                assert np.isfinite(column).all()
-
-
 @pytest.mark.parametrize("times", [1.0, 1.3])
 def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     """SIMULATED. What passes it on with losses below zero is a factor of all torque."""
@@ -123,24 +111,6 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
         recordings.append(recording_of(made, name=f"{seed}", **more))
     found = Model(replace(full, gain=False), recordings).explain().findings
     assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)
-
-
-@pytest.mark.parametrize(
-    ("kind", "alike", "named", "hint"),
-    [
-        ("stribeck", (), "stribeck", 'mechanism.elements.motor.stribeck = "either"'),
-        ("quadratic", (), "quadratic", ""),  # nothing that loses energy gives any
-        ("quadratic", ("power", "spring"), "spring", "mechanism.load.spring = true"),
-    ],
-)
-def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, alike, named, hint):
-    step = Step(
-        kind, "0.5", own=[0], sure=True, z=6.0, p=0.04, largest=6.0, limit=4.0, worth=np.zeros(1),
-        share=0.1, recording="", span=None, coefficients=np.array([-1.0]), moves={}, alike=alike,
-    )  # fmt: skip
-    found = finding(axis(), step)
-    assert (found.kind, found.hint) == (named, hint)
-    assert found.rivals == ((kind, "power") if named != kind else ())
 
 
 @pytest.mark.parametrize("coupled", [False, True])
