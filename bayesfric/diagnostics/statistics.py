@@ -249,25 +249,21 @@ def asked(
     basis = basis_of(white.beside(extra))
     y = without(basis, white.left)
     z = without(basis, white.others)
-    delay = Scan(DELAY, 0.0, 0.0)
-    if not any(d.keys[i].delay for i in extra):  # there is one
-        delay = _delayed(d.keys, z, y, y.size - basis.shape[1])
-    again = basis.T @ z  # what rounding has left of the basis
-    size = np.sqrt(np.einsum("ij,ij->j", white.others, white.others))
-    rest = np.sqrt(np.maximum(np.einsum("ij,ij->j", z, z) - (again**2).sum(axis=0), 0.0))
+    free, power = y.size - basis.shape[1], float(y @ y)
+    there = any(d.keys[i].delay for i in extra)  # one is enough
+    delay = _delayed(() if there else d.keys, z, y, free)
+    size, rest = (np.sqrt(np.einsum("ij,ij->j", x, x)) for x in (white.others, z))
     told = rest > TESTABLE * size
     unit = np.where(rest > 0.0, rest, 1.0)
-    free = y.size - basis.shape[1]
-    power = float(y @ y)
-    slopes = (z.T @ y - again.T @ (basis.T @ y)) / unit
+    slopes = (z.T @ y) / unit
     found, gains = [np.full(len(own), np.nan) for _, own in groups], np.zeros(len(groups))
-    columns, again = np.ascontiguousarray(z.T), again.T
+    columns = np.ascontiguousarray(z.T)
     for k in {len(own) for _, own in groups}:  # all of a size at once
         chosen = np.array([i for i, (_, own) in enumerate(groups) if len(own) == k])
         own = np.array([groups[i][1] for i in chosen])
         gram = np.ones((len(own), 1, 1))
         if k > 1:
-            gram = columns[own] @ columns[own].mT - again[own] @ again[own].mT
+            gram = columns[own] @ columns[own].mT
             gram /= unit[own][:, :, None] * unit[own][:, None, :]
         least, axes = np.linalg.eigh(gram)
         some = told[own].all(axis=1) & (least[:, 0] >= _SINGULAR)
@@ -278,7 +274,7 @@ def asked(
         variance = np.maximum(power - taken, 1e-12 * power) / max(free - k, 1)
         spread = variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)
         gains[chosen[some]] = taken / variance
-        for i, t in zip(chosen[some], b / np.sqrt(np.maximum(spread, 1e-300)), strict=True):
+        for i, t in zip(chosen[some], b / np.sqrt(spread), strict=True):
             found[i] = t
     return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width), delay))
 

@@ -124,6 +124,17 @@ def test_a_far_delay_is_the_best_of_dense_fits_with_a_coefficient_of_one(memory)
     assert (none.kind, none.peak, none.place) == (DELAY, 0.0, 0.0)
 
 
+def test_a_delay_longer_than_all_parts_is_none():
+    """Its columns are zero, as nothing is known of then."""
+    d = columns(delays=(0.03, 0.2))
+    others = d.others.copy()
+    others[:, -2:] = 0.0
+    scan = asked(replace(d, others=others), candidates(d), [], 0.2).scans[2]
+    alone = asked(columns(delays=(0.03,)), candidates(d), [], 0.2).scans[2]
+    assert scan.peak == pytest.approx(alone.peak, abs=1e-9)
+    assert scan.place == (0.03 if alone.peak else 0.2)
+
+
 def test_columns_beside_and_far_delays_are_no_candidates():
     d = columns(delays=(0.03,))
     keys = list(d.keys)
