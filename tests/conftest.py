@@ -46,7 +46,7 @@ LONG = {
         explain fit identify init_from little_explained own_offsets
         pool report resume simulate_check_init validation voltage""",
     "diagnostics": """
-        explanation self_check""",
+        explanation laid_beside regression self_check""",
     "estimates": """
         attenuation delay input_error output_error""",
     "export": """

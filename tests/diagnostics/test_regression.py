@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 
 from bayesfric.diagnostics.memory import WHITE, Memory
-from bayesfric.diagnostics.policy import ALIKE, BETTER, TESTABLE
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, tuned, waves
 from bayesfric.diagnostics.statistics import (
@@ -296,7 +295,7 @@ def test_rivals_look_alike_or_explain_as_much():
         np.column_stack([r.data.base, others[:, 0], rng.standard_normal((others.shape[0], 2))])
     )[0]
     unit = np.linalg.norm(others[:, 0] - beside[:, :5] @ (beside[:, :5].T @ others[:, 0]))
-    for i, cosine in ((1, ALIKE + 0.02), (4, ALIKE - 0.02)):
+    for i, cosine in ((1, 0.955), (4, 0.945)):
         others[:, i] = unit * (
             cosine * np.sign(beside[:, 5] @ others[:, 0]) * beside[:, 5]
             + np.sqrt(1 - cosine**2) * beside[:, 6]
@@ -312,13 +311,14 @@ def test_rivals_look_alike_or_explain_as_much():
             worth[kinds.index(kind)] = gain
         return tuple(r._alike(replace(choice, worth=worth), []))
 
-    # of gains a hundred below, what looks alike is named, and half as much must be explained
+    # what looks alike, of a cosine of 0.95, is a rival where it explains half as much; any other
+    # where the best one is by less than a factor of 150 the likelier
     assert told(elastic=100.0, offset=51.0, coulomb=51.0, gravity=1.0, drift=1.0, stribeck=1.0) == (
         "offset",
     )
     assert told(offset=49.0) == ()
-    assert told(gravity=100.0 - BETTER + 0.1) == ("gravity",)
-    assert told(gravity=100.0 - BETTER - 0.1) == ()
+    assert told(gravity=100.0 - 2.0 * np.log(150.0) + 0.1) == ("gravity",)
+    assert told(gravity=100.0 - 2.0 * np.log(150.0) - 0.1) == ()
     # a scan's gain is no candidate's: only what looks alike is compared
     scan = made(tone_of, seed=6)
     found = scan._best([], choosing=False)
@@ -379,7 +379,7 @@ def test_what_a_motion_does_not_tell_is_not_marginalised_and_what_was_found_is()
     assert (step.kind, step.sure) == (TONE, True)
     others = r.data.others.copy()
     hidden = r.data.base @ np.ones(5)
-    others[:, 1] = hidden + 0.9 * TESTABLE * np.linalg.norm(hidden) * others[:, 1] / np.linalg.norm(
+    others[:, 1] = hidden + 0.9 * 0.015 * np.linalg.norm(hidden) * others[:, 1] / np.linalg.norm(
         others[:, 1]
     )
     others[:, 8] = 0.0

@@ -8,7 +8,6 @@ from scipy import stats
 from scipy.linalg import toeplitz
 
 from bayesfric.diagnostics.memory import WHITE, Memory
-from bayesfric.diagnostics.policy import TESTABLE
 from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, push, tone
 from bayesfric.diagnostics.statistics import (
     Asked,
@@ -149,7 +148,7 @@ def test_a_candidate_is_asked_where_enough_of_it_is_outside_the_models_own(share
     inside = d.base @ [1.0, -2.0, 0.5]
     outside = without(basis_of(d.base), d.others[:, 0])
     inside, outside = (x / np.linalg.norm(x) for x in (inside, outside))
-    sine = share * TESTABLE
+    sine = share * 0.015
     others = d.others.copy()
     for size in (1e-6, 1e6):
         others[:, 0] = size * (np.sqrt(1.0 - sine**2) * inside + sine * outside)
