@@ -264,7 +264,7 @@ def _unforetold(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]
 
     It also gives the log of the determinant of what that divides by.
     """
-    if partial.size == 0:
+    if not partial.size:
         return lambda x, _: (x, 0.0)
     phi = np.ascontiguousarray(ar.predictors(partial[None])[-1][0])
     stationary = toeplitz(ar.autocovariance(partial)[:-1])

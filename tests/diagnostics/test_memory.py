@@ -23,6 +23,19 @@ def test_whitening_over_gaps_makes_the_exact_covariance_one(partial, slow):
     assert memory.variance(where) == pytest.approx(np.mean(np.diag(exact)))
 
 
+@pytest.mark.parametrize(
+    ("n", "rate", "many"), [(200, 100.0, 4), (400, 20.0, 39), (60, 2.0, 7), (600, 5.0, 60)]
+)
+def test_wander_is_a_sum_of_cosines_up_to_a_hertz(n, rate, many):
+    """Four at least; one for eight outputs and sixty at most."""
+    where = laid_out(n, rate=rate)
+    (waves,) = where.waves
+    assert waves.shape == (n, many)
+    dense = dense_covariance(Memory(np.zeros(0), 1.0), where) - np.eye(n)
+    np.testing.assert_allclose(waves @ waves.T, dense, atol=1e-9)
+    assert many / 2.0 / np.ptp(where.stamps[0]) <= max(1.0, 2.0 / np.ptp(where.stamps[0]))
+
+
 def test_whitening_is_causal_but_for_the_wander():
     """An output is predicted by those before it: the inverse root is the Cholesky factor's."""
     where = laid_out(50, gaps=[9, 30, 31])

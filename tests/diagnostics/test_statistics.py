@@ -60,7 +60,7 @@ MEMORIES = [WHITE, Memory(np.array([0.6, -0.4])), Memory(np.array([0.5]), slow=0
 def test_t_and_gain_are_those_of_generalised_least_squares(memory, extra):
     d = columns(memory)
     groups = candidates(d)
-    assert [own for _, own in groups] == [[0], [1, 2], [3, 4, 5], [6]]
+    assert groups == [(d.keys[own[0]], own) for own in ([0], [1, 2], [3, 4, 5], [6])]
     found = asked(d, groups, extra, 0.2)
     white = root(d)
     start = np.column_stack([d.base, d.others[:, extra]])
@@ -167,7 +167,9 @@ def test_of_several_columns_those_are_asked_that_those_before_them_cannot_do():
     others = d.others.copy()
     others[:, 2] = 3.0 * others[:, 1] + d.base[:, 0]
     others[:, 4] = 0.0
-    told = {key.kind: own for key, own in candidates(replace(d, others=others))}
+    groups = candidates(replace(d, others=others))
+    told = {key.kind: own for key, own in groups}
+    assert all(key == d.keys[own[0]] for key, own in groups)
     assert told == {"single": [0], "pair": [1], "three": [3, 5], "alone": [6]}
     # where all that is left of a pair is another candidate, that one stands for it
     others[:, 1], others[:, 2] = d.base[:, 1], -2.0 * others[:, 0] + d.base[:, 2]
