@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.diagnostics.memory import WHITE, Memory
+from bayesfric.diagnostics.memory import WHITE, Memory, memory_of
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, tuned, waves
 from bayesfric.diagnostics.statistics import (
@@ -424,3 +424,49 @@ def test_twins_are_given_so_much_noise_that_they_leave_what_the_recording_does(m
     np.testing.assert_allclose(
         np.concatenate(added), series * np.sqrt(exact / memory.variance(r.data.layout))
     )
+
+
+@pytest.mark.parametrize(
+    "kinds", [(), ("elastic",), ("elastic", "offset"), ("elastic", "offset", "coulomb", "stribeck")]
+)
+def test_the_noise_is_that_of_the_best_residual_when_one_after_the_other_is_taken(kinds):
+    """By its criterion, what was taken counted as parameters, and ten for each choice."""
+    effects = [
+        effect_of(kind, 0.3 + 0.1 * i, "slow" * (kind == "stribeck"))
+        for i, kind in enumerate(kinds)
+    ]
+
+    def effect(d):
+        return sum((one(d) for one in effects), np.zeros(d.left.size))
+
+    noise, stream = Memory(np.array([0.5])), np.random.SeedSequence(1)
+    r, by_hand = (made(effect, seed=8, noise=noise) for _ in range(2))
+    r._choose_noise(stream)
+    by_hand._add_noise(WHITE, [], stream)
+    taken = [[]]
+    for choice, extra in by_hand._climbed(8, choosing=True):
+        if not choice.sure:
+            break
+        taken.append([*extra, *choice.own])
+    d, found = by_hand.data, []
+    for picks, extra in enumerate(taken):
+        memory, bic = memory_of(left_of(d, *extra), d.layout)
+        found.append((bic + len(extra) * np.log(d.left.size) + 10.0 * picks, memory, extra))
+    _, memory, extra = min(found, key=lambda one: one[0])
+    np.testing.assert_allclose(r.noise.partial, memory.partial, rtol=1e-6)
+    assert r.noise.slow == memory.slow
+    # twins then have that noise beside what was taken, and each a memory of its own
+    by_hand._add_noise(memory, extra, stream)
+    for one, other in zip(r.twins, by_hand.twins, strict=True):
+        np.testing.assert_allclose(one.left, other.left, rtol=1e-6)
+        own, _ = memory_of(left_of(other, *extra), other.layout)
+        np.testing.assert_allclose(one.memory.partial, own.partial, rtol=1e-6)
+
+
+def test_what_is_in_one_recording_alone_names_it():
+    r = made(effect_of("elastic", 1.0), seed=2)
+    choice = r._best([], choosing=False)
+    for shape, recording in (("in two", "two"), ("in one", "one"), ("in", ""), ("", "")):
+        assert r._step(replace(choice, shape=shape), []).recording == recording
+    # rivals are looked for of what is sure alone
+    assert r._step(replace(choice, sure=False), []).alike == ()
