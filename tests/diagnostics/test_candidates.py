@@ -272,6 +272,21 @@ def compare(found, exact_ones, what):
         np.testing.assert_allclose(mine, one, atol=1e-6 * scale, err_msg=what)
 
 
+def test_where_a_joint_rests_columns_are_finite_and_friction_is_none():
+    """But for a bristle's, which remembers, and what goes by the speed's size alone."""
+    a = along()
+    resting = np.arange(N) % 9 == 4
+    o = replace(a.o, qd=np.where(resting, 0.0, a.o.qd), inputs=felt(0))
+    a = replace(a, o=o, scales=replace(a.scales, others=("q2",)))
+    for kind in KINDS:
+        some = [x for columns in kind.columns(a).values() for x in columns]
+        for column in (*some, *kind.beside(a)):
+            assert np.isfinite(column).all(), kind.name
+            apart = "presliding", "stribeck_by_direction", "load_loss_by_direction"
+            if kind.loss and kind.name not in apart:
+                assert not column[resting].any(), kind.name
+
+
 def between(kind, a):
     """Columns of shapes in the middle of each two neighbours of a kind's grid."""
     one, o = a.scales, a.o
