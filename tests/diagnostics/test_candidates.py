@@ -272,19 +272,23 @@ def compare(found, exact_ones, what):
         np.testing.assert_allclose(mine, one, atol=1e-6 * scale, err_msg=what)
 
 
-def test_where_a_joint_rests_columns_are_finite_and_friction_is_none():
-    """But for a bristle's, which remembers, and what goes by the speed's size alone."""
+def test_friction_is_what_rests_with_the_joint_and_must_be_positive_where_it_can_only_lose():
+    """Columns are finite at rest; what a bristle remembers is friction that is there then, too."""
     a = along()
     resting = np.arange(N) % 9 == 4
     o = replace(a.o, qd=np.where(resting, 0.0, a.o.qd), inputs=felt(0))
     a = replace(a, o=o, scales=replace(a.scales, others=("q2",)))
+    by_size = "presliding", "stribeck_by_direction", "load_loss_by_direction"
+    # of which a joint may have less than its model, or lose less as it warms
+    either = "coulomb", "viscous", "coulomb_warming", "viscous_warming", "temperature"
     for kind in KINDS:
-        some = [x for columns in kind.columns(a).values() for x in columns]
-        for column in (*some, *kind.beside(a)):
-            assert np.isfinite(column).all(), kind.name
-            apart = "presliding", "stribeck_by_direction", "load_loss_by_direction"
-            if kind.loss and kind.name not in apart:
-                assert not column[resting].any(), kind.name
+        some = np.array([x for columns in kind.columns(a).values() for x in columns])
+        every = np.array([*some, *kind.beside(a)])
+        assert np.isfinite(every).all(), kind.name
+        rests = kind.name in by_size or not every[:, resting].any()
+        assert kind.loss == rests, kind.name
+        loses = bool((some * o.qd >= 0.0).all())
+        assert kind.positive == (loses and kind.name not in either), kind.name
 
 
 def between(kind, a):

@@ -276,6 +276,19 @@ def test_a_candidates_size_and_what_it_moves_are_those_of_two_dense_fits(extra, 
         assert found["moves"][name] == pytest.approx(exact, rel=1e-6, abs=1e-9)
 
 
+def test_what_a_parameter_moves_by_does_not_hang_on_its_value():
+    """Nor of one that is zero, and in whichever unit: sds are the measure."""
+    moves = []
+    for values in (
+        AXIS.vector(VALUES),
+        AXIS.vector(VALUES | {"offset": 0.0, "motor.coulomb": 3e4}),
+    ):
+        r = made(effect_of("elastic", 1.0), seed=2, values=values)
+        found = r._moved([0], [])["moves"]
+        moves.append([found[name] for name in AXIS.names])
+    np.testing.assert_allclose(moves[1], moves[0], rtol=1e-6)
+
+
 def test_what_is_known_or_not_determined_is_moved_by_nothing():
     r = made(effect_of("elastic", 1.0), seed=2, known=(AXIS.names[0],))
     base = r.data.base.copy()
