@@ -459,7 +459,7 @@ class Regression:
             **vars(choice),
             recording=recording,
             span=span,
-            alike=tuple(self._alike(choice, extra)) if choice.sure else (),
+            alike=tuple(self._alike(choice, extra)) if choice.sure and not choice.scan else (),
             **self._moved(choice.own, extra),
         )
 
@@ -469,8 +469,7 @@ class Regression:
         z = without(basis_of(white.beside(extra)), white.others)
         mine = basis_of(z[:, choice.own])
         ranked = list(zip(self._groups, choice.worth, strict=False))
-        best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=np.inf)
-        best = np.inf if choice.scan else best
+        best = max(w for (key, _), w in ranked if key.kind == choice.kind)
         seen = {choice.kind}
         for (key, columns), gain in ranked:
             if key.kind in seen:

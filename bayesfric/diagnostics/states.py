@@ -152,9 +152,10 @@ def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[floa
         if b - a <= _FEW:
             continue
         # without its trend a part joins its own beginning
-        part = x[a:b] - np.linspace(x[a], x[b - 1], b - a)
-        size = fft.next_fast_len(2 * (b - a), real=True)
+        part = x[a:b]
+        part = part - np.linspace(part[0], part[-1], part.size)
+        size = fft.next_fast_len(2 * part.size, real=True)
         f = fft.rfftfreq(size, period) / np.asarray(hertz)[:, None]
         more = 1.0 / (1.0 - f**2 + 2j * _DAMPING * f) - 1.0
-        out[:, a:b] = fft.irfft(more * fft.rfft(part, size), size)[:, : b - a]
+        out[:, a:b] = fft.irfft(more * fft.rfft(part, size), size)[:, : part.size]
     return out

@@ -361,6 +361,13 @@ def test_of_a_load_without_weight_one_share_of_the_inertia_stands_for_all():
     assert {name.split(",")[0] for name in BY_NAME["backlash"].columns(a)} == {
         "100% of the inertia behind it"
     }
+    # so it is where weight varies by less than a thousandth of what is carried
+    stamps = a.o.stamps
+    for share, many in ((5e-4, 1), (2e-3, 4)):
+        size = 30.0
+        here = replace(a, scales=replace(a.scales, carried=size))
+        here.__dict__.update(weight=share * size * (stamps == stamps[7]), carried=np.sin(stamps))
+        assert len([*here.behind()]) == many
     massless = replace(a, scales=replace(a.scales, need=0.0))
     assert not BY_NAME["backlash"].columns(massless)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import bayesfric as bf
 from bayesfric.diagnostics.twins import (
@@ -14,6 +15,7 @@ from bayesfric.diagnostics.twins import (
     modelled_driver,
     settled_as,
     spring_of,
+    twins,
 )
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, lowpass
@@ -122,6 +124,25 @@ def test_a_twin_is_sampled_at_other_instants(phase):
     then = swing(o.stamps - phase * PERIOD, LINES)[0]
     inner = slice(600, 850)
     assert np.abs(q - then)[inner].max() < 0.1 * np.abs(o.q - then)[inner].max()
+
+
+def test_instants_of_twins_lie_anywhere_between_those_of_the_recording(monkeypatch):
+    """Half a sample to either side, evenly, by Kolmogorov's test; one spring holds them all."""
+    chain, values, recording, o = bench()
+    phases, springs = [], []
+
+    def simulated(self, one, phase):  # noqa: ARG001
+        phases.append(phase)
+        springs.append(self._spring)
+        return (np.full(N, np.nan),) * 3
+
+    monkeypatch.setattr(_Held, "simulated", simulated)
+    many = values * np.linspace(0.5, 1.5, 301)[:, None]
+    seeds = np.random.SeedSequence(1).spawn(301)
+    processing = Processing(lowpass="10 Hz")
+    assert set(twins(chain, many, recording, o, processing, seeds)) == {None}
+    assert stats.kstest(phases, "uniform", (-0.5, 1.0)).pvalue > 1e-3
+    assert springs == [pytest.approx(spring_of(chain, values, o))] * 301
 
 
 @pytest.mark.parametrize(("band", "cutoff"), [(15.0, 19.5), (0.0, 52.0), (300.0, 200.0)])

@@ -115,6 +115,18 @@ def test_a_memory_is_chosen_by_its_exact_density(partial, slow, counts):
             assert found.slow < 0.5
 
 
+def test_predecessors_that_hardly_help_are_taken_where_they_do():
+    """Of many short series of white noise some look correlated, by however little more."""
+    where, orders = laid_out(45), set()
+    for seed in range(120):
+        x = np.random.default_rng(seed).standard_normal(45)
+        found, _ = memory_of(x, where)
+        exact, _ = dense_choice(x, where)
+        assert (found.partial.size, found.slow) == (exact.partial.size, exact.slow)
+        orders.add(found.partial.size)
+    assert {0, 1} <= orders
+
+
 def test_noise_that_is_drawn_is_found_again():
     where = laid_out(4000, gaps=range(500, 600))
     truth = Memory(np.array([0.8, -0.3]))

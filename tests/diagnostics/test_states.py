@@ -76,13 +76,17 @@ def test_a_load_that_is_pulled_back_in_its_gap_keeps_its_speed():
     np.testing.assert_allclose(place[601:], place[600], atol=1e-9)
 
 
-def test_an_elastic_transmission_is_a_damped_resonator():
-    """Against the differential equation ``y'' + 2 D w y' + w^2 y = w^2 x``, D a twentieth."""
+@pytest.mark.parametrize("begin", [0.4, 1.38])
+def test_an_elastic_transmission_is_a_damped_resonator(begin):
+    """Against the differential equation ``y'' + 2 D w y' + w^2 y = w^2 x``, D a twentieth.
+
+    What still rings at the end of a part is not there at its beginning.
+    """
     period, hertz = 1e-3, [25.0, 40.0]
     t = period * np.arange(1500)
-    pulse = np.exp(-0.5 * ((t - 0.4) / 0.02) ** 2) * np.sin(2 * np.pi * 9.0 * t)
+    pulse = np.exp(-0.5 * ((t - begin) / 0.02) ** 2) * np.sin(2 * np.pi * 9.0 * (t - begin))
     # a straight line passes a resonator as it is, and each part is by itself
-    x = np.concatenate([np.ones(20), pulse + 3.0 - 2.0 * t, pulse[:21]])
+    x = np.concatenate([np.ones(20), pulse + 3.0 - 2.0 * t, pulse[390:411]])
     parts = ((0, 20), (20, 1520), (1520, 1541))
     found = resonating(x, parts, period, hertz)
     for f, row in zip(hertz, found, strict=True):
@@ -90,4 +94,4 @@ def test_an_elastic_transmission_is_a_damped_resonator():
         _, y, _ = signal.lsim(([w**2], [1.0, 0.1 * w, w**2]), pulse, t)
         np.testing.assert_allclose(row[20:1520], y - pulse, atol=2e-3 * np.abs(y).max())
         assert not row[:20].any()
-        assert row[1520:].any()
+        assert row[1520:].any() == (begin == 0.4)
