@@ -119,7 +119,7 @@ def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
                 x += v * period + 0.5 * need[i] * period**2
                 v += need[i] * period
                 if abs(x) >= half:
-                    side = 1.0 if x > 0.0 else -1.0
+                    side = np.sign(x)
                     x, flying = side * half, False
             out[i] = x / half
     return out
