@@ -45,7 +45,7 @@ LONG = {
         advise again compare doubts estimate explain fit identify little_explained
         names own_offsets pool report resume validation voltage""",
     "diagnostics": """
-        explanation self_check""",
+        explanation laid_beside regression self_check""",
     "estimates": """
         attenuation collinear_losses delay input_error output_error shooting""",
     "export": """

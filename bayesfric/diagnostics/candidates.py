@@ -69,9 +69,9 @@ Sets = Mapping[str, Sequence[Array]]
 # What a transmission carries: what the load itself takes, and no friction.
 _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
-_BEHIND = (0.0, 0.33, 0.67, 1.0)
+_BEHIND = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
-_CYCLES = (1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 24, 36, 48)
+_CYCLES = (*range(1, 9), 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
@@ -376,10 +376,11 @@ def _term(name: str) -> Callable[[Along], Sets]:
     def made(a: Along) -> Sets:
         assert row.column is not None
         state = a.state(a.carried)
-        shape = QUANTITIES[row.shape] if row.shape else None
-        if shape is None or shape.tries is None:
+        if not row.shape:
             return {"": [row.column(state)]}
-        return {f"{x:.3g}": [row.column(state, x)] for x in shape.tries(a.sizes)}
+        tries = QUANTITIES[row.shape].tries
+        assert tries is not None
+        return {f"{x:.3g}": [row.column(state, x)] for x in tries(a.sizes)}
 
     return made
 
@@ -411,8 +412,7 @@ def _gap(a: Along) -> Sets:
     Half a gap is ``a t^2 / 2``, of the typical acceleration a and of t = 0.7, 1.4 and 2.8 over 2 pi
     times the band in Hz.
     """
-    begins = np.zeros(a.o.q.size, dtype=np.bool_)
-    begins[[begin for begin, _ in a.recording.segments]] = True
+    segments = np.array(a.recording.segments)
     found: dict[str, Array] = {}
     for label, share, carried in a.behind():
         if not (share and a.scales.need):
@@ -420,7 +420,7 @@ def _gap(a: Along) -> Sets:
         need = a.smooth(carried) / (share * a.scales.inertia)
         for times in _FLIGHTS:
             half = 0.5 * a.scales.need * (times / (2.0 * np.pi * a.scales.band)) ** 2
-            found[f"{label}, {half:.2g}"] = in_gap(need, a.recording.period, half, begins)
+            found[f"{label}, {half:.2g}"] = in_gap(need, a.recording.period, half, segments)
     if not found:
         return {}
     columns = a.rate(a.rate(a.smooth(np.array([*found.values()]))))
@@ -436,7 +436,7 @@ def _elastic(a: Along) -> Sets:
 
 def _bristles(a: Along) -> Sets:
     q, way = a.o.q, a.direction
-    return {f"{x:.0%}": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
+    return {f"{100 * x:.2g}%": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
 
 
 def _gravity(a: Along) -> Sets:

@@ -38,8 +38,6 @@ _SLOW, _WAVES, _EACH = 1.0, 60, 8
 _SIZES = (0.0, 0.15, 0.45, 1.35, 4.0)
 # Outputs further apart know nothing of each other, in steps.
 _FORGOTTEN = 300
-# Parts of a covariance below these are rounding, or change nothing.
-_ROUNDING, _NOTHING = 1e-9, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +94,7 @@ class Layout:
         step, span = float(np.median(steps)), max(float(np.ptp(t)) for t in self.stamps)
         size = 1 << math.ceil(math.log2(2.0 * span / step + 2.0))
         places = [
-            np.minimum(np.round((t - t[0]) / step).astype(np.int64), size - 1) + k * size
+            np.round((t - t[0]) / step).astype(np.int64) + k * size
             for k, t in enumerate(self.stamps)
         ]
         return step, span, size, np.concatenate(places)
@@ -119,7 +117,7 @@ class Layout:
         """
         columns = []
         for t in self.stamps:
-            span = float(np.ptp(t)) or 1.0
+            span = float(np.ptp(t))
             many = int(min(max(2 * _SLOW * span, 4), t.size / _EACH, _WAVES))
             order = np.arange(1, many + 1)
             phase = np.pi * order * (t - t[0])[:, None] / span
@@ -159,7 +157,7 @@ class Memory:
         Notes
         -----
         With W the whitened cosines times their size, the wander is taken out by ``(I + W
-        W')^(-1/2)``.
+        W')^(-1/2)``, which is ``I - W (R + R^2)^-1 W'`` with ``R = (I + W' W)^(1/2)``.
         """
         out, unforetold = [], _unforetold(self.partial)
         for part, at, waves in zip(layout.split(x), layout.at, layout.waves, strict=True):
@@ -167,9 +165,8 @@ class Memory:
             if self.slow:
                 wave = unforetold(waves, at)[0] * self.slow
                 size, vectors = np.linalg.eigh(wave.T @ wave)
-                kept = size > _NOTHING
-                u, size = (wave @ vectors[:, kept]) / np.sqrt(size[kept]), size[kept]
-                white = white - u @ ((1.0 - 1.0 / np.sqrt(1.0 + size))[:, None] * (u.T @ white))
+                root, turned = np.sqrt(1.0 + size)[:, None], wave @ vectors
+                white = white - turned @ ((turned.T @ white) / (root + root**2))
             out.append(white)
         return np.concatenate(out)
 
@@ -267,7 +264,7 @@ def _unforetold(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]
 
     It also gives the log of the determinant of what that divides by.
     """
-    if partial.size == 0:
+    if not partial.size:
         return lambda x, _: (x, 0.0)
     phi = np.ascontiguousarray(ar.predictors(partial[None])[-1][0])
     stationary = toeplitz(ar.autocovariance(partial)[:-1])

@@ -219,6 +219,11 @@ class Regression:
 
     # What is compared
 
+    @property
+    def _sizes(self) -> Array:
+        """What counts as a change of one of each parameter ``(d,)``."""
+        return np.maximum(np.abs(self.values), 1e-12)
+
     def _own(self, values: Array, observations: Sequence[Observation]) -> Columns:
         """Make the model's columns of recordings, at parameters ``(n_parameters,)``."""
         chain = self.chain
@@ -243,7 +248,7 @@ class Regression:
 
         From the estimate's normal; its open directions are left out.
         """
-        size = np.maximum(np.abs(self.values), 1e-12)
+        size = self._sizes
         rows = self.data.base * size
         variance = mean_square(without(basis_of(self.data.base), self.data.left), rows.shape[1])
         power, vectors = np.linalg.eigh(rows.T @ rows)
@@ -361,29 +366,29 @@ class Regression:
         size = np.abs(self.data.others).max(axis=0)
         losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
         most = np.where(losses, self.scales.lost, self.scales.torque)
-        size = np.where(size > 0.0, most / np.where(size > 0.0, size, 1.0), 0.0)
+        size = np.divide(most, size, out=np.zeros_like(size), where=size > 0.0)
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
-        seen = (rest**2).sum(axis=0) >= TESTABLE**2 * ((d.others * size) ** 2).sum(axis=0)
+        unit, whole = (np.linalg.norm(x, axis=0) for x in (rest, d.others * size))
+        seen = unit > TESTABLE * whole
         wanted = [(key.kind, tuple(own)) for key, own in self._groups] + self._placed_scans
         # between the shapes of a grid
         wanted += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.beside]
         kinds: dict[str, list[tuple[int, ...]]] = {}
         for kind, own in wanted:
-            if size[list(own)].all() and seen[list(own)].all():
+            if seen[list(own)].all():
                 kinds.setdefault(kind, []).append(own)
         free = left.size - base.shape[1]
         power = float(left @ left)
         scores, sds = zip(*(_alone(twin.whitened, size) for twin in self.twins), strict=True)
         mean, white = np.mean(scores, axis=0), float(np.mean(sds))
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
-        unit = np.sqrt((rest**2).sum(axis=0))
         return Missing(
             columns=self.data.others * size,
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
             gram=rest.T @ rest,
             scores=rest.T @ left - mean * unit,
             power=power,
-            spread=np.sqrt(np.maximum(sd**2, 1.0) + HALF**2 * bias**2),
+            spread=np.hypot(np.maximum(sd, 1.0), HALF * bias),
             free=free,
         )
 
@@ -420,9 +425,9 @@ class Regression:
         kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
         # a shape, or the place of a scan, is one more number
         shapes = Counter(key.kind for key, _ in self._groups)
-        count = np.array([len(o) + (shapes[k.kind] > 1) for k, o in self._groups] + [3, 2, 2])
+        more = [len(o) - 1 + (shapes[k.kind] > 1) for k, o in self._groups] + [2, 1, 1]
         gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
-        worth = gains - (count - 1) * math.log(self.data.left.size)
+        worth = gains - np.array(more) * math.log(self.data.left.size)
         allowed = z > limit
         if choosing:  # what the noise's wander can be is not to be taken before it is known
             slow = mine.scans[0].place < _SLOW
@@ -454,7 +459,7 @@ class Regression:
             **vars(choice),
             recording=recording,
             span=span,
-            alike=tuple(self._alike(choice, extra)) if choice.sure else (),
+            alike=tuple(self._alike(choice, extra)) if choice.sure and not choice.scan else (),
             **self._moved(choice.own, extra),
         )
 
@@ -464,14 +469,13 @@ class Regression:
         z = without(basis_of(white.beside(extra)), white.others)
         mine = basis_of(z[:, choice.own])
         ranked = list(zip(self._groups, choice.worth, strict=False))
-        best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=np.inf)
-        best = np.inf if choice.scan else best
+        best = max(w for (key, _), w in ranked if key.kind == choice.kind)
         seen = {choice.kind}
         for (key, columns), gain in ranked:
             if key.kind in seen:
                 continue
             theirs = basis_of(z[:, columns])
-            same = min(mine.shape[1], theirs.shape[1]) > 0 and (
+            same = theirs.size > 0 and (
                 float(np.linalg.svd(mine.T @ theirs, compute_uv=False).min()) > ALIKE
             )
             if gain > best - BETTER or (same and gain > 0.5 * best):
@@ -482,7 +486,7 @@ class Regression:
         """Fit the best candidate: its own coefficients, and what it moves the model's by."""
         white, d, split = self.data.whitened, self.values.size, self.values.size + len(extra)
         size = np.ones(split + len(own))
-        size[:d] = np.maximum(np.abs(self.values), 1e-12)
+        size[:d] = self._sizes
         before, *_ = solved(white.beside(extra), white.left, size[:split])
         both = white.beside([*extra, *own])
         after, covariance, told = solved(both, white.left, size)
@@ -499,13 +503,12 @@ class Regression:
 
         ``told`` ``(d, k)`` are directions that the recordings determine.
         """
-        size = np.maximum(np.abs(self.values), 1e-12)
         found = {}
         for name, gradient in self._gradients.items():
-            scaled = gradient * size
+            scaled = gradient * self._sizes
             inside = told.T @ scaled
             variance = float(gradient @ covariance @ gradient)
-            if variance > 0.0 and inside @ inside > _TOLD * (scaled @ scaled):
+            if inside @ inside > _TOLD * (scaled @ scaled):
                 found[name] = float(gradient @ shift) / math.sqrt(variance)
         return found
 
@@ -514,7 +517,7 @@ class Regression:
         """Derivatives ``(d,)`` of parameters and derived quantities by the parameters."""
         chain, d = self.chain, self.values.size
         load = typical_load(chain, self.observations, self.values)
-        steps = _STEP * np.maximum(np.abs(self.values), 1e-12)
+        steps = _STEP * self._sizes
         moved = self.values + np.concatenate([np.diag(steps), -np.diag(steps)])
         found = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
         for one in derive(chain, moved, load):
@@ -566,7 +569,7 @@ def _alone(d: Columns, size: Array) -> tuple[Array, float]:
     """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
     base = basis_of(d.base)
     rest, left = without(base, d.others * size), without(base, d.left)
-    unit = np.sqrt((rest**2).sum(axis=0))
+    unit = np.linalg.norm(rest, axis=0)
     scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
     return np.asarray(scores), math.sqrt(mean_square(left, base.shape[1]))
 

@@ -80,10 +80,9 @@ def tone(y: Array, layout: Layout) -> Scan:
     power = power / np.maximum(1.0 - power / y.size, 1e-6)
     i = int(np.argmax(power))
     shift = 0.0
-    if 0 < i < power.size - 1:  # between the frequencies of the grid
+    if i:  # between the frequencies of the grid
         low, mid, high = power[i - 1 : i + 2]
-        if low - 2.0 * mid + high < 0.0:
-            shift = 0.5 * (low - high) / (low - 2.0 * mid + high)
+        shift = 0.5 * (low - high) / (low - 2.0 * mid + high)
     return Scan(TONE, float(power[i]), float(f[i] + shift * f[1]))
 
 

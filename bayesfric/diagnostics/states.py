@@ -86,7 +86,7 @@ def since_reversal(q, least):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def in_gap(need, period, half, begins):  # type: ignore[no-untyped-def]
+def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
     """Place of a load in its gap (backlash), along a motion.
 
     It flies freely from where the acceleration that the motor must give it changes sign, until it
@@ -100,8 +100,8 @@ def in_gap(need, period, half, begins):  # type: ignore[no-untyped-def]
         From one sample to the next, s.
     half
         Half of the gap, rad or m.
-    begins
-        ``(N,)`` where a segment begins, and the state anew.
+    segments
+        ``(k, 2)`` first sample of each and one past its last; there the state begins anew.
 
     Returns
     -------
@@ -109,20 +109,19 @@ def in_gap(need, period, half, begins):  # type: ignore[no-untyped-def]
         ``(N,)``, -1 to 1.
     """
     out = np.zeros(need.size)
-    side, x, v, flying = 1.0, 0.0, 0.0, False
-    for i in range(need.size):
-        if begins[i]:
-            side = 1.0 if need[i] > 0.0 else -1.0
-            x, v, flying = side * half, 0.0, False
-        if not flying and need[i] * side < 0.0:
-            flying, v = True, 0.0
-        if flying:
-            x += v * period + 0.5 * need[i] * period**2
-            v += need[i] * period
-            if abs(x) >= half:
-                side = 1.0 if x > 0.0 else -1.0
-                x, v, flying = side * half, 0.0, False
-        out[i] = x / half
+    for a, b in segments:
+        side = 1.0 if need[a] > 0.0 else -1.0
+        x, v, flying = side * half, 0.0, False
+        for i in range(a, b):
+            if not flying and need[i] * side < 0.0:
+                flying, v = True, 0.0
+            if flying:
+                x += v * period + 0.5 * need[i] * period**2
+                v += need[i] * period
+                if abs(x) >= half:
+                    side = np.sign(x)
+                    x, flying = side * half, False
+            out[i] = x / half
     return out
 
 
@@ -153,9 +152,10 @@ def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[floa
         if b - a <= _FEW:
             continue
         # without its trend a part joins its own beginning
-        part = x[a:b] - np.linspace(x[a], x[b - 1], b - a)
-        size = fft.next_fast_len(2 * (b - a), real=True)
+        part = x[a:b]
+        part = part - np.linspace(part[0], part[-1], part.size)
+        size = fft.next_fast_len(2 * part.size, real=True)
         f = fft.rfftfreq(size, period) / np.asarray(hertz)[:, None]
         more = 1.0 / (1.0 - f**2 + 2j * _DAMPING * f) - 1.0
-        out[:, a:b] = fft.irfft(more * fft.rfft(part, size), size)[:, : b - a]
+        out[:, a:b] = fft.irfft(more * fft.rfft(part, size), size)[:, : part.size]
     return out

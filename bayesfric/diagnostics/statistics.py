@@ -249,25 +249,21 @@ def asked(
     basis = basis_of(white.beside(extra))
     y = without(basis, white.left)
     z = without(basis, white.others)
-    delay = Scan(DELAY, 0.0, 0.0)
-    if not any(d.keys[i].delay for i in extra):  # there is one
-        delay = _delayed(d.keys, z, y, y.size - basis.shape[1])
-    again = basis.T @ z  # what rounding has left of the basis
-    size = np.sqrt(np.einsum("ij,ij->j", white.others, white.others))
-    rest = np.sqrt(np.maximum(np.einsum("ij,ij->j", z, z) - (again**2).sum(axis=0), 0.0))
-    told = (rest >= TESTABLE * np.maximum(size, 1e-300)) & (rest > 0.0)
+    free, power = y.size - basis.shape[1], float(y @ y)
+    there = any(d.keys[i].delay for i in extra)  # one is enough
+    delay = _delayed(() if there else d.keys, z, y, free)
+    size, rest = (np.sqrt(np.einsum("ij,ij->j", x, x)) for x in (white.others, z))
+    told = rest > TESTABLE * size
     unit = np.where(rest > 0.0, rest, 1.0)
-    free = y.size - basis.shape[1]
-    power = float(y @ y)
-    slopes = (z.T @ y - again.T @ (basis.T @ y)) / unit
+    slopes = (z.T @ y) / unit
     found, gains = [np.full(len(own), np.nan) for _, own in groups], np.zeros(len(groups))
-    columns, again = np.ascontiguousarray(z.T), again.T
+    columns = np.ascontiguousarray(z.T)
     for k in {len(own) for _, own in groups}:  # all of a size at once
         chosen = np.array([i for i, (_, own) in enumerate(groups) if len(own) == k])
         own = np.array([groups[i][1] for i in chosen])
         gram = np.ones((len(own), 1, 1))
         if k > 1:
-            gram = columns[own] @ columns[own].mT - again[own] @ again[own].mT
+            gram = columns[own] @ columns[own].mT
             gram /= unit[own][:, :, None] * unit[own][:, None, :]
         least, axes = np.linalg.eigh(gram)
         some = told[own].all(axis=1) & (least[:, 0] >= _SINGULAR)
@@ -278,7 +274,7 @@ def asked(
         variance = np.maximum(power - taken, 1e-12 * power) / max(free - k, 1)
         spread = variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)
         gains[chosen[some]] = taken / variance
-        for i, t in zip(chosen[some], b / np.sqrt(np.maximum(spread, 1e-300)), strict=True):
+        for i, t in zip(chosen[some], b / np.sqrt(spread), strict=True):
             found[i] = t
     return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width), delay))
 
@@ -339,15 +335,14 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
         if np.isnan(x).any() or np.isnan(t).any():
             continue
         mean, cov = t.mean(axis=0), np.atleast_2d(np.cov(t.T))
-        cov = 0.9 * cov + 0.1 * np.diag(np.diag(cov)) + 1e-9 * np.eye(x.size)
-        wide = cov + HALF**2 * np.outer(mean, mean)
+        wide = _shrunk(cov) + HALF**2 * np.outer(mean, mean)
         far = float((x - mean) @ np.linalg.solve(wide, x - mean))
         z[i] = float(_normal(np.array(far), x.size, n))
-        apart = t - mean
-        h = np.einsum("ij,jk,ik->i", apart, np.linalg.inv(cov), apart)
-        # without the twin itself in mean and covariance, by the formula of rank one
-        h *= (n / (n - 1)) ** 2 * (n - 2) / (n - 1)
-        h /= np.maximum(1.0 - n * h / (n - 1) ** 2, 0.05)
+        # of each twin, without itself in mean and covariance
+        apart = (t - mean) * n / (n - 1)
+        pairs = apart[:, :, None] * apart[:, None, :]
+        each = _shrunk(((n - 1) * cov - (n - 1) / n * pairs) / (n - 2))
+        h = np.einsum("ij,ijk,ik->i", apart, np.linalg.inv(each), apart)
         null[:, i] = _normal(h, x.size, n - 1)
     for i, scan in enumerate(mine.scans):
         peaks = np.array([one.scans[i].peak for one in others])
@@ -360,12 +355,18 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
     return z, null
 
 
+def _shrunk(covariance: Array) -> Array:
+    """Take a tenth off what covariances ``(..., k, k)`` have beside the diagonal."""
+    one = np.eye(covariance.shape[-1])
+    return np.asarray(covariance * (0.9 + 0.1 * one) + 1e-9 * one)
+
+
 def _normal(square: Array, k: int, n: int) -> Array:
     """Give the standard normal as unlikely as a squared distance from ``n`` others in ``k``.
 
     That is Hotelling's: their mean and covariance are estimates.
     """
-    f = np.maximum(square, 0.0) * n / (n + 1) / (n - 1)
+    f = square * n / (n + 1) / (n - 1)
     p = betainc(0.5 * (n - k), 0.5 * k, 1.0 / (1.0 + f))
     return np.asarray(-ndtri_exp(np.minimum(np.log(np.maximum(p, 1e-300) / 2.0), -1e-12)))
 

@@ -275,8 +275,8 @@ def _finely(x: Array) -> Array:
     """Interpolate samples ``(n,)`` by a cubic spline, ``_FINE`` steps from one to the next."""
     from scipy.interpolate import CubicSpline
 
-    if x.size < 4:
-        return np.interp(np.arange((x.size - 1) * _FINE + 1) / _FINE, np.arange(x.size), x)
+    if x.size < 2:
+        return x
     spline = CubicSpline(np.arange(x.size), x)
     return np.asarray(spline(np.arange((x.size - 1) * _FINE + 1) / _FINE))
 

@@ -3,9 +3,12 @@
 from functools import cache
 
 import numpy as np
+from scipy.linalg import block_diag, toeplitz
 
 import bayesfric as bf
+from bayesfric.diagnostics.memory import Layout
 from bayesfric.fit.model import Model
+from bayesfric.inference.likelihood import autoregression as ar
 from tests.axis import recording_of
 
 TRUTH = {
@@ -64,3 +67,30 @@ def draws_about(values, share=0.01, n=4):
     """Vectors ``(n, n_parameters)`` scattered a little about one."""
     rng = np.random.default_rng(5)
     return np.asarray(values) * (1.0 + share * rng.standard_normal((n, len(values))))
+
+
+def laid_out(*counts, gaps=(), rate=100.0):
+    """Recordings of so many outputs, those at ``gaps`` missing from each."""
+    at = [np.setdiff1d(np.arange(n), gaps) for n in counts]
+    runs = tuple(np.diff(one) == 1 for one in at)
+    return Layout(runs, tuple(one - one[0] for one in at), tuple(one / rate for one in at))
+
+
+def autoregressive(partial, at):
+    """Exact covariance of an autoregressive series at some of its steps."""
+    known = list(ar.autocovariance(partial))
+    phi = ar.predictors(partial[None])[-1][0]
+    while len(known) <= at[-1]:
+        known.append(float(phi @ np.array(known[-1 : -len(phi) - 1 : -1])))
+    return toeplitz(known)[np.ix_(at, at)]
+
+
+def dense_covariance(memory, layout):
+    """Covariance ``(n, n)`` of noise in variances of its innovations, recording by recording."""
+    blocks = [autoregressive(memory.partial, at) for at in layout.at]
+    for block, t in zip(blocks, layout.stamps, strict=True):
+        span = t[-1] - t[0]
+        for k in range(1, 1 + int(min(max(2.0 * span, 4.0), t.size / 8, 60))):
+            wave = np.cos(np.pi * k * (t - t[0]) / span) / np.sqrt(k)
+            block += memory.slow**2 * np.outer(wave, wave)
+    return block_diag(*blocks)

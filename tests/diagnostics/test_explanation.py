@@ -7,11 +7,9 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.templates import placed
-from bayesfric.diagnostics.candidates import KINDS, Along, scales_of
-from bayesfric.diagnostics.explanation import finding, setting_of
-from bayesfric.diagnostics.regression import Regression, Step
-from bayesfric.diagnostics.scans import TONE, Scan
-from bayesfric.diagnostics.statistics import Asked, scored, solved
+from bayesfric.diagnostics.candidates import KINDS
+from bayesfric.diagnostics.explanation import setting_of
+from bayesfric.diagnostics.regression import Regression
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
@@ -98,59 +96,6 @@ def test_every_candidate_has_columns_and_a_setting_that_a_joint_takes(preset):
             assert " = " in text
 
 
-def test_columns_are_finite_and_of_the_samples(right):
-    values = np.array([1.0] * len(right.chain.names))
-    scales = scales_of(right.chain, values, right.observations)
-    o = right.observations[0]
-    along = Along(right.chain, values, o, right.recordings[0], scales)
-    for kind in KINDS:
-        for columns in (*kind.columns(along).values(), kind.beside(along)):
-            for column in columns:
-                assert column.shape == o.q.shape
-                assert np.isfinite(column).all()
-
-
-# Statistics, against closed forms
-
-
-def test_solved_is_least_squares_and_leaves_out_what_is_open():
-    rng = np.random.default_rng(1)
-    x = rng.standard_normal((200, 3))
-    y = x @ [1.0, -2.0, 0.5] + 0.1 * rng.standard_normal(200)
-    found, covariance, told = solved(x, y, np.ones(3))
-    exact = np.linalg.lstsq(x, y)[0]
-    np.testing.assert_allclose(found, exact, rtol=1e-9)
-    left = y - x @ exact
-    np.testing.assert_allclose(covariance, (left @ left) / 197 * np.linalg.inv(x.T @ x), rtol=1e-9)
-    assert told.shape == (3, 3)
-    # the sum of two equal columns' coefficients is told, their difference is not
-    same = np.column_stack([x, x[:, 0]])
-    found, _, told = solved(same, y, np.ones(4))
-    assert told.shape == (4, 3)
-    assert found[0] + found[3] == pytest.approx(exact[0])
-    assert np.linalg.norm(told.T @ [1.0, 0.0, 0.0, -1.0]) < 1e-6
-
-
-def test_scores_of_twins_like_the_recording_are_standard_normal():
-    """Of many recordings drawn like their twins, squares of a score average to one."""
-    rng = np.random.default_rng(3)
-
-    def drawn():
-        t = rng.standard_normal(2) @ [[1.0, 0.3], [0.0, 0.8]] + [0.2, 0.0]
-        peak = float(rng.gumbel(5.0, 1.0))
-        return Asked([t[:1], t], np.zeros(2), (Scan(TONE, peak, 1.0),))
-
-    scores, twins = [], []
-    for _ in range(200):
-        z, null = scored(drawn(), [drawn() for _ in range(24)])
-        scores.append(z)
-        twins.append(null)
-    # the sd of a mean of 200 chi squares is 0.1
-    # of the recording a mean that the twins show is half known, so it scores a little less
-    assert np.mean(np.square(scores)[:, :2], axis=0) == pytest.approx(1.0, abs=0.3)
-    assert np.mean(np.square(np.concatenate(twins))[:, :2], axis=0) == pytest.approx(1.0, abs=0.15)
-
-
 @pytest.mark.parametrize("times", [1.0, 1.3])
 def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     """SIMULATED. What passes it on with losses below zero is a factor of all torque."""
@@ -166,24 +111,6 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
         recordings.append(recording_of(made, name=f"{seed}", **more))
     found = Model(replace(full, gain=False), recordings).explain().findings
     assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)
-
-
-@pytest.mark.parametrize(
-    ("kind", "alike", "named", "hint"),
-    [
-        ("stribeck", (), "stribeck", 'mechanism.elements.motor.stribeck = "either"'),
-        ("quadratic", (), "quadratic", ""),  # nothing that loses energy gives any
-        ("quadratic", ("power", "spring"), "spring", "mechanism.load.spring = true"),
-    ],
-)
-def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, alike, named, hint):
-    step = Step(
-        kind, "0.5", own=[0], sure=True, z=6.0, p=0.04, largest=6.0, limit=4.0, worth=np.zeros(1),
-        share=0.1, recording="", span=None, coefficients=np.array([-1.0]), moves={}, alike=alike,
-    )  # fmt: skip
-    found = finding(axis(), step)
-    assert (found.kind, found.hint) == (named, hint)
-    assert found.rivals == ((kind, "power") if named != kind else ())
 
 
 @pytest.mark.parametrize("coupled", [False, True])

@@ -1,0 +1,251 @@
+"""From what was taken in to a finding: what it names and doubts, and the line that mends it."""
+
+import tomllib
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import bayesfric as bf
+from bayesfric.base.templates import placed
+from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, scales_of
+from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, unasked
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
+from bayesfric.diagnostics.regression import Step
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.filters import ParallelFilter
+from bayesfric.recordings.inputs import Inputs, Signal
+from tests.axis import swing
+from tests.conftest import made_observation, made_recording
+from tests.diagnostics.bench import axis
+
+STEP = Step(
+    "quadratic", "0.5", own=[0], sure=True, z=6.0, p=0.04, largest=7.0, limit=4.0,
+    worth=np.zeros(1), share=0.1, recording="in one", span=(1.0, 2.0),
+    coefficients=np.array([1.0]), alike=("power",),
+    moves={"a": 0.5, "b": -MOVES - 0.01, "c": MOVES + 5.0, "d": MOVES - 0.01},
+)  # fmt: skip
+
+
+def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
+    found = finding(axis(), STEP)
+    assert (found.kind, found.shape, found.statistic, found.p) == ("quadratic", "0.5", 6.0, 0.04)
+    assert (found.share, found.rivals, found.recording) == (0.1, ("power",), "in one")
+    assert found.span == (1.0, 2.0)
+    assert (found.severity, found.parameters) == ("doubt", ("c", "b"))  # the most first
+    assert found.physical
+    assert found.hint == found.setting == "mechanism.elements.motor.quadratic = true"
+    near = finding(axis(), replace(STEP, moves={"a": 0.5, "d": -MOVES + 0.01}))
+    assert (near.severity, near.moves) == ("note", {})
+    told = found.as_dict()
+    assert (told["parameters"], told["span"]) == (["c", "b"], [1.0, 2.0])
+    assert finding(axis(), replace(STEP, span=None)).as_dict()["span"] is None
+    # what is no candidate of the table has no setting
+    tone = finding(axis(), replace(STEP, kind="tone"))
+    assert (tone.kind, tone.setting, tone.physical) == ("tone", "", True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes", "alike", "named", "hint"),
+    [
+        ("stribeck", [-1.0], (), "stribeck", 'motor.stribeck = "either"'),
+        ("quadratic", [-1.0], (), "quadratic", ""),  # nothing that loses energy gives any
+        ("quadratic", [0.0], (), "quadratic", "motor.quadratic = true"),
+        ("load_loss_by_power", [1.0, -1.0], (), "load_loss_by_power", ""),
+        ("load_loss_by_power", [1.0, 1.0], (), "load_loss_by_power", 'motor.load_loss = "two"'),
+        ("quadratic", [-1.0], ("power", "tone", "spring"), "spring", "load.spring = true"),
+        ("drift", [-1.0], ("spring",), "drift", ""),  # which may have any sign
+    ],
+)
+def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, named, hint):
+    found = finding(axis(), replace(STEP, kind=kind, coefficients=np.array(sizes), alike=alike))
+    assert found.kind == named
+    assert found.hint == (
+        f"mechanism.{'' if hint.startswith('load.') else 'elements.'}{hint}" if hint else ""
+    )
+    assert found.physical == (bool(hint) or kind == "drift")
+    assert found.shape == ("0.5" if named == kind else "")
+    assert found.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
+
+
+# A line of a configuration adds the column of its candidate
+
+TIME = 0.002 * np.arange(2000)
+MOTION = swing(TIME, ((0.45, 1.2), (1.3, 0.4)))
+WARM = Inputs(temperature=Signal(TIME, 25.0 + TIME), torque_rate=Signal(TIME, np.cos(TIME)))
+VALUES = {"inertia": 0.1, "first_moment": 0.5, "coulomb": 0.4, "viscous": 0.2, "load": 0.1}
+SHAPES = ("stribeck_velocity", "warming_time", "power_exponent")
+RATIO = 3.0
+
+
+def put_in(chain, line):
+    """Give the joint of a configuration that has the line."""
+    where, text = placed(line)
+    ((key, value),) = tomllib.loads(text).items()
+    value = tuple(value) if isinstance(value, list) else value
+    match where.split("."):
+        case ["mechanism"] if key == "load":
+            return replace(chain, load=bf.Load(**{**chain.load.choices, **value}))
+        case ["mechanism"]:
+            return replace(chain, **{key: value})
+        case ["mechanism", "load"]:
+            return replace(chain, load=bf.Load(**{**chain.load.choices, key: value}))
+        case ["mechanism", "elements", name]:
+            more = [replace(e, choices={**e.choices, key: value}) for e in chain.elements]
+            pairs = zip(chain.elements, more, strict=True)
+            return replace(chain, elements=[n if e.name == name else e for e, n in pairs])
+    raise AssertionError(line)
+
+
+def sensitivities(chain, shape):
+    """Derivatives of a joint's torque by its parameters, those that shape at values of a grid."""
+    shapes = dict.fromkeys(SHAPES, shape) | {"stribeck_velocity": RATIO * shape}  # the motor's
+    values = np.array([(VALUES | shapes).get(p.quantity, 0.0) for p in chain.parameters])
+    columns = []
+    for i, p in enumerate(chain.parameters):
+        if p.quantity in SHAPES:
+            continue
+        step = np.where(np.arange(values.size) == i, 1e-6, 0.0)
+        sides = (
+            inverse_torque(chain, v, *MOTION, inputs=WARM, time=TIME)
+            for v in (values + step, values)
+        )
+        columns.append((next(sides) - next(sides)) / 1e-6)
+    return np.column_stack(columns)
+
+
+INERT = bf.Element("motor", inertia=True, ratio=RATIO)
+HEAVY = bf.Load(first_moment=True)
+PLAIN = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True, ratio=RATIO)
+LOSSY = replace(PLAIN, choices={**PLAIN.choices, "load_loss": "one"})
+BY_LOAD = ("load_square", "load_speed", "load_loss_by_direction")
+WAVES = ("repeating", "friction_by_angle")
+SETTINGS = [
+    *(
+        (kind.name, bf.Joint([PLAIN, bf.Element("arm")] if kind.name in WAVES else [PLAIN], HEAVY))
+        for kind in KINDS
+        if kind.option not in ("", "inertia", "delay", "coulomb") and kind.name not in BY_LOAD
+    ),
+    *((name, bf.Joint([LOSSY], HEAVY)) for name in (*BY_LOAD, "load_loss_by_power")),
+    ("coulomb", bf.Joint([INERT], HEAVY)),
+    ("viscous", bf.Joint([INERT], HEAVY)),
+    ("gravity", bf.Joint([INERT], bf.Load())),
+]
+
+
+@pytest.mark.parametrize(("name", "chain"), SETTINGS)
+def test_the_line_that_a_finding_gives_adds_its_candidates_columns(name, chain):
+    """Each is a sum of what moves the torque of the new configuration's joint."""
+    taken = ParallelFilter.every_sample(TIME.size)
+    told = {"lowpass": 0.0, "order": 2, "reach": 8, "band": 12.0}
+    o = made_observation("one", TIME, MOTION, TIME, taken, 0.002, WARM, settings=told)
+    values = np.array([VALUES.get(p.quantity, 0.0) for p in chain.parameters])
+    scales = scales_of(chain, values, [o])
+    along = Along(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
+    kind, some = BY_NAME[name], 0
+    every = [*kind.columns(along).items()]
+    for shape, columns in (*every[:1], *every[-1:]):  # terms that are new take their compilation
+        line = setting_of(chain, kind, shape)
+        if not line:
+            assert name == "viscous"  # which the joint has
+            continue
+        if "inertia behind" in shape and not shape.startswith("0%"):
+            continue  # this joint has none behind what loses
+        wanted = put_in(chain, line)
+        at = float(shape) if shape.replace(".", "").replace("e-", "").isdigit() else 0.5
+        new = sensitivities(wanted, at)
+        for column in columns:
+            left = column - project(new, column)
+            assert np.linalg.norm(left) < 2e-2 * np.linalg.norm(column), (line, shape)
+        some += 1
+        # and one that has it is told nothing more
+        if name not in WAVES:
+            assert setting_of(wanted, kind, shape) == "" or name == "gravity"
+    assert some or name == "viscous"
+
+
+def project(x, y):
+    x = x[:, np.linalg.norm(x, axis=0) > 1e-12]
+    x = x / np.linalg.norm(x, axis=0)
+    return x @ np.linalg.lstsq(x, y, rcond=1e-10)[0]
+
+
+def test_settings_name_the_element_that_can_have_them():
+    first = bf.Element("motor", coulomb="symmetric", ratio=10.0)
+    bare = bf.Joint([first, bf.Element("arm")], bf.Load(inertia=True))
+    elements = "mechanism.elements"
+
+    def told(kind, chain=bare, shape=""):
+        return setting_of(chain, BY_NAME[kind], shape)
+
+    # the first that does not have it yet, none where all do
+    assert told("coulomb") == f'{elements}.arm.coulomb = "symmetric"'
+    both = replace(bare, elements=[first, replace(first, name="arm", ratio=1.0)])
+    assert told("coulomb", both) == ""
+    # waves at the shaft that turns so often: motor or joint
+    assert told("repeating", shape="12 a turn of the motor") == f"{elements}.motor.cogging = [12]"
+    assert told("repeating", shape="3 a turn of the joint") == f"{elements}.arm.cogging = [3]"
+    # a loss by the load is the last element's, or that which has one; it needs a load, or inertia
+    assert told("load_loss") == f'{elements}.arm.load_loss = "one"'
+    lossy = replace(
+        bare, elements=[replace(first, choices={"load_loss": "one"}), bf.Element("arm")]
+    )
+    assert told("load_loss_by_power", lossy) == f'{elements}.motor.load_loss = "two"'
+    assert told("load_loss", lossy) == ""
+    # what shapes such a loss needs one first
+    for kind, option in (
+        ("load_square", "load_square"),
+        ("load_speed", "load_speed"),
+        ("load_loss_by_direction", "load_direction"),
+    ):
+        assert told(kind) == f'{elements}.arm.load_loss = "one"'
+        assert told(kind, lossy) == f"{elements}.motor.{option} = true"
+    empty = replace(bare, load=bf.Load())
+    assert told("load_loss", empty) == ""
+    behind = bf.Joint([first, bf.Element("arm", inertia=True)], bf.Load())
+    assert told("load_loss", behind) == ""  # the last has nothing behind it
+    geared = replace(
+        behind, elements=[replace(first, choices={"load_loss": "one"}), behind.elements[1]]
+    )
+    assert told("load_square", geared) == f"{elements}.motor.load_square = true"
+    # of the joint and its load
+    assert told("offset") == "mechanism.offset = true"
+    assert told("delay") == "mechanism.delay = true"
+    assert (
+        told("offset", replace(bare, offset=True)) == told("delay", replace(bare, delay=True)) == ""
+    )
+    assert told("spring") == "mechanism.load.spring = true"
+    assert told("spring", replace(bare, load=bf.Load(spring=True))) == ""
+    assert told("gravity") == "mechanism.load = { first_moment = true, gravity_angle = true }"
+    heavy = replace(bare, load=bf.Load(first_moment=True))
+    assert told("gravity", heavy) == "mechanism.load.gravity_angle = true"
+    for kind in ("torque_constant", "drift", "elastic", "backlash", "presliding"):
+        assert told(kind) == ""
+
+
+# Whether it is asked
+
+
+def sized(outputs, samples):
+    chain = SimpleNamespace(names=("a", "b", "c"))
+    seen = [SimpleNamespace(measured=np.zeros(n)) for n in outputs]
+    return unasked(chain, [SimpleNamespace(time=np.zeros(n)) for n in samples], seen)
+
+
+def test_recordings_are_asked_of_enough_outputs_and_not_too_many_samples():
+    assert sized((10, LEAST_OUTPUTS - 8), (5, 5)) == "few"
+    assert sized((10, LEAST_OUTPUTS - 7), (LONGEST, 0)) is None
+    assert sized((10, LEAST_OUTPUTS), (LONGEST, 1)) == "long"
+
+
+def test_an_explanation_is_told_as_json_and_as_a_table():
+    found = finding(axis(), STEP)
+    one = Explanation((found,), ("a",), ("b",), (None,) * 3, 5.0, 4.0, 2.0)
+    assert one.asked
+    assert one.as_json() == {
+        "findings": [found.as_dict()], "kinds": ["a"], "untold": ["b"], "twins": 3,
+        "largest": 5.0, "limit": 4.0, "cpu_seconds": 2.0, "reason": None,
+    }  # fmt: skip
+    assert one.frame["kind"].tolist() == ["quadratic"]
+    assert not Explanation(reason="few").asked
