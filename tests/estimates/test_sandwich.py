@@ -89,7 +89,7 @@ def test_no_residual_is_told_better_than_it_is_read():
 
 @pytest.mark.parametrize("twins", [False, True])
 def test_groups_are_weighed_by_what_they_leave_to_others(twins):
-    """Bell and McCaffrey: ``(1 - H)^(-1/2)`` of a group's own residuals, where one leaves enough."""
+    """Bell and McCaffrey: ``(1 - H)^(-1/2)`` of a group's own residuals, where one leaves any."""
     jacobian, residual, units, _ = problem(twins=twins)
     group = np.random.default_rng(3).permutation(np.repeat(np.arange(15), 6))
     found = Information(jacobian, residual, units, groups=group + 4)
@@ -113,7 +113,7 @@ def test_groups_are_weighed_by_what_they_leave_to_others(twins):
 
 
 def test_what_theory_says_is_open_is_open_whatever_differences_say():
-    """A direction whose derivatives are only nearly zero, and functions that do not change along."""
+    """A direction whose derivatives are only nearly zero; functions that do not change along it."""
     jacobian, residual, units, _ = problem()
     along = np.array([0.5, 2e-4, -1e3, 0.1])
     off = null_space((along / units)[None])
