@@ -162,7 +162,7 @@ class PositionLikelihood(Likelihood):
         for r, run in enumerate(self._runs):
             # shapes differ little over the draws: one factor, at the mean scales
             roots = [_root(c) for c in run.covariances(scales[:, r].mean(axis=0))]
-            z = [rng.standard_normal((scales.shape[0], root.shape[1])) for root in roots]
+            z = [rng.standard_normal((len(scales), len(root))) for root in roots]
             found.append(
                 np.concatenate([a @ root.T for a, root in zip(z, roots, strict=True)], axis=1)
             )
