@@ -182,6 +182,35 @@ def test_segments_are_long_enough_to_say_something_and_many_enough_for_their_sum
     assert fixed.lengths() == (0.17,)
 
 
+@pytest.mark.parametrize(("of_torque", "of_position"), [(0.0, 1e-4), (0.3, 1e-6)])
+def test_a_longer_segment_is_taken_where_that_clearly_tells_more(of_torque, of_position):
+    """Fits of all lengths, one after the other; 0.2 in the mean logarithm of the robust sds."""
+    torque = excite(4.0, 0.6, seed=6)
+    rng = np.random.default_rng(7)
+    q = move(SMOOTH, VALUES, torque).q + of_position * rng.standard_normal(torque.size)
+    # slow, so that what it makes of a motion grows with the square of time
+    slow = of_torque * np.sin(4.0 * PERIOD * np.arange(torque.size))
+    parts = [prepare(q, torque + slow)]
+    trajectories, observations = zip(*parts, strict=True)
+    options = Estimation(substeps=1)
+    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
+    assert problem.lengths() == (0.2, 0.5)
+    found = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
+    fits = [problem.fit(AT, length) for length in problem.lengths()]
+    sds = [[one.information.sds(row)[1] for row in np.eye(3)] for one in fits]
+    # of directions that are orthogonal in the Jacobian; their product is the determinant's
+    told = []
+    for one in fits:
+        d = one.information.directions
+        told.append(np.mean([np.log(one.information.sds(r / d.units)[1]) for r in d.rows]))
+    best = int(told[1] < told[0] - 0.2)
+    assert best == int(of_torque == 0.0)
+    for j, name in enumerate(NAMES):
+        assert found[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
+        assert abs(found[name].value - fits[best].solution.values[j]) < 0.1 * sds[best][j]
+    assert found.n_outputs == fits[best].frame.shooting.measured.size
+
+
 def test_what_is_chosen_is_stated_with_its_own_numbers():
     options = Estimation(substeps=1, segment=0.1)
     trajectories, observations = zip(*PARTS, strict=True)
