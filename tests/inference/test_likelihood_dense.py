@@ -323,3 +323,26 @@ def test_information_of_both_noises_is_that_of_a_normal_vector(runs):
             slopes = [inverse @ (f.T @ (2.0 * a * p) @ f) for a, p in zip(s, parts, strict=True)]
             exact += [[0.5 * np.trace(x @ y) for x in slopes] for y in slopes]
         np.testing.assert_allclose(one, exact, rtol=1e-4)
+
+
+def test_a_joint_that_sticks_stays_where_its_positions_have_it():
+    """No torque moves it: what is left of the encoder's noise is white, all but the state's."""
+    held = Joint(elements=(Element("motor", inertia=True, coulomb="symmetric"),), load=Load())
+    noise = 1e-4 * np.random.default_rng(6).standard_normal(240)
+    time, still = PERIOD * np.arange(240), np.zeros(2)
+    t = Trajectory(
+        "held", time, 0.1 + noise, np.full(240, 0.02), PERIOD, np.array([(0, 120), (120, 240)]),
+        0.1 + still, still, inputs=Inputs(),
+    )  # fmt: skip
+    point = np.array([0.01, 0.3])
+    likelihood = PositionLikelihood(held, [t], [], point)
+    scales = np.array([[[0.5, 1e-4]]])
+    # a speed would carry it no further than the first sample
+    state = np.stack([np.ones(120), np.arange(120) > 0], axis=1)
+    free = null_space(state.T)
+    normal = stats.multivariate_normal(cov=1e-8 * np.eye(118))
+    expected = sum(normal.logpdf(x @ free) for x in np.split(noise, 2))
+    assert likelihood.log_density(point[None], scales)[0] == pytest.approx(expected, rel=1e-6)
+    (found,) = likelihood.predict(point[None])
+    for part, x in zip(np.split(found[0], 2), np.split(0.1 + noise, 2), strict=True):
+        np.testing.assert_allclose(part[1:], x[1:].mean(), atol=1e-9)

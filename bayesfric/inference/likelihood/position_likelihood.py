@@ -56,7 +56,8 @@ _ROUNDS = 3
 class _Segment:
     """Linear algebra of one segment of M averaged positions.
 
-    ``state`` ``(M, 2)``: their derivatives by the initial state, zero where it has no effect.
+    ``state`` ``(M, 2)``: their derivatives by the initial state, each over its own norm; zero where
+    it has no effect.
     ``response``: their covariance for torque noise of one. ``rotation`` ``(terms, M)``:
     combinations that are independent, of the variances ``weights`` ``(terms,)`` for torque noise of
     one.
@@ -364,7 +365,8 @@ def _segment(state: Array, by_torque: Array) -> _Segment:
     """
     state, by_torque = np.nan_to_num(state), np.nan_to_num(by_torque)
     size = np.linalg.norm(state, axis=0)
-    left, singular, _ = np.linalg.svd(state / np.where(size > 0.0, size, 1.0))
+    state = state / np.where(size > 0.0, size, 1.0)
+    left, singular, _ = np.linalg.svd(state)
     rank = int((singular > _RANK * max(float(singular[0]), 1e-300)).sum())
     free = left[:, rank:]  # combinations that no initial state changes
     response = by_torque @ by_torque.T
@@ -373,7 +375,7 @@ def _segment(state: Array, by_torque: Array) -> _Segment:
 
 
 def _state_gain(s: _Segment, covariance: Array) -> Array:
-    """Best linear estimate of the initial state from a residual, ``(2, M)``."""
+    """Best linear estimate of the initial state from a residual, ``(2, M)``, over its norms."""
     weighted = np.linalg.solve(covariance, s.state)
     return np.asarray(np.linalg.pinv(s.state.T @ weighted, rcond=_RANK**2) @ weighted.T)
 
