@@ -346,3 +346,12 @@ def test_a_joint_that_sticks_stays_where_its_positions_have_it():
     (found,) = likelihood.predict(point[None])
     for part, x in zip(np.split(found[0], 2), np.split(0.1 + noise, 2), strict=True):
         np.testing.assert_allclose(part[1:], x[1:].mean(), atol=1e-9)
+
+
+def test_where_one_segment_runs_away_the_vector_is_impossible():
+    run = Run("short", ((0, 60), (63, 123)), 1, "linear", 0)
+    torque = run.trajectory.torque.copy()
+    torque[63:] = 1e12
+    t = replace(run.trajectory, torque=torque)
+    likelihood = PositionLikelihood(LINEAR, [t], [], POINT)
+    assert likelihood.log_density(POINT[None], SCALES[:1, None])[0] == -np.inf

@@ -314,8 +314,9 @@ class _Run:
         t = self._trajectory
         n = t.position.size
         q, qd = np.zeros((2, n))
+        # a segment that runs away has no motion, and no derivatives
         q[t.samples], qd[t.samples] = (
-            x[0] for x in self._shooting.motion(point[None], self._states)
+            np.nan_to_num(x[0]) for x in self._shooting.motion(point[None], self._states)
         )
         place = np.zeros(n, dtype=np.int64)  # in the segment
         place[t.samples] = np.concatenate([np.arange(b - a) for a, b in t.segments])
