@@ -12,6 +12,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.output_error import OutputError, output_error
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shooting import Shooting
+from bayesfric.estimates.shooting_fit import descend
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from tests.estimates.simulated import PERIOD, excite, move, prepare
@@ -166,6 +167,19 @@ def test_recordings_are_weighed_by_what_each_leaves():
         near = frame.shooting.positions((fit.solution.values + step)[None], states - follow)[0]
         cost = np.sum((frame.rows * (frame.shooting.measured - near)) ** 2)
         assert cost >= fit.solution.cost * (1.0 - 1e-9)
+
+
+def test_what_has_no_motion_is_no_minimum():
+    options = Estimation(substeps=1, segment=0.1)
+    fit = OutputError(SMOOTH, *zip(PARTS[0], strict=True), Knowledge(), options).fit(AT, 0.1)
+    weightless = SMOOTH.vector(VALUES | {"motor.inertia": -1.0})
+    found = descend(fit.frame, weightless, fit.solution.states)
+    assert found.cost == np.inf
+    assert not found.converged
+    # at the minimum it stays
+    again = descend(fit.frame, fit.solution.values, fit.solution.states)
+    assert again.converged
+    assert again.cost == pytest.approx(fit.solution.cost, rel=1e-6)
 
 
 def test_segments_are_long_enough_to_say_something_and_many_enough_for_their_sums():
