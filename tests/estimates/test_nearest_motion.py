@@ -82,6 +82,7 @@ def test_positions_and_derivatives_are_those_of_scipy_s_integrator():
 CASES = {
     "free": Knowledge(),
     "fixed": Knowledge(fixed={"load.first_moment": 0.05}),
+    "one": Knowledge(fixed={"load.first_moment": 0.05, "motor.inertia": 0.02}),
     "told": Knowledge(told={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
     "bound": Knowledge(bounds={"motor.viscous": (0.0, 0.09)}),
 }
@@ -138,7 +139,7 @@ def test_the_nearest_motion_is_scipy_s(case):
     for row, sd in zip(np.eye(len(free)), spread, strict=True):
         assert fit.information.sds(row)[0] == pytest.approx(sd, rel=2e-3)
     assert fit.at_bound.tolist() == ([0, 1, 0] if case == "bound" else [0] * len(free))
-    if case == "fixed":
+    if case in ("fixed", "one"):
         assert fit.solution.values[NAMES.index("load.first_moment")] == 0.05
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.estimates.assemble import units_of
 from bayesfric.estimates.least_squares import (
     TotalsProjection,
     least_squares,
@@ -16,6 +17,7 @@ from bayesfric.estimates.torque import places, torque_jacobian, weighed_torque
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
 from tests.conftest import made_observation
@@ -294,6 +296,23 @@ def test_sizes_are_what_is_seen_where_outputs_are():
         assert here.speed == pytest.approx(scales.speed * behind)
         assert here.acceleration == pytest.approx(scales.acceleration * behind)
         assert (here.gravity, here.lean, here.duration) == (9.80665, 1.0, scales.duration)
+
+
+def test_a_unit_of_a_parameter_is_itself_and_of_a_load_loss_one_over_alpha():
+    """Eq. (6): 1/alpha_1 is 1 + mu_1, and 1/alpha_2 is 1 - mu_2, whichever its sign."""
+    chain = PRESETS["rabbit-knee"].chain()
+    v = PRESETS["rabbit-knee"].values | {"joint.viscous": -3.0, "gearbox.load_back": 1.4}
+    found = dict(zip(chain.names, units_of(chain, chain.names, chain.vector(v)), strict=True))
+    assert found.pop("gearbox.load_drive") == pytest.approx(1.0 + v["gearbox.load_drive"])
+    assert found.pop("gearbox.load_back") == pytest.approx(0.4)
+    assert found == pytest.approx({name: abs(v[name]) for name in found})
+    servo = PRESETS["servo-pendulum"].chain()  # one mu of both power flows has no alpha
+    at = servo.vector(PRESETS["servo-pendulum"].values)
+    np.testing.assert_allclose(units_of(servo, servo.names, at), np.abs(at))
+    some = "motor.inertia", "gearbox.load_drive"
+    assert units_of(chain, some, chain.vector(v)) == pytest.approx(
+        [v["motor.inertia"], 1.0 + v["gearbox.load_drive"]]
+    )
 
 
 def test_places_are_even_in_time_and_apart_between_segments_and_recordings():
