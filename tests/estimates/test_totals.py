@@ -10,6 +10,7 @@ from bayesfric.estimates.least_squares import (
     TotalsProjection,
     least_squares,
     starting_values,
+    total_label,
     totals_regressors,
 )
 from bayesfric.estimates.sizes import measured_scales, sizes_at
@@ -147,6 +148,10 @@ def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter():
     found = least_squares(lossy, observed(lossy, v))
     assert wave not in found
     assert found[f"total.{wave}"].value == pytest.approx(v[wave], rel=1e-9)
+    sprung = replace(lossy, load=Load(inertia=True, spring=True), delay=True, gain=True)
+    assert total_label(sprung, "load.spring") == "total.load.spring"
+    assert total_label(sprung, "drive.delay") == "drive.delay"  # of the torque as it is measured
+    assert total_label(replace(sprung, elements=PARTS, gain=False), "load.spring") == "load.spring"
     geared = Joint(PARTS, Load(inertia=True), gain=True)
     v = values_of(geared) | {"drive.gain": 0.5}
     found = least_squares(geared, observed(geared, v, added_mass=1.0))

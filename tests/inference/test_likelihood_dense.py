@@ -8,11 +8,13 @@ from scipy import stats
 from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
 
+from bayesfric.estimates.shooting import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import Term
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.moving import Rest
@@ -355,3 +357,22 @@ def test_where_one_segment_runs_away_the_vector_is_impossible():
     t = replace(run.trajectory, torque=torque)
     likelihood = PositionLikelihood(LINEAR, [t], [], POINT)
     assert likelihood.log_density(POINT[None], SCALES[:1, None])[0] == -np.inf
+
+
+def test_torque_moves_a_joint_whose_losses_change_with_time_as_whole_simulations_say():
+    """From sample to sample at the samples' own times; so quickly do they change."""
+    term = Term("motor.flicker", lambda m: m.speed * (1.0 + np.sin(700.0 * m.time)), "N m s")
+    chain = Joint((Element("motor", inertia=True),), Load()).with_term(term)
+    point = chain.vector({"motor.inertia": 0.01, "motor.flicker": 1.0})
+    t = Run("short", ((3, 63),), 1, "linear", 0).trajectory
+    (run,) = PositionLikelihood(chain, [t], [], point)._runs
+    (found,) = run._by_torque(point)
+    for sample in (0, 1, 20, 58):
+        moved = []
+        for step in (1e-3, -1e-3):
+            torque = t.torque.copy()
+            torque[3 + sample] += step
+            other = Shooting(chain, [replace(t, torque=torque)], run.substeps)
+            moved.append(other.positions(point[None], run._states)[0])
+        expected = (moved[0] - moved[1]) / 2e-3
+        np.testing.assert_allclose(found[:, sample], expected, atol=1e-5 * np.abs(expected).max())
