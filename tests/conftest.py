@@ -57,7 +57,8 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        checkpoint discrepancy fast_moments moves rests_beyond sampling static_friction""",
+        checkpoint discrepancy fast_moments likelihood_dense moves rests_beyond sampling
+        static_friction""",
     "mechanism": """
         closed_loop quantities""",
     "population": """

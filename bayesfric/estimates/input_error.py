@@ -158,7 +158,7 @@ def _starts(problem: TorqueProblem, plain: Terms, options: Estimation) -> tuple[
             vectors = vectors[:1]
         if found.theta2.size:
             searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
-    inside = [problem.inside(_toward_told(problem, vector)) for vector in vectors]
+    inside = [problem.inside(vector) for vector in vectors]
     inside, tried = at_tried_shapes(problem, plain, inside, rng)
     if tried:
         searched = f", those that fitted best of {tried} with shapes held at values to try"

@@ -198,12 +198,18 @@ def total_label(chain: Joint, name: str) -> str:
     Parameters
     ----------
     chain
-        The mechanism; with an unknown gain no total is a parameter.
+        The mechanism; with an unknown gain no total is a parameter, and behind load-dependent
+        friction none.
     name
         Of :attr:`TotalsProjection.names`.
     """
     if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
-        return name
+        owner, places = name.partition(".")[0], [e.name for e in chain.elements]
+        if owner == "drive":  # it is of the torque as measured
+            return name
+        before = chain.elements[: places.index(owner) if owner in places else len(places)]
+        scaled = chain.gain or any(e.load_loss != "none" for e in before)
+        return f"total.{name}" if scaled else name
     kind = name.partition(".")[0]
     owners = [p for p in chain.parameters if kind in dict(_regressed(chain, p))]
     own = [p for p in owners if p.name == name] if name.startswith("offset.") else owners

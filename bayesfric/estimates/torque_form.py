@@ -273,8 +273,8 @@ def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     -------
     tuple of (str, float)
         Name of each column and that torque. A term that does not grow with a power of speed, or has
-        no total, has a column of its own name. Load-dependent friction has none:
-        ``lambda_1`` and ``lambda_2`` hold it.
+        no total, has a column of its own name, which is that torque. Load-dependent friction has
+        none: ``lambda_1`` and ``lambda_2`` hold it.
 
     Notes
     -----
@@ -283,10 +283,10 @@ def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """
     if p.row.role != "own":
         return ()
-    before = chain.ratio / chain.reaches[p.owner]  # speed of the motor over that of its shaft
     if p.row.power is None or not {kind for kind, _ in p.row.fills} <= TOTALS.keys():
-        return ((p.name, 1.0 / before),)
-    factor = before ** -(p.row.power + 1)
+        return ((p.name, 1.0),)
+    # speed of the motor over that of its shaft
+    factor = (chain.ratio / chain.reaches[p.owner]) ** -(p.row.power + 1)
     if p.quantity == "first_moment":
         factor *= chain.load.gravity
     return tuple((kind, weight * factor) for kind, weight in p.row.fills)
@@ -312,8 +312,8 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
     Returns
     -------
     ndarray
-        ``(n, N)``, one column a row, in motor units; a parameter with a column of its own has the
-        torque at its element's input for a value of one.
+        ``(n, N)``, one column a row, in motor units; that of a parameter of its own is the torque
+        at the motor for a value of one.
     """
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)
@@ -337,7 +337,8 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
         if name in chain.offset_names:
             return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
         p = chain.parameters[chain.names.index(name)]
-        return along(p.row, chain.reaches[p.owner], o.q, o.qd, o.stamps, o.inputs)
+        reach = chain.reaches[p.owner]
+        return along(p.row, reach, o.q, o.qd, o.stamps, o.inputs) * (reach / n)
 
     found = [column(name) for name in names]
     return np.stack(found) if found else np.empty((0, o.q.size))

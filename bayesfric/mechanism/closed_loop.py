@@ -118,7 +118,7 @@ def follow(
         ranges,
         np.asarray(q0, dtype=np.float64),
         np.asarray(qd0, dtype=np.float64),
-        max(1, int(np.ceil(period / step - 1e-9))),
+        int(np.ceil(period / step - 1e-9)),
         possible(chain, vectors, tables, load[0]),
         np.full((n, samples), np.nan),
         np.full((n, samples), np.nan),

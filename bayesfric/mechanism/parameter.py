@@ -123,7 +123,7 @@ def scales_with_torque(unit: str) -> bool:
     A wrong torque constant multiplies inertia, friction and offsets; not a loss per torque, a speed
     or an angle.
     """
-    return bool({"kg", "N"} & set(unit.replace("²", "").split()))
+    return unit.startswith(("kg", "N"))
 
 
 def effort_words(words: str, motion: Motion) -> str:

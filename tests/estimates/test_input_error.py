@@ -202,6 +202,25 @@ def test_a_told_value_sets_the_scale_with_its_own_sd(knee):
     assert value.sd / value.value == pytest.approx(np.hypot(alone, 0.02 / 0.41), rel=1e-3)
 
 
+def test_told_values_set_the_scale_by_their_variances(knee):
+    """One factor on all that is behind the gearbox, by weighted least squares of one number."""
+    chain, o = KNEE.chain(), knee(sigma=1e-5)
+    told = {
+        "load.first_moment": (0.41, 0.02),
+        "load.inertia": (0.23, 0.02),
+        "joint.viscous": (3.0, 1),
+    }
+    found = input_error(chain, [o], Knowledge(told=told), FEW)
+    true = np.array([KNEE.values[name] for name in told])
+    mean, sd = np.array(list(told.values())).T
+    factor = np.sum(true * mean / sd**2) / np.sum((true / sd) ** 2)
+    for name in scalings(chain)[0].behind:
+        spread = KNEE.values[name] / np.sqrt(np.sum((true / sd) ** 2))
+        # what the motion tells of them is a hundred times as much
+        assert abs(found[name].value - factor * KNEE.values[name]) < 0.02 * spread, name
+        assert found[name].sd == pytest.approx(spread, rel=0.02), name
+
+
 def test_a_told_motor_value_is_weighed_against_the_data(make_observation):
     """Two independent measurements of one number average by their variances."""
     chain = AXIS.chain()

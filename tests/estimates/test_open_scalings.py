@@ -39,6 +39,8 @@ def knees(make_observation, *masses, sigma=0.01):
         ({"joint.viscous": 0.0}, {}, (0.0,), True),  # zero times any factor is zero
         ({"joint.viscous": 3.12}, {}, (0.0,), False),
         ({"gearbox.load_back": 0.0}, {}, (0.0,), False),  # an alpha of one is known
+        # nor does one that passes nothing back: zero is its 1/alpha
+        ({"gearbox.load_back": 1.0}, {}, (0.0,), True),
         ({"motor.inertia": 3e-4}, {}, (0.0,), True),
         ({}, {"load.inertia": (0.2, 0.02)}, (0.0,), False),
         ({}, {}, (0.0, 2.0), False),

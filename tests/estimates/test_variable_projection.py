@@ -191,3 +191,43 @@ def test_gradient_is_that_of_finite_differences(make_observation):
         step[j] = 1e-7 * theta2[j]
         slope = projection.criterion(theta2 + step) - projection.criterion(theta2 - step)
         assert gradient[j] == pytest.approx(slope / (2 * step[j]), rel=1e-4), form.names2[j]
+
+
+@pytest.mark.parametrize("case", ["knee", "pendulum"])
+def test_a_known_mass_has_a_column_of_its_own_and_gives_all_parameters(case, make_observation):
+    """With two mu its coefficients are lambda_1 and lambda_2; with one, lambda_1 is one."""
+    if case == "knee":
+        chain, values = KNEE.chain(), KNEE.values
+    else:
+        drive = Element("motor", inertia=True, viscous=True, coulomb="symmetric")
+        gearbox = Element("gearbox", ratio=4.0, load_loss="one")
+        chain = Joint((drive, gearbox), Load(inertia=True, first_moment=True))
+        values = {
+            "motor.inertia": 1e-3, "motor.viscous": 0.01, "motor.coulomb": 0.02,
+            "gearbox.load": 0.2, "load.inertia": 0.05, "load.first_moment": 0.3,
+        }  # fmt: skip
+    truth = chain.vector(values)
+    observations = [
+        make_observation(
+            chain, values, sigma=0.0, n=900, factor=3, amplitude=2.0, seed=seed,
+            added_mass=mass, radius=0.35 if mass else 0.0,
+        )
+        for seed, mass in enumerate((0.0, 2.0))
+    ]  # fmt: skip
+    form = torque_form(chain, observations)
+    theta1, theta2 = form.thetas(truth)
+    one, two = (dict(zip(*x, strict=True)) for x in ((form.names1, theta1), (form.names2, theta2)))
+    drive = values.get("gearbox.load_drive", values.get("gearbox.load"))
+    back = values.get("gearbox.load_back", values.get("gearbox.load"))
+    assert two["added_load"] == pytest.approx((drive + back) / 2.0)
+    assert one.get("added_load", 1.0) == pytest.approx((2.0 + drive - back) / 2.0)
+    assert ("added_load" in one) == (case == "knee")
+    projection = VariableProjection(form, observations)
+    size = np.abs(observations[1].measured).max()
+    assert np.abs(projection.residual(theta2)).max() < 1e-12 * size
+    np.testing.assert_allclose(projection.theta1(theta2), theta1, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(form.parameters(theta1, theta2), truth, rtol=1e-9)
+    norms = [np.concatenate([columns(chain, o, (n,))[0] for o in observations]) for n in two]
+    np.testing.assert_allclose(projection.scale, np.linalg.norm(norms, axis=1))
+    found = projection.minimise([1.3 * theta2])
+    np.testing.assert_allclose(found.theta2, theta2, rtol=1e-6)

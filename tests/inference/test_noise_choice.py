@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
-from bayesfric.inference.likelihood.autoregression import burg, simulated
-from bayesfric.inference.likelihood.noise_choice import choose_order
+from bayesfric.estimates.information import long_run_variance
+from bayesfric.inference.fitting import read_priors
+from bayesfric.inference.likelihood.autoregression import burg, ljung_box, simulated, whitened
+from bayesfric.inference.likelihood.noise_choice import choice_at, choose_order
 from bayesfric.inference.prior.priors import read_prior
+from tests.axis import AXIS, VALUES
 from tests.inference.test_autoregression import covariance
 
 FOLLOWS = np.ones(2999, dtype=bool)
@@ -39,6 +43,7 @@ def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_anoth
     own = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
     told = found.priors({"noise.pacf_1": free, "noise.pacf_2": own})
     assert told["noise.pacf_2"] is own
+    assert told["noise.pacf_1"].default  # another estimate may say another
     low, high = told["noise.pacf_1"].limits
     assert low < found.memory[0] < high
     assert high - low == pytest.approx(2.0 / np.sqrt(n))
@@ -130,3 +135,100 @@ def test_the_criterion_is_that_of_the_exact_density(own):
 
     for one in tried[1:]:
         assert one.bic == pytest.approx(deviance(one.order) - deviance(0), abs=1e-8)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_shift_and_rise_are_those_of_generalised_least_squares(own):
+    """Of what residuals tell of orthogonal effects; one that they tell less of does not count."""
+    rng = np.random.default_rng(11)
+    lengths = (400, 200), (300, 1)
+    joined = [np.ones(sum(k) - 1, dtype=bool) for k in lengths]
+    for f, k in zip(joined, lengths, strict=True):
+        f[k[0] - 1] = False
+    residuals = [
+        s * simulated(np.array([0.8]), f, 1, rng)[0]
+        for s, f in zip((0.1, 0.4), joined, strict=True)
+    ]
+    whole = np.concatenate(residuals)
+    parts = np.split(np.arange(whole.size), [residuals[0].size])
+    size = np.full(whole.size, np.sqrt(np.mean(whole**2)))
+    if own:
+        for p in parts:
+            size[p] = np.sqrt(np.mean(whole[p] ** 2))
+    time = np.arange(whole.size)
+    slow = np.stack([np.sin(0.02 * time), np.cos(0.3 * time), np.sin(2.0 * time)], axis=1)
+    basis, _ = np.linalg.qr(slow)
+    effects = size[:, None] * basis * [40.0, 4.0, 2.0]
+    found = choose_order(residuals, joined, own, [effects[p] for p in parts])
+    scaled, told = whole / size, basis[:, :2]
+    plain = told.T @ scaled
+    # runs are far apart, so that their scores are not correlated
+    places = np.arange(whole.size) + 1000 * np.repeat(np.arange(4), [400, 200, 300, 1])
+    sds = [
+        np.sqrt(max(long_run_variance(score, places), np.mean(scaled**2)))
+        for score in told.T * scaled
+    ]
+    pieces = [whole[p] / size[p] for p in parts]
+    for one in found.tried[1:]:
+        partial = burg(pieces, joined, one.order)
+        inverse = np.linalg.inv(
+            block_diag(*(covariance(partial, k) for pair in lengths for k in pair))
+        )
+        weighted = np.linalg.solve(told.T @ inverse @ told, told.T @ inverse @ scaled)
+        assert one.shift == pytest.approx(np.max(np.abs(weighted - plain) / sds), rel=1e-3)
+        left = [np.linalg.norm(scaled - told @ step) for step in (weighted, plain)]
+        assert one.rise == pytest.approx(left[0] / left[1], rel=1e-9)
+
+
+def test_the_share_of_innovations_and_their_test_are_those_of_what_predecessors_leave():
+    rng = np.random.default_rng(12)
+    residuals = [s * simulated(np.array([0.6]), FOLLOWS, 1, rng)[0] for s in (1.0, 3.0)]
+    scaled = [r / np.sqrt(np.mean(r**2)) for r in residuals]
+    for one in choose_order(residuals, [FOLLOWS, FOLLOWS], True).tried:
+        partial = burg(scaled, [FOLLOWS, FOLLOWS], one.order)
+        left = [whitened(r, partial, FOLLOWS) for r in residuals]
+        share = sum(np.sum(z**2) for z in left) / sum(np.sum(r**2) for r in residuals)
+        assert one.innovation_share == pytest.approx(np.sqrt(share), rel=1e-9)
+        alike = [z / np.sqrt(np.mean(z**2)) for z in left]
+        expected = ljung_box(alike, [FOLLOWS, FOLLOWS], 10 + one.order, one.order)
+        assert one.p_value == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_choice_at_an_estimate_is_that_of_its_residuals_and_of_prior_effects(make_observation):
+    """In closed form, for a torque that is linear in its parameters."""
+    observations = [make_observation(AXIS, VALUES, n=900, seed=s, name=str(s)) for s in (0, 1)]
+    point = VALUES | {"motor.viscous": 0.2, "offset": 0.0}
+    texts = {"motor.inertia": [0.0, 0.2], "load.first_moment": 0.3}
+    priors = read_priors(AXIS, texts, observations)
+    columns = [
+        {
+            "motor.inertia": o.qdd,
+            "motor.viscous": o.qd,
+            "motor.coulomb": np.sign(o.qd),
+            "load.first_moment": 9.80665 * np.sin(o.q),
+            "offset": np.ones(o.q.size),
+        }
+        for o in observations
+    ]
+    modelled = [sum(point[k] * x for k, x in by.items()) for by in columns]
+    residuals = [o.measured - m for o, m in zip(observations, modelled, strict=True)]
+    effects = [np.stack([by[k] * priors[k].sd() for k in AXIS.names], axis=1) for by in columns]
+    joined = [np.ones(r.size - 1, dtype=bool) for r in residuals]
+    for own in (False, True):
+        found = choice_at(AXIS, observations, priors, point, per_recording=own)
+        expected = choose_order(residuals, joined, own, effects)
+        assert found.order == expected.order
+        for one, other in zip(found.tried, expected.tried, strict=True):
+            assert vars(one) == pytest.approx(vars(other), rel=1e-3, abs=1e-6)
+    fixed = AXIS.names.index("load.first_moment")
+    assert priors["load.first_moment"].sd() == 0.0
+    assert not any(e[:, fixed].any() for e in effects)
+
+
+def test_a_recording_without_residuals_changes_nothing():
+    rng = np.random.default_rng(13)
+    series = simulated(np.array([0.6]), FOLLOWS, 1, rng)[0]
+    alone = choose_order([series], [FOLLOWS], True)
+    beside = choose_order([series, np.zeros(3000)], [FOLLOWS, FOLLOWS], True)
+    assert beside.order == alone.order == 1
+    assert beside.memory == pytest.approx(alone.memory)

@@ -10,6 +10,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
+from tests.mechanism.joints import EVERYTHING, KNEE, everything
 
 PERIOD = 0.004
 N = 500
@@ -128,3 +129,66 @@ def test_a_vector_without_a_motion_is_no_number():
     values = CHAIN.vector(SERVO.values | {"motor.inertia": -1.0})
     q, _ = played(CHAIN, values, of(np.zeros(N)))
     assert np.isnan(q).all()
+
+
+GEARED = Joint(
+    (Element("motor", inertia=True, viscous=True), Element("gearbox", ratio=5.0)),
+    Load(inertia=True, first_moment=True),
+)
+LIGHT = {
+    "motor.inertia": 1e-3, "motor.viscous": 2e-3, "load.inertia": 0.02, "load.first_moment": 0.1,
+}  # fmt: skip
+CHAINS = {
+    "everything": (everything(), EVERYTHING, 0.5),
+    "knee": (KNEE.chain(), KNEE.values, 0.8),
+    "geared": (GEARED, LIGHT, 0.2),
+}
+
+
+@pytest.mark.parametrize("case", CHAINS)
+def test_a_drive_that_does_not_look_is_a_torque(case):
+    """Without feedback the closed loop is the forward model, in segments and between samples."""
+    chain, values, size = CHAINS[case]
+    time = np.arange(400) * 2e-3
+    torque = size * (np.sin(9.0 * time) + 0.4 * np.sin(31.0 * time))
+    law = Law(torque, np.ones(400), 0.0, 0.0, np.inf, 0.0, None)
+    rows = chain.vector(values) * np.array([[1.0], [0.9]])
+    segments, q0, qd0 = [(0, 150), (150, 400)], np.array([0.1, -0.2]), np.array([0.0, 0.5])
+    q, qd = follow(chain, rows, law, 2e-3, segments, q0, qd0, step=2.5e-4)
+    for v, row in enumerate(rows):
+        for k, (a, b) in enumerate(segments):
+            one = simulate(chain, row, torque[a:b], 2e-3, q0=q0[k], qd0=qd0[k], substeps=8)
+            np.testing.assert_allclose(q[v, a:b], one.q, atol=1e-7)
+            np.testing.assert_allclose(qd[v, a:b], one.qd, atol=1e-5)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_drive_gives_the_torque_of_its_law(held):
+    """Gains, limit, scale, back-EMF, switched off for a while, and a push: by the inverse model."""
+    period, n = 1e-3, 1200
+    time = period * np.arange(n)
+    command, scale = 0.8 * np.sin(6.0 * time), 1.0 + 0.3 * np.cos(2.0 * time)
+    off = (time > 0.5) & (time < 0.7)
+    law = Law(command, scale, 0.5, 0.03, 0.35, 0.02, off)
+    push = 0.05 * np.cos(5.0 * time)[None]
+    q, qd = (
+        x[0]
+        for x in follow(
+            GEARED, GEARED.vector(LIGHT)[None], law, period, [(0, n)], np.zeros(1), np.zeros(1),
+            push=push, held=held, step=1e-4,
+        )
+    )  # fmt: skip
+    aimed = np.clip(command - 0.5 * q - 0.03 * qd, -0.35, 0.35)
+    given = np.where(off, 0.0, scale * aimed - 0.02 * qd) + push[0]
+    assert (np.abs(aimed) == 0.35).mean() > 0.2
+    # what the motion took, over the two samples that a central difference spans
+    qdd = (qd[2:] - qd[:-2]) / (2.0 * period)
+    taken = inverse_torque(GEARED, GEARED.vector(LIGHT), q[1:-1], qd[1:-1], qdd)
+    smooth = np.ones(n - 2, dtype=bool)
+    for edge in np.flatnonzero(np.diff(off.astype(int))):
+        smooth[max(edge - 3, 0) : edge + 3] = False
+    left = np.abs(taken - given[1:-1])[smooth]
+    # held commands are half a sample late on average
+    late = 0.5 * np.abs(np.gradient(scale * command)).max() if held else 0.0
+    assert np.quantile(left, 0.95) < 2e-5 + late
+    assert left.max() < 2e-3 + late

@@ -122,6 +122,35 @@ def test_refusals():
         simulate(Joint(axis().elements, Load(), gain=True), [1.0, 0.0], torque, 1e-3)
 
 
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"values": KNEE.chain().vector(KNEE.values)}, "shape"),
+        ({"values": np.ones((2, 3))}, "shape"),
+        ({"segments": [(-1, 5)]}, "within"),
+        ({"segments": [(0, 11)]}, "within"),
+        ({"segments": [(3, 3)]}, "not empty"),
+        ({"segments": [(0, 5, 9)]}, "not empty"),
+        ({"q0": np.array([np.nan])}, "finite"),
+        ({"qd0": np.array([np.inf])}, "finite"),
+        ({"substeps": 0}, "substeps"),
+    ],
+)
+def test_segments_that_cannot_be_simulated_are_refused(changes, match):
+    chain = KNEE.chain()
+    given = {
+        "values": chain.vector(KNEE.values)[None],
+        "torque": np.zeros(10),
+        "period": 1e-3,
+        "segments": [(0, 10)],
+        "q0": np.zeros(1),
+        "qd0": np.zeros(1),
+    }
+    assert np.isfinite(simulate_segments(chain, **given)[0]).all()
+    with pytest.raises(ValueError, match=match):
+        simulate_segments(chain, **given | changes)
+
+
 def test_single_sample_and_sliding_load():
     motion = simulate(axis(), [1.0], [0.5], 1e-3)
     assert motion.q.shape == (1,)

@@ -72,17 +72,22 @@ def variances(partial: Array) -> Array:
     return np.concatenate([left, np.ones((partial.shape[0], 1))], axis=1)
 
 
+def _one(partial: Array) -> tuple[list[Array], Array]:
+    """Predictors of one series ``(p,)``, and the sds of what they leave, over the innovations'."""
+    return [found[0] for found in predictors(partial[None])], np.sqrt(variances(partial[None])[0])
+
+
 def autocovariance(partial: Array) -> Array:
     """Autocovariances at lags 0 to p, in variances of the innovations.
 
     Partial autocorrelations ``(p,)`` to ``(p + 1,)``.
     """
-    known = predictors(partial[None])
-    left = variances(partial[None])[0]
+    known, sds = _one(partial)
+    left = sds**2
     found = np.zeros(partial.size + 1)
     found[0] = left[0]
     for k in range(1, partial.size + 1):
-        found[k] = known[k - 1][0] @ found[1:k][::-1] + partial[k - 1] * left[k - 1]
+        found[k] = known[k - 1] @ found[1:k][::-1] + partial[k - 1] * left[k - 1]
     return found
 
 
@@ -104,13 +109,12 @@ def whitened(x: Array, partial: Array, follows: Flags) -> Array:
         ``(..., M)`` uncorrelated values of the innovations' variance, for the right series.
     """
     age = ages(follows, partial.size)
-    coefficients = predictors(partial[None])
-    sds = np.sqrt(variances(partial[None])[0])
+    coefficients, sds = _one(partial)
     out = np.array(x, dtype=np.float64)
     for k in range(1, partial.size + 1):
         here = np.flatnonzero(age == k)
         for j in range(k):
-            out[..., here] -= coefficients[k][0, j] * x[..., here - j - 1]
+            out[..., here] -= coefficients[k][j] * x[..., here - j - 1]
     return np.asarray(out / sds[age])
 
 
@@ -162,16 +166,15 @@ def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) 
     if p == 0:
         return noise
     age = ages(follows, p)
-    coefficients = predictors(partial[None])
-    sds = np.sqrt(variances(partial[None])[0])
+    coefficients, sds = _one(partial)
     out = noise * sds[age]
     for a, length in np.transpose(runs(follows)).tolist():
         b = a + length
         for m in range(a + 1, min(a + p, b)):
-            out[:, m] += out[:, a:m][:, ::-1] @ coefficients[m - a][0]
+            out[:, m] += out[:, a:m][:, ::-1] @ coefficients[m - a]
         if b - a > p:
             past = out[:, a : a + p][:, ::-1]
-            whole = coefficients[p][0]
+            whole = coefficients[p]
             # lfilter's state after the p values that are there already
             state = np.stack(
                 [sum(whole[j] * past[:, j - i] for j in range(i, p)) for i in range(p)], axis=1

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -222,13 +222,13 @@ def choose_order(
         tried.append(
             Evidence(
                 order,
-                deviance + order * math.log(n) - (tried[0].bic if tried else 0.0),
+                # of white noise, over its own size, it is none
+                deviance + order * math.log(n) if order else 0.0,
                 math.sqrt(power / whole),
                 ar.ljung_box(_over(left, inner), follows, _LAGS + order, order),
                 *(plain.compared(partial) if plain is not None and order else ()),
             )
         )
-    tried[0] = replace(tried[0], bic=0.0)
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
     if best.bic >= -EVIDENCE:
         return Choice(0, tuple(tried))

@@ -56,7 +56,8 @@ _ROUNDS = 3
 class _Segment:
     """Linear algebra of one segment of M averaged positions.
 
-    ``state`` ``(M, 2)``: their derivatives by the initial state, zero where it has no effect.
+    ``state`` ``(M, 2)``: their derivatives by the initial state, each over its own norm; zero where
+    it has no effect.
     ``response``: their covariance for torque noise of one. ``rotation`` ``(terms, M)``:
     combinations that are independent, of the variances ``weights`` ``(terms,)`` for torque noise of
     one.
@@ -162,7 +163,7 @@ class PositionLikelihood(Likelihood):
         for r, run in enumerate(self._runs):
             # shapes differ little over the draws: one factor, at the mean scales
             roots = [_root(c) for c in run.covariances(scales[:, r].mean(axis=0))]
-            z = [rng.standard_normal((scales.shape[0], root.shape[1])) for root in roots]
+            z = [rng.standard_normal((len(scales), len(root))) for root in roots]
             found.append(
                 np.concatenate([a @ root.T for a, root in zip(z, roots, strict=True)], axis=1)
             )
@@ -313,8 +314,9 @@ class _Run:
         t = self._trajectory
         n = t.position.size
         q, qd = np.zeros((2, n))
+        # a segment that runs away has no motion, and no derivatives
         q[t.samples], qd[t.samples] = (
-            x[0] for x in self._shooting.motion(point[None], self._states)
+            np.nan_to_num(x[0]) for x in self._shooting.motion(point[None], self._states)
         )
         place = np.zeros(n, dtype=np.int64)  # in the segment
         place[t.samples] = np.concatenate([np.arange(b - a) for a, b in t.segments])
@@ -364,7 +366,8 @@ def _segment(state: Array, by_torque: Array) -> _Segment:
     """
     state, by_torque = np.nan_to_num(state), np.nan_to_num(by_torque)
     size = np.linalg.norm(state, axis=0)
-    left, singular, _ = np.linalg.svd(state / np.where(size > 0.0, size, 1.0))
+    state = state / np.where(size > 0.0, size, 1.0)
+    left, singular, _ = np.linalg.svd(state)
     rank = int((singular > _RANK * max(float(singular[0]), 1e-300)).sum())
     free = left[:, rank:]  # combinations that no initial state changes
     response = by_torque @ by_torque.T
@@ -373,7 +376,7 @@ def _segment(state: Array, by_torque: Array) -> _Segment:
 
 
 def _state_gain(s: _Segment, covariance: Array) -> Array:
-    """Best linear estimate of the initial state from a residual, ``(2, M)``."""
+    """Best linear estimate of the initial state from a residual, ``(2, M)``, over its norms."""
     weighted = np.linalg.solve(covariance, s.state)
     return np.asarray(np.linalg.pinv(s.state.T @ weighted, rcond=_RANK**2) @ weighted.T)
 

@@ -193,9 +193,9 @@ class LinearTorque:
         rest = tuple(j for j in range(len(self._names)) if j not in own)
         yield _Group(_one, _ones, front, behind, rest)
         for p, j in zip(shaped, own, strict=True):
-            reach = self.chain.reaches[p.owner]
-            nodes = self._nodes(f"{p.owner}.{p.row.shape}", _shaped(p, reach))
-            yield _Group(_each(_shaped(p, reach), nodes), _lagrange(nodes), front, behind, (j,))
+            column = _shaped(self.chain, p)
+            nodes = self._nodes(f"{p.owner}.{p.row.shape}", column)
+            yield _Group(_each(column, nodes), _lagrange(nodes), front, behind, (j,))
         for element in self.chain.elements:
             risen = self._rise(element.name, "stribeck_ratio")
             if risen is None:
@@ -498,11 +498,13 @@ def _each(column: Callable[[Observation, float], Array], nodes: ShapeNodes) -> A
     return lambda o: nodes.along(lambda shape: column(o, shape))
 
 
-def _shaped(p: Parameter, reach: float) -> Callable[[Observation, float], Array]:
+def _shaped(chain: Joint, p: Parameter) -> Callable[[Observation, float], Array]:
+    reach = chain.reaches[p.owner]
+
     def column(o: Observation, shape: float) -> Array:
         assert p.row.column is not None
         at = State(reach * o.q, reach * o.qd, 0.0, np.sign(o.qd), o.stamps, 0.0, 0.0)
-        return np.asarray(p.row.column(at, shape))
+        return np.asarray(p.row.column(at, shape) * (reach / chain.ratio))
 
     return column
 

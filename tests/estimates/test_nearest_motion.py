@@ -1,0 +1,242 @@
+"""The output error against SciPy: its integrator, its least squares, dense algebra of states."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
+from scipy.optimize import least_squares as scipy_least_squares
+
+from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.output_error import OutputError, output_error
+from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.shooting import Shooting
+from bayesfric.estimates.shooting_fit import descend
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
+from tests.estimates.simulated import PERIOD, excite, move, prepare
+
+# smooth, so that SciPy follows it: inertia, viscous and quadratic loss, gravity
+SMOOTH = Joint((Element("motor", inertia=True, viscous=True),), Load(first_moment=True))
+VALUES = {"motor.inertia": 0.02, "motor.viscous": 0.1, "load.first_moment": 0.05}
+AT = SMOOTH.vector(VALUES)
+NAMES = SMOOTH.names
+
+
+@pytest.fixture(autouse=True)
+def few():
+    with few_threads([]):
+        yield
+
+
+def moves(torque, values, state):
+    """Position from a torque that is linear between samples, by an integrator of order eight."""
+    time = PERIOD * np.arange(torque.size)
+    j, f, ml = (values[NAMES.index(n)] for n in VALUES)
+
+    def slope(t, x):
+        driven = np.interp(t, time, torque)
+        return x[1], (driven - f * x[1] - 9.80665 * ml * np.sin(x[0])) / j
+
+    found = solve_ivp(
+        slope, (0.0, time[-1]), state, "DOP853", time, rtol=1e-9, atol=1e-11, max_step=PERIOD
+    )
+    return found.y[0]
+
+
+def recorded(seconds, sigma, seed, name="made-up"):
+    torque = excite(seconds, 0.6, seed=seed)
+    q = move(SMOOTH, VALUES, torque).q
+    noise = sigma * np.random.default_rng(seed).standard_normal(q.size)
+    return prepare(q + noise, torque, name=name)
+
+
+PARTS = recorded(0.5, 1e-4, 1, "one"), recorded(0.3, 1e-3, 2, "two")
+START = Estimate("input-error", (), 0.0, 1, "", point=tuple(zip(NAMES, 1.1 * AT, strict=True)))
+
+
+def test_positions_and_derivatives_are_those_of_scipy_s_integrator():
+    trajectories = [t for t, _ in PARTS]
+    shooting = Shooting(SMOOTH, trajectories, 4)
+    states = np.array([[0.02, 0.1], [-0.3, 0.4]])
+    found = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
+    steps = 1e-4 * AT
+    for k, t in enumerate(trajectories):
+        here = shooting.segment_of == k
+        exact = moves(t.torque, AT, states[k])
+        np.testing.assert_allclose(found.positions[here], exact, atol=1e-8)
+        for j in range(3):
+            sides = [moves(t.torque, AT + s * steps * np.eye(3)[j], states[k]) for s in (1, -1)]
+            slope = (sides[0] - sides[1]) / (2.0 * steps[j])
+            np.testing.assert_allclose(
+                found.parameters[here, j], slope, atol=2e-4 * np.abs(slope).max()
+            )
+        for i in range(2):
+            sides = [moves(t.torque, AT, states[k] + s * 1e-3 * np.eye(2)[i]) for s in (1, -1)]
+            np.testing.assert_allclose(
+                found.states[here, i], (sides[0] - sides[1]) / 2e-3, rtol=1e-4, atol=1e-6
+            )
+
+
+CASES = {
+    "free": Knowledge(),
+    "fixed": Knowledge(fixed={"load.first_moment": 0.05}),
+    "one": Knowledge(fixed={"load.first_moment": 0.05, "motor.inertia": 0.02}),
+    "told": Knowledge(told={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
+    "bound": Knowledge(bounds={"motor.viscous": (0.0, 0.09)}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_nearest_motion_is_scipy_s(case):
+    """One recording, cut into segments of 0.1 s, each from a state of its own."""
+    knowledge = CASES[case]
+    options = Estimation(substeps=1, segment=0.1)
+    problem = OutputError(SMOOTH, *zip(PARTS[0], strict=True), knowledge, options)
+    begin = dict(zip(NAMES, 1.2 * AT, strict=True)) | knowledge.fixed
+    fit = problem.fit(SMOOTH.vector(begin), 0.1)
+    shooting = fit.frame.shooting
+    free = [NAMES.index(n) for n in knowledge.free(SMOOTH)]
+    assert fit.solution.converged
+    assert shooting.n_segments == 5
+    whole = AT.copy()
+    lower, upper = knowledge.limits(SMOOTH)
+    variance = float(np.mean(fit.solution.residual**2))
+
+    def residual(x):
+        whole[free] = x[: len(free)] * AT[free]
+        states = x[len(free) :].reshape(-1, 2)
+        left = shooting.measured - shooting.positions(whole[None], states)[0]
+        told = [
+            np.sqrt(variance) * (mean - whole[NAMES.index(n)]) / sd
+            for n, (mean, sd) in knowledge.told.items()
+        ]
+        return np.concatenate([left, told])
+
+    begin = np.concatenate([np.full(len(free), 0.85), shooting.initial.ravel()])
+    reach = np.full(shooting.initial.size, np.inf)
+    bounds = np.append(lower / AT[free], -reach), np.append(upper / AT[free], reach)
+    tight = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13}
+    theirs = scipy_least_squares(residual, begin, bounds=bounds, jac="2-point", **tight)
+    jacobian = theirs.jac[: shooting.measured.size]
+    # with the states taken out, and what is known besides
+    freedom = shooting.measured.size - len(free) - 2 * shooting.n_segments
+    left = fit.solution.residual
+    by, states = jacobian[:, : len(free)] / AT[free], jacobian[:, len(free) :]
+    by = by - states @ np.linalg.lstsq(states, by, rcond=None)[0]
+    sigma2 = left @ left / freedom
+    information = by.T @ by / sigma2
+    for name, (_, sd) in knowledge.told.items():
+        information[free.index(NAMES.index(name)), free.index(NAMES.index(name))] += sd**-2
+    spread = np.sqrt(np.diag(np.linalg.inv(information)))
+    values = fit.solution.values[free]
+    assert fit.solution.cost == pytest.approx(2.0 * theirs.cost, rel=1e-3)
+    # it ends where a step would lower the cost by less than 1e-4 variances
+    assert (np.abs(values - theirs.x[: len(free)] * AT[free]) < 0.02 * spread).all()
+    assert fit.information.freedom == freedom
+    assert fit.information.sigma == pytest.approx(np.sqrt(sigma2), rel=1e-6)
+    for row, sd in zip(np.eye(len(free)), spread, strict=True):
+        assert fit.information.sds(row)[0] == pytest.approx(sd, rel=2e-3)
+    assert fit.at_bound.tolist() == ([0, 1, 0] if case == "bound" else [0] * len(free))
+    if case in ("fixed", "one"):
+        assert fit.solution.values[NAMES.index("load.first_moment")] == 0.05
+
+
+def test_recordings_are_weighed_by_what_each_leaves():
+    """Repeated until it stands: one over the root mean square of each recording's residuals."""
+    options = Estimation(substeps=1, segment=0.1)
+    problem = OutputError(SMOOTH, *zip(*PARTS, strict=True), Knowledge(), options)
+    fit = problem.fit(AT, 0.1)
+    frame, left = fit.frame, fit.solution.residual
+    of = frame.shooting.recording_of
+    sizes = np.array([np.sqrt(np.mean(left[of == k] ** 2)) for k in (0, 1)])
+    weights = frame.rows * sizes[of]
+    np.testing.assert_allclose(weights / weights[0], 1.0, rtol=1e-2)
+    assert frame.sigma == pytest.approx(np.sqrt(np.mean((left * frame.rows) ** 2)), rel=1e-2)
+    assert fit.solution.cost == pytest.approx(np.sum((left * frame.rows) ** 2), rel=1e-9)
+    # no vector near it, states fitted, is nearer to both so weighed
+    rng = np.random.default_rng(4)
+    states = fit.solution.states
+    found = frame.shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
+    moved = block_diag(*(found.states[frame.shooting.segment_of == k] for k in range(len(states))))
+    for _ in range(40):
+        step = 0.02 * AT * rng.standard_normal(3)
+        # states follow to first order
+        follow = np.linalg.lstsq(frame.rows[:, None] * moved, frame.rows * (
+            found.parameters @ step), rcond=None)[0].reshape(-1, 2)  # fmt: skip
+        near = frame.shooting.positions((fit.solution.values + step)[None], states - follow)[0]
+        cost = np.sum((frame.rows * (frame.shooting.measured - near)) ** 2)
+        assert cost >= fit.solution.cost * (1.0 - 1e-9)
+
+
+def test_what_has_no_motion_is_no_minimum():
+    options = Estimation(substeps=1, segment=0.1)
+    fit = OutputError(SMOOTH, *zip(PARTS[0], strict=True), Knowledge(), options).fit(AT, 0.1)
+    weightless = SMOOTH.vector(VALUES | {"motor.inertia": -1.0})
+    found = descend(fit.frame, weightless, fit.solution.states)
+    assert found.cost == np.inf
+    assert not found.converged
+    # at the minimum it stays
+    again = descend(fit.frame, fit.solution.values, fit.solution.states)
+    assert again.converged
+    assert again.cost == pytest.approx(fit.solution.cost, rel=1e-6)
+
+
+def test_segments_are_long_enough_to_say_something_and_many_enough_for_their_sums():
+    options = Estimation(substeps=1)
+    trajectories, observations = zip(*PARTS, strict=True)
+    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
+    total = sum(t.samples.size for t in trajectories) * PERIOD
+    for length in problem.lengths():
+        assert length >= 40 * PERIOD
+        assert total / length >= 2 * 3 or problem.lengths() == (length,)
+    fixed = OutputError(
+        SMOOTH, trajectories, observations, Knowledge(), Estimation(substeps=1, segment=0.17)
+    )
+    assert fixed.lengths() == (0.17,)
+
+
+@pytest.mark.parametrize(("of_torque", "of_position"), [(0.0, 1e-4), (0.3, 1e-6)])
+def test_a_longer_segment_is_taken_where_that_clearly_tells_more(of_torque, of_position):
+    """Fits of all lengths, one after the other; 0.2 in the mean logarithm of the robust sds."""
+    torque = excite(4.0, 0.6, seed=6)
+    rng = np.random.default_rng(7)
+    q = move(SMOOTH, VALUES, torque).q + of_position * rng.standard_normal(torque.size)
+    # slow, so that what it makes of a motion grows with the square of time
+    slow = of_torque * np.sin(4.0 * PERIOD * np.arange(torque.size))
+    parts = [prepare(q, torque + slow)]
+    trajectories, observations = zip(*parts, strict=True)
+    options = Estimation(substeps=1)
+    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
+    assert problem.lengths() == (0.2, 0.5)
+    found = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
+    fits = [problem.fit(AT, length) for length in problem.lengths()]
+    sds = [[one.information.sds(row)[1] for row in np.eye(3)] for one in fits]
+    # of directions that are orthogonal in the Jacobian; their product is the determinant's
+    told = []
+    for one in fits:
+        d = one.information.directions
+        told.append(np.mean([np.log(one.information.sds(r / d.units)[1]) for r in d.rows]))
+    best = int(told[1] < told[0] - 0.2)
+    assert best == int(of_torque == 0.0)
+    for j, name in enumerate(NAMES):
+        assert found[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
+        assert abs(found[name].value - fits[best].solution.values[j]) < 0.1 * sds[best][j]
+    assert found.n_outputs == fits[best].frame.shooting.measured.size
+
+
+def test_what_is_chosen_is_stated_with_its_own_numbers():
+    options = Estimation(substeps=1, segment=0.1)
+    trajectories, observations = zip(*PARTS, strict=True)
+    found = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
+    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
+    fit = problem.fit(problem.chain.vector(dict(START.point)), 0.1)
+    assert found.n_outputs == fit.frame.shooting.measured.size
+    left = fit.solution.residual
+    assert found.residual_rms == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-3)
+    for j, name in enumerate(NAMES):
+        plain, robust = fit.information.sds(np.eye(3)[j])
+        assert found[name].value == pytest.approx(fit.solution.values[j], abs=0.02 * plain)
+        assert found[name].sd == pytest.approx(plain, rel=0.01)
+        assert found[name].sd_robust == pytest.approx(robust, rel=0.05)

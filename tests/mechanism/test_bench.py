@@ -1,0 +1,147 @@
+"""What a simulated bench records: commanded, lagged, moved, read and noisy, each by its formula."""
+
+import numpy as np
+import pytest
+from scipy.signal import chirp
+
+from bayesfric.base.errors import BadInput
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.experiment import Simulation, measure, record
+from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.presets import PRESETS
+from bayesfric.recordings.inputs import Inputs
+
+KNEE = PRESETS["rabbit-knee"]
+GEARED = Joint(
+    (Element("motor", inertia=True, viscous=True), Element("gearbox", ratio=5.0)),
+    Load(inertia=True, first_moment=True),
+)
+VALUES = {
+    "motor.inertia": 1e-3, "motor.viscous": 2e-3, "load.inertia": 0.02, "load.first_moment": 0.1,
+}  # fmt: skip
+EXACT = {"encoder_counts": 0, "torque_noise": 0.0, "lag": 0.0, "parameters": VALUES}
+
+
+def recorded(**options):
+    return record(GEARED, Simulation(**EXACT | {"duration": 4.0, "rate": 500.0} | options))
+
+
+@pytest.mark.parametrize(("first", "last", "begin"), [(1.0, 9.0, 0.0), (6.0, 0.5, 2.5)])
+def test_a_chirp_is_scipy_s(first, last, begin):
+    time = begin + np.arange(3001) * 1e-3
+    found = excitation.chirp(time, 0.7, first, last)
+    expected = 0.7 * chirp(time - begin, first, 3.0, last, phi=-90)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_sines_have_their_phases():
+    time = np.arange(1000) * 1e-3
+    found = excitation.sine(time, 2.0, 3.0, 0.4)
+    np.testing.assert_allclose(found, 2.0 * np.imag(np.exp(1j * (6.0 * np.pi * time + 0.4))))
+    # Schroeder: -pi k (k + 1)/n
+    many = excitation.multisine(time, 1.0, [1.0, 2.0, 3.0])
+    phases = np.angle(np.fft.rfft(many)[[1, 2, 3]]) + np.pi / 2.0
+    expected = -np.pi * np.array([0.0, 2.0, 6.0]) / 3.0
+    np.testing.assert_allclose(np.exp(1j * phases), np.exp(1j * expected), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["square", "sine", "multisine", "chirp", "square-multisine"])
+def test_a_command_is_that_of_its_formula(kind):
+    """Of k sines each has the amplitude over the root of k, at any phase."""
+    hertz = (0.5, 1.25, 3.0)
+    columns, _, _ = recorded(excitation=kind, amplitude=0.3, frequency=1.0, frequencies=hertz)
+    time, torque = columns["time"], columns["torque"]
+    np.testing.assert_allclose(time, np.arange(2000) / 500.0)
+    turns = time % 1.0
+    waves = {
+        "square": np.where(turns < 0.5 - 1e-9, 0.3, -0.3),
+        "sine": 0.3 * np.sin(2.0 * np.pi * time),
+        "chirp": 0.3 * chirp(time, 0.5, time[-1], 3.0, phi=-90),
+    }
+    if kind in waves:
+        np.testing.assert_allclose(torque, waves[kind], atol=1e-9)
+        return
+    left = torque - (waves["square"] if "square" in kind else 0.0)
+    lines = 2.0 * np.abs(np.fft.rfft(left)) / left.size
+    expected = np.zeros_like(lines)
+    expected[[2, 5, 12]] = 0.3 / np.sqrt(3.0)
+    np.testing.assert_allclose(lines, expected, atol=1e-12)
+
+
+def test_a_recording_is_moved_by_what_its_current_loop_makes_of_the_command():
+    given = {"lag": 0.02, "added_mass": 0.4, "radius": 0.3, "hold": "zero", "amplitude": 0.3}
+    columns, motion, values = recorded(**given)
+    command = excitation.square(columns["time"], 0.3, 1.0)
+    expected = excitation.current_loop(command, 1.0 / 500.0, 0.02)
+    np.testing.assert_allclose(columns["torque"], expected, atol=1e-15)
+    assert values == VALUES
+    own = simulate(
+        GEARED, GEARED.vector(VALUES), expected, 1.0 / 500.0, inputs=Inputs(0.4, 0.3), hold="zero"
+    )
+    np.testing.assert_array_equal(motion.q, own.q)
+    back = inverse_torque(
+        GEARED, GEARED.vector(values), motion.q, motion.qd, motion.qdd, inputs=Inputs(0.4, 0.3)
+    )
+    np.testing.assert_allclose(back, expected, atol=1e-12)
+    # the encoder is on the motor's shaft
+    np.testing.assert_allclose(columns["position"], 5.0 * motion.q)
+
+
+@pytest.mark.parametrize(("side", "ratio"), [("motor", 5.0), ("joint", 1.0)])
+def test_an_encoder_rounds_to_its_counts(side, ratio):
+    columns, motion, _ = recorded(encoder_counts=500, encoder_side=side)
+    counts = columns["position"] / (2.0 * np.pi / 500)
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+    off = columns["position"] - ratio * motion.q
+    assert np.abs(off).max() <= np.pi / 500 + 1e-12
+    assert len(np.unique(np.round(counts))) > 20
+
+
+def test_noise_is_white_of_the_sd_asked_for_and_not_what_moves_the_joint():
+    quiet, motion, _ = recorded(excitation="multisine", seed=4)
+    noisy, same, _ = recorded(excitation="multisine", seed=4, torque_noise=0.05)
+    again, _, _ = recorded(excitation="multisine", seed=4, torque_noise=0.05)
+    other, else_, _ = recorded(excitation="multisine", seed=5, torque_noise=0.05)
+    np.testing.assert_array_equal(motion.q, same.q)
+    np.testing.assert_array_equal(noisy["torque"], again["torque"])
+    assert np.abs(motion.q - else_.q).max() > 0.01
+    noise = noisy["torque"] - quiet["torque"]
+    # relative error of a sd from n: 1/sqrt(2n); of a correlation 1/sqrt(n)
+    n = noise.size
+    assert noise.std() == pytest.approx(0.05, rel=4.0 / np.sqrt(2.0 * n))
+    assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 4.0 / np.sqrt(n)
+    beside = other["torque"] - recorded(excitation="multisine", seed=5)[0]["torque"]
+    assert abs(np.corrcoef(noise, beside)[0, 1]) < 4.0 / np.sqrt(n)
+    played, begun = measure(
+        GEARED, GEARED.vector(VALUES), np.zeros(500), Simulation(**EXACT | {"rate": 500.0}),
+        np.random.default_rng(0), q0=0.3, qd0=-0.2,
+    )  # fmt: skip
+    assert (begun.q[0], begun.qd[0]) == (0.3, -0.2)
+    assert played["time"][-1] == pytest.approx(499 / 500.0)
+
+
+def test_true_values_are_the_preset_s_but_for_what_is_said():
+    chain = KNEE.chain()
+    found = Simulation(parameters={"joint.viscous": 1.0}).true_values(chain)
+    assert found == KNEE.values | {"joint.viscous": 1.0}
+    assert tuple(found) == chain.names
+    for parameters, match in (
+        ({"joint.viscos": 1.0}, "no such parameter"),
+        ({"joint.viscous": -1.0}, "no possible value"),
+        ({"joint.viscous": np.inf}, "no possible value"),
+    ):
+        with pytest.raises(BadInput, match=match):
+            Simulation(parameters=parameters).true_values(chain)
+    with pytest.raises(BadInput, match="has no value"):
+        Simulation().true_values(GEARED)
+    # at the ends of a support values are possible
+    edge = Simulation(parameters=VALUES | {"motor.viscous": 0.0})
+    assert edge.true_values(GEARED)["motor.viscous"] == 0.0
+    assert record(GEARED, Simulation(**EXACT | {"duration": 0.01}))[1].q.size == 10
+    with pytest.raises(BadInput, match="fewer than 10"):
+        recorded(duration=0.009, rate=1000.0)
+    with pytest.raises(BadInput, match="runs away"):
+        recorded(amplitude=1e9)
