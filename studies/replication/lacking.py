@@ -29,16 +29,16 @@ HERE = Path(__file__).resolve().parent
 for folder in ("calibration", "diagnostics"):
     sys.path.insert(0, str(HERE.parent / folder))
 
-from joints import BENCHES, RIGHT, SIZES, recorded
+from joints import BENCHES, RIGHT, SIZES, UNLISTED, recorded
 
 from bayesfric import Model
 
 SEED = 41
 MOTIONS = ("", "closed loop, ")
+CORRECT = (*RIGHT[:6], "arm", "closed loop")
+NOT_LISTED = tuple(motion + name for name in UNLISTED for motion in MOTIONS)
 EFFECTS: dict[str, tuple[str, ...]] = {
-    **{name: (name,) for name in RIGHT[:6]},
-    "arm": ("arm",),
-    "closed loop": ("closed loop",),
+    **{name: (name,) for name in CORRECT},
     **{
         f"{motion}{name}": tuple(motion + case for case in cases)
         for name, cases in SIZES.items()

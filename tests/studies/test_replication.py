@@ -5,8 +5,6 @@ import pytest
 
 from .bench import committed, scripts
 
-RIGHT = ("plain", "slow", "geared", "plain, 100 Hz", "plain, 1 kHz", "geared, encoder at the joint")
-
 replication, lacking, fleets = (
     scripts(name, folders=["replication"]) for name in ("replication", "lacking", "fleets")
 )
@@ -22,9 +20,9 @@ def test_measured_pairs_scatter_by_about_one():
 
 def test_intervals_hold_where_a_model_lacks_something(lacking):
     cases = committed("replication/lacking.json")
-    assert set(cases) == set(lacking.CASES)
-    of = dict.fromkeys(cases, "wrong") | dict.fromkeys(lacking.UNLISTED, "unlisted")
-    of |= dict.fromkeys((*RIGHT, "arm"), "right")
+    assert set(cases) == {case for effect in lacking.EFFECTS.values() for case in effect}
+    of = dict.fromkeys(cases, "wrong") | dict.fromkeys(lacking.NOT_LISTED, "unlisted")
+    of |= dict.fromkeys(lacking.CORRECT, "right")
     right, wrong, unlisted = (
         [r for n in cases if of[n] == kind for one in cases[n] for r in one["rows"]]
         for kind in ("right", "wrong", "unlisted")
@@ -75,7 +73,7 @@ def test_a_regression_has_its_exact_posterior(fleets):
 
 @pytest.mark.slow
 def test_a_model_that_lacks_a_term_again(lacking):
-    case = next(name for name in lacking.CASES if name.startswith("load loss"))
+    case = lacking.EFFECTS["load loss"][1]
     rows = [row for k in range(3) for row in lacking.one((case, k))["rows"]]
     held, plain = (np.mean([row[name] for row in rows]) for name in ("held", "plain"))
     assert held > max(plain, 0.8)
