@@ -30,7 +30,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.results.reported import ORDER
 
 HERE = Path(__file__).resolve().parent
-SEED = 2026
+SEED = 2027
 
 
 def one(task: tuple[int, str, int]) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def table(case: str, result: dict[str, Any]) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--recordings", type=int, default=40)
+    parser.add_argument("--recordings", type=int, default=100)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--cases", nargs="*", default=list(CASES))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
