@@ -19,7 +19,7 @@ import numpy as np
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.discrepancy import Pull
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.prior.priors import JointPrior, read_prior
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
 from bayesfric.population.population import Varying, interval
@@ -79,7 +79,8 @@ class JointTarget(LogPosterior):
         self._spreads = np.array([at[f"{name}.spread"] for name in varying])
         # priors that count: the population is that of what varies
         apart = {*self._spreads.tolist(), *self._own.ravel().tolist()}
-        self._counted = [(j, prior) for j, prior in enumerate(self.priors) if j not in apart]
+        self._counted = [j for j in range(self.dimension) if j not in apart]
+        self._joint_prior = JointPrior([self.priors[j] for j in self._counted])
         own = [first.names.index(name) for name in varying]
         self._sds = np.array([p.flat()[:, own].std(axis=0) for p in posteriors]).T  # (varying, R)
         draws = self._begin(posteriors, np.random.default_rng([seed, _STARTS]))
@@ -135,9 +136,7 @@ class JointTarget(LogPosterior):
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of parameters ``(n, d)``; that of a mean is flat."""
         x = parameters
-        out = np.zeros(len(x))
-        for j, prior in self._counted:
-            out += prior.log_density(x[:, j])
+        out = self._joint_prior.log_density(x[:, self._counted])
         for k, places, sds in zip(self._spreads, self._own, self._sds, strict=True):
             tau, theta = x[:, k], x[:, places]
             apart = ((theta - theta.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)

@@ -6,6 +6,7 @@ from scipy.integrate import quad
 
 import bayesfric as bf
 from bayesfric.inference.discrepancy import Pull
+from bayesfric.inference.prior.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
 from tests.axis import AXIS, VALUES, swing
 
@@ -71,7 +72,7 @@ def test_the_population_mean_is_integrated_exactly():
     """The prior of what varies is the integral over a flat mean of independent normals."""
     target = JointTarget.__new__(JointTarget)
     theta, tau = np.array([0.3, 0.9, 0.4]), 0.35
-    target._counted = []
+    target._counted, target._joint_prior = [], JointPrior([])
     target._spreads, target._own = np.array([3]), np.array([[0, 1, 2]])
     target._sds = np.full((1, 3), 0.2)
 
