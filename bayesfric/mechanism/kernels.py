@@ -36,14 +36,13 @@ ELEMENT_SLOTS = (
     "load_drive_difference",
     "load_back_difference",
     "load_speed",
-    "load_root",
     "load_square",
 )
 LOAD_SLOTS = ("inertia", "first_moment", "gravity_angle", "gravity", "offset", "gain")
 RATIO, INERTIA, COULOMB_POSITIVE, COULOMB_NEGATIVE, VISCOUS, QUADRATIC = 0, 1, 2, 3, 4, 5
 STRIBECK_RATIO, STRIBECK_LOAD_RATIO, STRIBECK_VELOCITY, STRIBECK_EXPONENT = 6, 7, 8, 9
 LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12, 13
-LOAD_SPEED, LOAD_ROOT, LOAD_SQUARE = 14, 15, 16
+LOAD_SPEED, LOAD_SQUARE = 14, 15
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
 Row = Array | tuple[float, ...]  # of one element
 Factors = tuple[float, float]  # of the constant and of the load loss
@@ -151,7 +150,7 @@ def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[f
     drive, back : float
         ``mu_1`` and ``mu_2`` at this speed and direction.
     """
-    grown = element[LOAD_SPEED] * abs(speed) + element[LOAD_ROOT] * math.sqrt(abs(speed))
+    grown = element[LOAD_SPEED] * abs(speed)
     drive = element[LOAD_DRIVE] + sign * element[LOAD_DRIVE_DIFFERENCE]
     back = element[LOAD_BACK] + sign * element[LOAD_BACK_DIFFERENCE]
     return drive * rise + grown, back * rise + grown
@@ -356,7 +355,6 @@ def _through_element(
     scaled[VISCOUS] *= to_input
     scaled[QUADRATIC] *= to_input**2
     scaled[LOAD_SPEED] *= to_input
-    scaled[LOAD_ROOT] *= math.sqrt(abs(to_input))
     scaled[STRIBECK_VELOCITY] /= to_input
     # a tuple, or the compiler must assume that writing `out` changes it
     own = _as_tuple(scaled, _SLOTS)

@@ -258,7 +258,6 @@ CHOICES: Mapping[str, Mapping[str | bool, str]] = {
         "quadrants": "load loss by direction and power flow",
     },
     "load_speed": {True: "a load loss that grows with speed"},
-    "load_root": {True: "a load loss that grows with the root of speed"},
     "load_square": {True: "a loss with the square of the load"},
 }
 LOAD_CHOICES: Mapping[str, Mapping[str | bool, str]] = {
@@ -283,7 +282,6 @@ OPTION_MEANINGS: Mapping[str, str] = {
     "load_loss": "loss in proportion to transmitted torque",
     "load_direction": "load loss by direction of motion",
     "load_speed": "growth of load loss with speed",
-    "load_root": "growth of load loss with the root of speed",
     "load_square": "growth of load loss with the load",
     "first_moment": "gravity moment ml",
     "gravity_angle": "unknown angle of gravity's zero",
@@ -468,12 +466,6 @@ QUANTITIES: dict[str, Quantity] = {
             "load_speed", ("s/rad", "s/m"), r"\mu_{{v,{}}}",
             "growth of the load loss in proportion to speed",
             option="load_speed", role="form", spread=lambda s: 0.3 / s.speed, start=0.0,
-            scaled_by=1,
-        ),
-        Quantity(
-            "load_root", ("(s/rad)^0.5", "(s/m)^0.5"), r"\mu_{{r,{}}}",
-            "growth of the load loss with the root of speed",
-            option="load_root", role="form", spread=lambda s: 0.3 / s.speed**0.5, start=0.0,
             scaled_by=1,
         ),
         # BAM's M6

@@ -139,12 +139,7 @@ def by_the_table(chain, values, o):
         drives = torque * state.direction > 0.0
         differs = np.where(drives, of("load_drive_difference"), of("load_back_difference"))
         differs = (differs + of("load_difference")) * state.direction * rises["loss"]
-        mu = (
-            differs
-            + of("load_root") * np.sqrt(np.abs(state.speed))
-            + of("load_speed") * np.abs(state.speed)
-            + of("load_square") * np.abs(torque)
-        )
+        mu = differs + of("load_speed") * np.abs(state.speed) + of("load_square") * np.abs(torque)
         torque = total + mu * np.abs(torque) * state.direction
     return (torque + at.get("offset", 0.0)) / at.get("drive.gain", 1.0)
 
