@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
 
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+# possessive: what is no number is so at its first wrong character
+_NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
 # Values that are told of a column without the one that was asked for.
 _MOST = 20
 _MOST_COLUMNS = 10_000
