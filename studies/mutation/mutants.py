@@ -119,10 +119,22 @@ def contexts(to: Path, rooms: list[str]) -> CoverageData:
     return data
 
 
+def compiled(path: Path, line: int) -> bool:
+    """Whether a line is of a function that Numba compiles."""
+    return any(
+        node.lineno <= line <= (node.end_lineno or 0)
+        and any("njit" in ast.unparse(mark) for mark in node.decorator_list)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+    )
+
+
 def tests_of(place: Place, data: CoverageData) -> list[str]:
-    """Give the tests that run a line, or all of its room where it runs at import or is compiled."""
+    """Give the tests that run a line, or all of its room: at import, or compiled."""
     file, line = place[:2]
     room = next(tests for folder, tests in ROOMS.items() if file.startswith(f"bayesfric/{folder}/"))
+    if compiled(HOUSE / file, line):  # where no test is seen to run it
+        return [f"tests/{room}"]
     by_line = data.contexts_by_lineno(str(HOUSE / file))
     found = {name.partition("|")[0] for name in by_line.get(line, []) if name}
     # every so many of them, those of the room first

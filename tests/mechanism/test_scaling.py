@@ -24,8 +24,15 @@ FULL = Joint(
     offset=True,
     gain=True,
 )
-CHAINS = {"knee": KNEE.chain(), "full": FULL}
 GEARBOX = Element("gearbox", inertia=True, coulomb="symmetric", load_loss="two")
+LOSSES = replace(
+    FULL,
+    elements=(
+        replace(GEARBOX, load_speed=True, load_square=True, load_direction="quadrants"),
+        FULL.elements[2],
+    ),
+)
+CHAINS = {"knee": KNEE.chain(), "full": FULL, "losses": LOSSES}
 
 
 def random_values(chain, rng):
