@@ -15,6 +15,7 @@ from bayesfric.estimates.least_squares import (
 )
 from bayesfric.estimates.sizes import measured_scales, sizes_at
 from bayesfric.estimates.torque import places, torque_jacobian, weighed_torque
+from bayesfric.estimates.torque_form import shortest, torque_form
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -339,3 +340,29 @@ def test_places_are_even_in_time_and_apart_between_segments_and_recordings():
     assert np.diff(first)[np.flatnonzero(np.diff(number))[0]] > tenth
     assert second[0] - first[-1] > tenth
     assert first[0] == 0
+
+
+def test_columns_that_others_can_stand_for_are_those_of_a_null_direction():
+    rng = np.random.default_rng(5)
+    x, target = rng.standard_normal((60, 5)) * [1.0, 1e-3, 5.0, 1.0, 40.0], rng.standard_normal(60)
+    x[:, 3] = x[:, 0] - 700.0 * x[:, 1]
+    size, shared, solution, basis = shortest(x)
+    np.testing.assert_array_equal(shared, [True, True, False, True, False])
+    np.testing.assert_allclose(size * (solution @ target), np.linalg.pinv(x / size) @ target)
+    np.testing.assert_allclose(basis @ basis.T, x @ np.linalg.pinv(x), atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e3])
+def test_where_no_column_is_the_load_s_alone_the_scale_leaves_all_losses_positive(scale):
+    parts = {"inertia": True, "coulomb": "symmetric", "viscous": True}
+    gearbox = Element("gearbox", load_loss="two")
+    chain = Joint((Element("motor", **parts), gearbox, Element("joint", **parts)), Load())
+    values = values_of(chain) | {"gearbox.load_drive": 0.9, "gearbox.load_back": 0.5}
+    own = [name for name in chain.names if ".load_" not in name]
+    values |= {n: scale * (0.1 if n.startswith("motor") else 1.0) for n in own}
+    form = torque_form(chain)
+    thetas = form.thetas(chain.vector(values))
+    found = dict(zip(chain.names, form.parameters(*thetas).tolist(), strict=True))
+    assert all(found[name] > 0.0 for name in own)
+    for theta, again in zip(thetas, form.thetas(chain.vector(found)), strict=True):
+        np.testing.assert_allclose(again, theta, rtol=1e-12)
