@@ -1,4 +1,8 @@
-"""Commands run one after the other in a process that may take 3 GB and 60 s a command."""
+"""Commands run one after the other in a process that may take 3 GB and 60 s a command.
+
+With ``COSTS=FILE`` in the environment every command's CPU seconds and what it takes of memory, MB
+and at its peak, is a line of JSON there.
+"""
 
 import json
 import os
@@ -6,7 +10,9 @@ import resource
 import select
 import subprocess
 import sys
+import time
 from dataclasses import asdict
+from pathlib import Path
 
 from tests.hostile.rule import Outcome, run
 
@@ -61,7 +67,32 @@ def main():
         # in a process of its own nothing else ends what holds the processor
         used = int(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))
         resource.setrlimit(resource.RLIMIT_CPU, (used + SECONDS, resource.RLIM_INFINITY))
-        print(json.dumps(asdict(run(*words, seconds=SECONDS))), flush=True)
+        print(
+            json.dumps(asdict(costed(*words) if "COSTS" in os.environ else told(*words))),
+            flush=True,
+        )
+
+
+def told(*words):
+    return run(*words, seconds=SECONDS)
+
+
+def costed(*words):
+    """Run a command, and write down what it took."""
+    began, before = time.process_time(), resident("VmRSS")
+    Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+    outcome = told(*words)
+    cost = {"cpu_seconds": round(time.process_time() - began, 2), "before": before}
+    cost |= {"peak": resident("VmHWM"), "code": outcome.code, "error": outcome.err[:200]}
+    with Path(os.environ["COSTS"]).open("a") as file:
+        file.write(f"{json.dumps(cost)}\n")
+    return outcome
+
+
+def resident(what):
+    """Memory of this process, MB: ``VmRSS`` now, ``VmHWM`` at its peak."""
+    status = Path("/proc/self/status").read_text()
+    return round(int(status.partition(f"{what}:")[2].split()[0]) / 1024)
 
 
 if __name__ == "__main__":
