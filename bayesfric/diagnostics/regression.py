@@ -503,9 +503,9 @@ class Regression:
 
         ``told`` ``(d, k)`` are directions that the recordings determine.
         """
-        found = {}
+        found, size = {}, self._sizes
         for name, gradient in self._gradients.items():
-            scaled = gradient * self._sizes
+            scaled = gradient * size
             inside = told.T @ scaled
             variance = float(gradient @ covariance @ gradient)
             if inside @ inside > _TOLD * (scaled @ scaled):

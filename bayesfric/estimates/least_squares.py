@@ -207,7 +207,7 @@ def total_label(chain: Joint, name: str) -> str:
         owner, places = name.partition(".")[0], [e.name for e in chain.elements]
         if owner == "drive":  # it is of the torque as measured
             return name
-        before = chain.elements[: places.index(owner) if owner in places else len(places)]
+        before = chain.elements[: places.index(owner)] if owner in places else chain.elements
         scaled = chain.gain or any(e.load_loss != "none" for e in before)
         return f"total.{name}" if scaled else name
     kind = name.partition(".")[0]

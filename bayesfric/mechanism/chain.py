@@ -217,7 +217,7 @@ class Chain:
                 self.names.index(f"{p.owner}.{p.row.shape}") if p.row.shape else -1,
             )
             for i, p in enumerate(self.parameters)
-            if p.owner in places and p.row.role == "own" and not _slots(p)
+            if p.owner in places and p.row.role == "own" and not slots_of(p)
         )
 
     def felt(self, inputs: Inputs | None) -> tuple[CarriedTerm, ...]:
@@ -409,7 +409,7 @@ class Chain:
         for source, p in enumerate(self.parameters):
             if p.quantity == "offset" and self.own_offsets:
                 continue  # whose it is, only the recording says
-            for slot in _slots(p):
+            for slot in slots_of(p):
                 sources.append(source)
                 targets.append(where[f"{_bearer(p)}.{slot}"])
         return defaults, sources, targets
@@ -419,7 +419,7 @@ def _bearer(p: Parameter) -> str:
     return "load" if p.owner in ("", "drive") else p.owner
 
 
-def _slots(p: Parameter) -> tuple[str, ...]:
+def slots_of(p: Parameter) -> tuple[str, ...]:
     """Slots of the kernels that a parameter fills; none for what its column, or another's, takes.
 
     Raises

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesfric.mechanism.chain import Chain
+from bayesfric.mechanism.chain import Chain, slots_of
 from bayesfric.recordings.arrays import Array
 
 
@@ -195,9 +195,8 @@ def scalings(
     found = []
     for i, element in enumerate(chain.elements):
         risen = any(
-            "stribeck_load_ratio" in (p.row.slots or (p.quantity,))
+            p.owner == element.name and "stribeck_load_ratio" in slots_of(p)
             for p in chain.parameters
-            if p.owner == element.name
         )
         if element.load_loss != "two" or risen:
             continue

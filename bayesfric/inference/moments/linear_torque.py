@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.torque_form import Term, columns, filled, torque_form
 from bayesfric.inference.moments.shape_nodes import ShapeNodes
+from bayesfric.mechanism.chain import slots_of
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.kernels import load_losses
 from bayesfric.mechanism.parameter import Parameter
@@ -218,7 +219,7 @@ class LinearTorque:
         ratio = [
             i
             for i, p in enumerate(self.chain.parameters)
-            if p.owner == element and slot in (p.row.slots or (p.quantity,))
+            if p.owner == element and slot in slots_of(p)
         ]
         if not ratio:
             return None
@@ -271,14 +272,14 @@ class LinearTorque:
         """Functions in one part of :func:`_losses`, alike ones once."""
         element = [e.name for e in self.chain.elements].index(loss)
         rows = self.chain.tables(np.eye(len(self.chain.names))).elements[:, element]
+        reach = self.chain.reaches[loss]
         alike: dict[tuple[float, ...], tuple[Along, Array]] = {}
         for i, row in enumerate(rows):
             for way, asked in enumerate(_losses(row, _ASKED)[part]):
-                if asked[0] != 0.0:
-                    along = _multiplier(row, self.chain.reaches[loss], part, way)
-                    new = along, np.zeros((2, len(rows), 1))
-                    shape = tuple((asked / asked[0]).round(12).tolist())
-                    alike.setdefault(shape, new)[1][way, i] = asked[0]
+                for size in asked[asked != 0.0][:1]:  # that of the first speed it has any at
+                    shape = tuple((asked / size).round(12).tolist())
+                    new = _multiplier(row, reach, part, way, size), np.zeros((2, len(rows), 1))
+                    alike.setdefault(shape, new)[1][way, i] = size
         for along, shares in alike.values():
             yield _Loss(along, _sum(shares[0]), _sum(shares[1]))
 
@@ -471,15 +472,9 @@ def _losses(element: Array, speed: Array) -> Array:
     return out
 
 
-def _multiplier(element: Array, reach: float, part: int, way: int) -> Along:
-    """One function of :func:`_losses`, one at the first speed that is asked for."""
-
-    def along(o: Observation) -> Array:
-        speed = np.concatenate([_ASKED[:1], reach * o.qd])
-        found = _losses(element, speed)[part, way]
-        return np.asarray(found[None, 1:] / found[0])
-
-    return along
+def _multiplier(element: Array, reach: float, part: int, way: int, size: float) -> Along:
+    """One function of :func:`_losses`, over its ``size``."""
+    return lambda o: _losses(element, reach * o.qd)[part, way][None] / size
 
 
 def _sum(share: Array) -> Weights:
