@@ -171,7 +171,7 @@ USUAL = {
     name: LACKING[name]
     for name in [*(f"{name} {x:g}" for name, (x, *_) in EFFECTS.items()), *COMPLIANT]
 }
-# Cases of one effect, in three sizes: what an encoder's period and a compliance have, by theirs.
+# Cases of one effect: half, usual and double; the sizes of a compliance are its own.
 SIZES = {
     **{
         name: tuple(f"{name} {times * x:g}" for times in (0.5, 1.0, 2.0))

@@ -88,3 +88,13 @@ def signal(period, duration=1.2, amplitude=0.8, seed=0):
         time, 0.2 * amplitude, [3.0, 7.0, 11.0], seed=seed
     )
     return current_loop(torque, period, 5e-3)
+
+
+# a motor with a light load behind a gearbox without losses
+GEARED = Joint(
+    (Element("motor", inertia=True, viscous=True), Element("gearbox", ratio=5.0)),
+    Load(inertia=True, first_moment=True),
+)
+LIGHT = {
+    "motor.inertia": 1e-3, "motor.viscous": 2e-3, "load.inertia": 0.02, "load.first_moment": 0.1,
+}  # fmt: skip

@@ -6,23 +6,13 @@ from scipy.signal import chirp
 
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism import excitation
-from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, measure, record
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.inputs import Inputs
+from tests.mechanism.joints import GEARED, KNEE, LIGHT
 
-KNEE = PRESETS["rabbit-knee"]
-GEARED = Joint(
-    (Element("motor", inertia=True, viscous=True), Element("gearbox", ratio=5.0)),
-    Load(inertia=True, first_moment=True),
-)
-VALUES = {
-    "motor.inertia": 1e-3, "motor.viscous": 2e-3, "load.inertia": 0.02, "load.first_moment": 0.1,
-}  # fmt: skip
-EXACT = {"encoder_counts": 0, "torque_noise": 0.0, "lag": 0.0, "parameters": VALUES}
+EXACT = {"encoder_counts": 0, "torque_noise": 0.0, "lag": 0.0, "parameters": LIGHT}
 
 
 def recorded(**options):
@@ -77,9 +67,9 @@ def test_a_recording_is_moved_by_what_its_current_loop_makes_of_the_command():
     command = excitation.square(columns["time"], 0.3, 1.0)
     expected = excitation.current_loop(command, 1.0 / 500.0, 0.02)
     np.testing.assert_allclose(columns["torque"], expected, atol=1e-15)
-    assert values == VALUES
+    assert values == LIGHT
     own = simulate(
-        GEARED, GEARED.vector(VALUES), expected, 1.0 / 500.0, inputs=Inputs(0.4, 0.3), hold="zero"
+        GEARED, GEARED.vector(LIGHT), expected, 1.0 / 500.0, inputs=Inputs(0.4, 0.3), hold="zero"
     )
     np.testing.assert_array_equal(motion.q, own.q)
     back = inverse_torque(
@@ -116,7 +106,7 @@ def test_noise_is_white_of_the_sd_asked_for_and_not_what_moves_the_joint():
     beside = other["torque"] - recorded(excitation="multisine", seed=5)[0]["torque"]
     assert abs(np.corrcoef(noise, beside)[0, 1]) < 4.0 / np.sqrt(n)
     played, begun = measure(
-        GEARED, GEARED.vector(VALUES), np.zeros(500), Simulation(**EXACT | {"rate": 500.0}),
+        GEARED, GEARED.vector(LIGHT), np.zeros(500), Simulation(**EXACT | {"rate": 500.0}),
         np.random.default_rng(0), q0=0.3, qd0=-0.2,
     )  # fmt: skip
     assert (begun.q[0], begun.qd[0]) == (0.3, -0.2)
@@ -138,7 +128,7 @@ def test_true_values_are_the_preset_s_but_for_what_is_said():
     with pytest.raises(BadInput, match="has no value"):
         Simulation().true_values(GEARED)
     # at the ends of a support values are possible
-    edge = Simulation(parameters=VALUES | {"motor.viscous": 0.0})
+    edge = Simulation(parameters=LIGHT | {"motor.viscous": 0.0})
     assert edge.true_values(GEARED)["motor.viscous"] == 0.0
     assert record(GEARED, Simulation(**EXACT | {"duration": 0.01}))[1].q.size == 10
     with pytest.raises(BadInput, match="fewer than 10"):

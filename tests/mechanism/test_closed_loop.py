@@ -10,7 +10,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.drive_law import Law
-from tests.mechanism.joints import EVERYTHING, KNEE, everything
+from tests.mechanism.joints import EVERYTHING, GEARED, KNEE, LIGHT, everything
 
 PERIOD = 0.004
 N = 500
@@ -131,13 +131,6 @@ def test_a_vector_without_a_motion_is_no_number():
     assert np.isnan(q).all()
 
 
-GEARED = Joint(
-    (Element("motor", inertia=True, viscous=True), Element("gearbox", ratio=5.0)),
-    Load(inertia=True, first_moment=True),
-)
-LIGHT = {
-    "motor.inertia": 1e-3, "motor.viscous": 2e-3, "load.inertia": 0.02, "load.first_moment": 0.1,
-}  # fmt: skip
 CHAINS = {
     "everything": (everything(), EVERYTHING, 0.5),
     "knee": (KNEE.chain(), KNEE.values, 0.8),
