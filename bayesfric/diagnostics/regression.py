@@ -357,9 +357,10 @@ class Regression:
 
         Those that were found are among them; a tone, a push or a far delay only where it was.
         Columns are as large as all torque, of friction as what the model loses; the mean score of
-        the twins is taken off, and half of it counts as spread.
+        the twins is taken off, and half of it counts as spread. The noise is the one that was
+        chosen before: what is taken in differs with the twins where several explain as much.
         """
-        d = self.data.whitened
+        d = replace(self.data, memory=self.noise).whitened
         base = basis_of(d.base)
         # what is there for a moment only is no larger for that; and what more is lost is of the
         # size of what the model loses

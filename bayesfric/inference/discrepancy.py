@@ -558,9 +558,14 @@ def _without_bounds(
     information of its prior there.
     """
     on = np.flatnonzero(pull)
-    # what the others do when a held one changes by one, and what is left of their covariance
-    follow = np.linalg.solve(covariance[np.ix_(on, on)], covariance[on]).T
-    rest = covariance - follow @ covariance[on]
+    # of the others, while the held ones stay where they are
+    rest = covariance - covariance[:, on] @ np.linalg.solve(
+        covariance[np.ix_(on, on)], covariance[on]
+    )
+    # what the others do when a held one changes by one: by the likelihood, as a bound leaves the
+    # draws so narrow there that what they show of it is mostly chance
+    follow = -rest @ (rows.T @ rows[:, on])
+    follow[on] = np.eye(len(on))
     along = rows @ follow
     own = np.linalg.inv(along.T @ along + np.diag(known[on]))
     shift = own @ (along.T @ left + known[on] * pull[on])
