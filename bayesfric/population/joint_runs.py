@@ -1,7 +1,8 @@
 """One posterior of all runs: what they share, what each has of its own, and where that comes from.
 
-Parameters that vary are each run's own, ``theta_r ~ N(mu, tau^2)``; all others are shared, and only
-noise scales are each run's besides. ``mu`` has a flat prior and is integrated in closed form: what
+Parameters that vary are each run's own, ``theta_r ~ N(mu, tau^2)``; all others are shared. Noise is
+each run's own besides, and held at the mean that the run alone has: a recording tells it far better
+than any parameter, and sampling it would be most of all dimensions. ``mu`` has a flat prior and is integrated in closed form: what
 is left of the population is ``-(R - 1) log tau - sum (theta_r - mean)^2 / (2 tau^2)``. ``tau`` has
 the prior of :mod:`bayesfric.population.population`, by the sds that runs fitted alone have, so that
 both ways answer one question. This way the shared parameters are told by all runs together; it
@@ -10,7 +11,7 @@ takes a sampling of many dimensions, and is for few runs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from types import SimpleNamespace
 
@@ -65,14 +66,14 @@ class JointTarget(LogPosterior):
         flat = {"distribution": "uniform", "loc": 0.0, "scale": _WIDEST}
         told = {name: priors[name] for name in shared}
         for run in recordings:
-            told |= {f"{name}.{run}": priors[name] for name in (*varying, *first.noise.names)}
+            told |= {f"{name}.{run}": priors[name] for name in varying}
         for name in varying:
             told[f"{name}.spread"] = read_prior(name, flat, lower=0.0, upper=np.inf)
         self.names, self.priors = tuple(told), tuple(told.values())
         self.dimension = len(self.names)
         at = {name: j for j, name in enumerate(self.names)}
         self._places = [
-            np.array([at[n] if n in shared else at[f"{n}.{run}"] for n in first.names])
+            np.array([at[n] if n in shared else at[f"{n}.{run}"] for n in first.free])
             for run in recordings
         ]
         self._own = np.array([[at[f"{n}.{run}"] for run in recordings] for n in varying])  # (., R)
@@ -81,6 +82,8 @@ class JointTarget(LogPosterior):
         apart = {*self._spreads.tolist(), *self._own.ravel().tolist()}
         self._counted = [j for j in range(self.dimension) if j not in apart]
         self._joint_prior = JointPrior([self.priors[j] for j in self._counted])
+        free = len(first.free)
+        self._noise = [p.flat()[:, free:].mean(axis=0) for p in posteriors]
         own = [first.names.index(name) for name in varying]
         self._sds = np.array([p.flat()[:, own].std(axis=0) for p in posteriors]).T  # (varying, R)
         draws = self._begin(posteriors, np.random.default_rng([seed, _STARTS]))
@@ -104,7 +107,7 @@ class JointTarget(LogPosterior):
         total = np.zeros((_DRAWS, self.dimension))
         for places, posterior in zip(self._places, posteriors, strict=True):
             flat = posterior.flat()
-            x = flat[rng.integers(len(flat), size=_DRAWS)]
+            x = flat[rng.integers(len(flat), size=_DRAWS), : places.size]
             weight = 1.0 / x.var(axis=0)
             total[:, places] += weight * x
             weights[places] += weight
@@ -128,8 +131,8 @@ class JointTarget(LogPosterior):
         parameters = parameters[np.isfinite(slope)]
         out = copy(self)
         out.targets = [
-            target.prepared(target.from_parameters(parameters[:, places]))
-            for target, places in zip(self.targets, self._places, strict=True)
+            self.targets[run].prepared(self.targets[run].from_parameters(own))
+            for run, own in enumerate(self._of_runs(parameters))
         ]
         return out
 
@@ -148,9 +151,14 @@ class JointTarget(LogPosterior):
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood of parameters ``(n, d)``: runs know nothing of each other."""
         found = np.zeros(len(parameters))
-        for target, places in zip(self.targets, self._places, strict=True):
-            found += target.log_likelihood(parameters[:, places])
+        for target, own in zip(self.targets, self._of_runs(parameters), strict=True):
+            found += target.log_likelihood(own)
         return found
+
+    def _of_runs(self, parameters: Array) -> Iterator[Array]:
+        """Give each run's own parameters, noise included, of ``(n, d)``."""
+        for places, noise in zip(self._places, self._noise, strict=True):
+            yield np.column_stack([parameters[:, places], np.tile(noise, (len(parameters), 1))])
 
     def widened(self, posterior: Posterior, pulls: Sequence[Pull | None]) -> Array:
         """Move draws of the posterior ``(n, d)`` by as much as the recordings' models may be off.
@@ -162,9 +170,10 @@ class JointTarget(LogPosterior):
         u, rng = self.coordinates.from_parameters(flat), np.random.default_rng([posterior.seed, 17])
         chance, sides = rng.uniform(size=(len(u), 1)), rng.standard_normal((len(u), 1))
         moved = u.copy()
-        for target, places, pull in zip(self.targets, self._places, pulls, strict=True):
+        runs = zip(self.targets, self._of_runs(flat), pulls, strict=True)
+        for target, parameters, pull in runs:
             if pull is not None:
-                own = target.unbounded(flat[:, places])[:, : pull.drawn.shape[1]]
+                own = target.unbounded(parameters)[:, : pull.drawn.shape[1]]
                 cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
                 scores = pull.scores(rng.integers(len(pull.drawn), size=len(u)), sides)
                 moved += np.where(chance < pull.chance, scores @ cross, 0.0)
