@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -184,12 +185,14 @@ def paper_figure(width: float, height: float, *, apart: float = 0.03) -> Iterato
     """
     with paper_style():
         figure = Figure(figsize=(width, height), layout="constrained")
+        # words are measured as they are written
+        FigureCanvasSVG(figure)
         engine = figure.get_layout_engine()
         assert isinstance(engine, ConstrainedLayoutEngine)
         engine.set(w_pad=apart, h_pad=apart, wspace=0.0, hspace=0.0)
         yield figure
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # an engine that does nothing has all drawn twice
 
 
 def panel_grid(
@@ -203,7 +206,8 @@ def panel_grid(
 
 def explained(figure: Figure, handles: Sequence[Artist]) -> list[Artist]:
     """Keep the handles of what a figure shows: of a kind, by its ``gid``, that is drawn in it."""
-    drawn = {artist.get_gid() for artist in figure.findobj()}
+    panels = figure.get_axes()
+    drawn = {artist.get_gid() for ax in panels for artist in (ax, *ax.get_children())}
     return [handle for handle in handles if handle.get_gid() in drawn]
 
 
