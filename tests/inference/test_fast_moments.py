@@ -180,6 +180,16 @@ def cases(make_observation):
     found["no-load-loss"] = Case(axis, AXIS.values, [o], 1)
     values = {**KNEE.values, "load.gravity_angle": 0.2}
     found["angle"] = Case(ANGLED, values, [make_observation(ANGLED, values, n=900, factor=3)], 1)
+    # a mass that is known, at an angle that is not: with a moment of the joint's own, and without
+    two = [
+        make_observation(ANGLED, values, n=500, seed=seed, added_mass=mass, radius=0.3)
+        for seed, mass in enumerate((0.0, 2.0))
+    ]
+    found["angle-known-mass"] = Case(ANGLED, values, two, 1)
+    hung = replace(SINGLE, load=Load(gravity_angle=True), gain=True)
+    values = {name: SINGLE_VALUES.get(name, 0.3) for name in hung.names}
+    o = make_observation(hung, values, n=700, factor=2, added_mass=1.0, radius=0.3)
+    found["angle-known-mass-only"] = Case(hung, values, [o], 2)
     # stands still for a while: at rest there is no loss
     o = make_observation(KNEE.chain(), KNEE.values, n=900, factor=3)
     speed = o.qd.copy()
@@ -213,7 +223,8 @@ def cases(make_observation):
 
 NAMES = [
     *(f"knee-{factor}-{order}" for factor in (1, 4) for order in (0, 1, 2)),
-    "knee-one-known-mass", "single-mu", "single-mu-known-mass", "no-load-loss", "angle", "rest",
+    "knee-one-known-mass", "single-mu", "single-mu-known-mass", "no-load-loss", "angle", "angle-known-mass",
+    "angle-known-mass-only", "rest",
     "exact", "gain", "gain-single-mu-known-mass", "gain-no-load-loss", "gain-delay", *SHAPED,
     "narrow",
 ]  # fmt: skip

@@ -39,6 +39,15 @@ Along = Callable[[Observation], Array]  # (m, n) functions of the motion along a
 Weights = Callable[[Array], Array]  # (n, m) what multiplies them, for parameter vectors
 T = TypeVar("T")
 
+# Gravity on a known mass at angle zero and a quarter turn on, and what an angle multiplies columns
+# by: at angle zero the first is in the known load's own column.
+_TURNED = "added_sine", "added_cosine"
+_TURNS: dict[str, Weights] = {
+    "gravity": np.cos,
+    "gravity_cosine": np.sin,
+    "added_sine": lambda angle: np.cos(angle) - 1.0,
+    "added_cosine": np.sin,
+}
 # Samples of a recording from which the size of its columns is judged.
 _TRIED = 20_000
 # Speeds that tell functions of it apart, rad/s or m/s.
@@ -135,14 +144,19 @@ class LinearTorque:
             _piece(o, slice(None, None, max(1, o.q.size // _TRIED))) for o in observations
         ]
         self._draws = draws
-        loaded = ("added_load",) if any(o.inputs.known_load for o in observations) else ()
-        self._names = (*form.names1, *loaded)
         self._at = {name: i for i, name in enumerate(chain.names)}
+        angle = self._at.get("load.gravity_angle", -1)
+        loaded: tuple[str, ...] = ()
+        if any(o.inputs.known_load for o in observations):
+            loaded = ("added_load", *(_TURNED if angle >= 0 else ()))
+        self._names = (*form.names1, *loaded)
         front, behind = self._matrix(form.front), self._matrix(form.behind)
         self._known = np.zeros((2, len(self._names)))
         if loaded:
-            self._known[1 if form.loss else 0, -1] = 1.0
-        self._angle = self._at["load.gravity_angle"] if "gravity_cosine" in self._names else -1
+            self._known[1 if form.loss else 0, len(form.names1) :] = 1.0
+        # columns that an unknown angle turns, and what it multiplies them by
+        self._angle = angle
+        self._turned = [(self._names.index(k), f) for k, f in _TURNS.items() if k in self._names]
         self._gain = self._at["drive.gain"] if chain.gain else -1
         self.shapes: list[ShapeNodes] = []
         self._groups = list(self._all_groups(front, behind))
@@ -323,9 +337,8 @@ class LinearTorque:
             if g == 0:
                 own = own + self._known[way]
                 if self._angle >= 0:
-                    sine, cosine = np.sin(values[:, self._angle]), np.cos(values[:, self._angle])
-                    own[:, self._names.index("gravity")] *= cosine
-                    own[:, self._names.index("gravity_cosine")] *= sine
+                    for j, factor in self._turned:
+                        own[:, j] *= factor(values[:, self._angle])
             weights = group.weights(values)
             found.append((own[:, group.used, None] * weights[:, None, :]).reshape(len(values), -1))
         return np.concatenate(found, axis=1)
@@ -366,7 +379,13 @@ class LinearTorque:
     def _known_columns(self, piece: Observation) -> Array:
         """Columns before functions multiply them; one for what functions make up alone."""
         out = np.ones((len(self._names), piece.q.size))
-        out[self._made] = columns(self.chain, piece, [self._names[j] for j in self._made])
+        made = [j for j in self._made if self._names[j] not in _TURNED]
+        out[made] = columns(self.chain, piece, [self._names[j] for j in made])
+        if len(made) < len(self._made):  # of a known mass at an unknown angle
+            load = self.chain.load
+            heavy = load.gravity * piece.inputs.load(load.motion)[1] / self.chain.ratio
+            for name, way in zip(_TURNED, (np.sin, np.cos), strict=True):
+                out[self._names.index(name)] = heavy * way(piece.q)
         return out
 
     def functions(self, o: Observation, begin: int, end: int) -> Array:
@@ -434,13 +453,10 @@ def linear_torque(
     Returns
     -------
     LinearTorque or None
-        ``None`` for several load losses, an unknown exponent of the Stribeck rise, or a known mass
-        at an unknown angle.
+        ``None`` for several load losses, or an unknown exponent of the Stribeck rise.
     """
     values = np.empty((0, len(chain.names))) if draws is None else draws
     if torque_form(chain, any_shape=True) is None:
-        return None
-    if "load.gravity_angle" in chain.names and any(o.inputs.known_load for o in observations):
         return None
     for i, p in enumerate(chain.parameters):
         if p.quantity == "stribeck_exponent" and np.ptp(values[:, i]) > 0.0:

@@ -1,0 +1,95 @@
+"""CPU seconds to the numbers of a fit, stage by stage, beside what importing the libraries takes.
+
+``python studies/benchmark/fits.py [--runs 3] [--fits demo emps]`` fits each configuration so often,
+a process each, in turn with the imports, and prints medians: until the numbers stand, until all is
+written, and of each stage, as the progress bar names them. The demo is SIMULATED, the others are
+MEASURED (../shared/data). Writes ``fits.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+from commands import IMPORTS
+
+HERE = Path(__file__).resolve().parent
+FITS = {
+    "demo": None,
+    "emps": HERE.parent / "emps" / "emps-autoregressive.toml",
+    "ur10e": HERE.parent / "ur10e" / "ur10e-joint2.toml",
+    "xl330": HERE.parent / "xl330" / "xl330.toml",
+}
+READING, WRITTEN = "importing, reading", "written"
+
+
+def once(name: str, folder: Path) -> None:
+    """Fit here, as the command line does, and print the CPU seconds of each stage."""
+    marks = [(READING, 0.0)]
+
+    def now(stage: str) -> None:
+        if stage != marks[-1][0]:
+            marks.append((stage, time.process_time()))
+
+    from bayesfric.base.progress import Progress
+    from bayesfric.commands.fit import demo_config, fit
+    from bayesfric.problem.config import read_config
+
+    def seen(progress: Progress) -> None:
+        now(progress.phase.partition(":")[0])
+
+    path = FITS[name]
+    config = read_config(path) if path else demo_config()
+    fit(config, folder / "run", progress=seen, found=lambda _: now("numbers"))
+    now(WRITTEN)
+    stages: dict[str, float] = {}
+    for (stage, began), (_, ended) in zip(marks, marks[1:], strict=False):
+        stages[stage] = stages.get(stage, 0.0) + ended - began
+    print(json.dumps({"stages": stages, "numbers": dict(marks)["numbers"], WRITTEN: marks[-1][1]}))
+
+
+def main() -> None:
+    """Fit what is asked for, in turn with the imports."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--fits", nargs="*", default=list(FITS))
+    parser.add_argument("--once", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        if asked.once:
+            once(asked.once, Path(folder))
+            return
+    imports, took = [], {name: [] for name in asked.fits}
+    one = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    for run in range(asked.runs + 1):
+        words = f"import time; {IMPORTS}; print(time.process_time())"
+        told = [[sys.executable, "-c", words]]
+        told += [[sys.executable, __file__, "--once", name] for name in asked.fits]
+        lines = [
+            subprocess.run(x, env=one, stdout=subprocess.PIPE, check=True).stdout for x in told
+        ]
+        if run:  # the first one compiles
+            imports.append(float(lines[0]))
+            for name, line in zip(asked.fits, lines[1:], strict=True):
+                took[name].append(json.loads(line))
+    base = median(imports)
+    print(f"imports {base:.2f} CPU s")
+    result = {}
+    for name, runs in took.items():
+        stages = {s: median(r["stages"].get(s, 0.0) for r in runs) for s in runs[0]["stages"]}
+        ends = {end: median(r[end] for r in runs) for end in ("numbers", WRITTEN)}
+        result[name] = {"imports": base, **ends, "stages": stages}
+        print(f"{name}: " + ", ".join(f"{k} {v:.1f} = {v / base:.1f} ×" for k, v in ends.items()))
+        print("".join(f"    {stage:34}{x:6.2f}\n" for stage, x in stages.items()), end="")
+    (HERE / "fits.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

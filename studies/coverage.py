@@ -1,0 +1,51 @@
+"""Run every study that quotes how often intervals or bands hold, one after the other.
+
+``python studies/coverage.py`` takes five hours of two cores; each writes its result beside itself,
+and prints the table of its README. ``--only whole_path pooled`` runs some, ``--list`` none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+# Script, and what is asked of it.
+STUDIES: dict[str, list[str]] = {
+    "calibration/calibrate.py": [],
+    "calibration/whole_path.py": [],
+    "calibration/motion.py": [],
+    "closed_loop/closed_loop.py": [],
+    "rabbit_knee/monte_carlo.py": [],
+    "replication/replication.py": [],
+    "replication/lacking.py": ["--recordings", "4"],
+    "replication/pooled.py": [],
+    "replication/fleets.py": [],
+    "rollouts/rollouts.py": [],
+    "xl330/next_run.py": [],
+}
+
+
+def main() -> None:
+    """Run them; stop at the first that fails."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="*", default=[Path(one).stem for one in STUDIES])
+    parser.add_argument("--list", action="store_true")
+    asked = parser.parse_args()
+    if unknown := set(asked.only) - {Path(one).stem for one in STUDIES}:
+        parser.error(f"no study {', '.join(sorted(unknown))}; --list names them")
+    for script, words in STUDIES.items():
+        if Path(script).stem not in asked.only:
+            continue
+        print(f"# {script} {' '.join(words)}", flush=True)
+        if not asked.list:
+            began = time.monotonic()
+            subprocess.run([sys.executable, HERE / script, *words], check=True)
+            print(f"{(time.monotonic() - began) / 60.0:.0f} minutes", flush=True)
+
+
+if __name__ == "__main__":
+    main()
