@@ -21,7 +21,7 @@ from bayesfric.diagnostics.policy import (
 from bayesfric.diagnostics.regression import Regression, Step, Twin
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.estimates.descent import few_threads
-from bayesfric.inference.discrepancy import Missing
+from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
 from bayesfric.recordings.measurement import Measurement

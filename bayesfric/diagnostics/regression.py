@@ -51,7 +51,7 @@ from bayesfric.diagnostics.statistics import (
 )
 from bayesfric.diagnostics.twins import NoTwin, modelled_driver, twins
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
-from bayesfric.inference.discrepancy import Missing
+from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array

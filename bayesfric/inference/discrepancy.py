@@ -1,13 +1,8 @@
 r"""How far the numbers may be off because the model is not exactly right: model discrepancy.
 
 A posterior takes the model for true; its intervals then may miss parameters that another cause of
-torque biases [2]_. What else may explain the torque stands in a table of
-candidates (:mod:`bayesfric.diagnostics.candidates`), each a few columns beside the model's own.
-Here they are marginalised: each kind of candidate has one of its shapes and a size of unknown
-scale, half Cauchy around one scale for all kinds, so that most are nothing and one may be large
-rather than several of the same size that look like it [1]_; and with some probability none is
-there at all. Given the scales, sizes are normal and integrated out; scales and shapes are on a
-grid and drawn by Gibbs sampling from one Gram matrix, whatever the length of the recordings.
+torque biases [1]_. Here what else may explain the torque is marginalised, with sizes as
+:mod:`bayesfric.inference.missing` draws them.
 
 What a candidate of size :math:`\gamma` with column :math:`z` does to the model's own estimate is
 :math:`-(X'WX + P)^{-1} X'Wz\gamma`, of the likelihood's weights and the prior's: along what the
@@ -19,22 +14,20 @@ recording's simulated twins, and are taken off first.
 
 References
 ----------
-.. [1] C. M. Carvalho, N. G. Polson, J. G. Scott, "The horseshoe estimator for sparse signals",
-   Biometrika 97 (2010) 465-480.
-.. [2] J. Brynjarsdóttir, A. O'Hagan, "Learning about physical parameters: the importance of model
+.. [1] J. Brynjarsdóttir, A. O'Hagan, "Learning about physical parameters: the importance of model
    discrepancy", Inverse Problems 30 (2014) 114007.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, logsumexp, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.missing import CHANCE, Missing, Sizes, chance_missing
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.target import Target
@@ -48,51 +41,8 @@ _DRAWS, _STEP = 4000, 0.3
 _HALVINGS, _TRIES = 12, 12
 # Rounds of the Gibbs sampler of a normal that bounds cut.
 _ROUNDS = 20
-# Scales of a candidate, as shares of the torque's rms.
-_GRID = np.geomspace(3e-5, 0.5, 24)
-# Scale of the half-Cauchy of the scale that all others are around.
-_TYPICAL = 0.003
-# Chance that something is missing, before the recording is asked; where it is less afterwards, the
-# recording speaks against it, and intervals stay the posterior's own.
-_CHANCE = 0.1
-# Sweeps of the Gibbs sampler, and those left out; sizes drawn in each of the others; candidates
-# that are taken in before.
-_SWEEPS, _BURN, _EACH, _FIRST = 300, 100, 20, 4
 # Share of a candidate's shift that is taken; the rest is spread.
 _TAKEN = 0.5
-# Share of the residual's power that is noise, at least.
-_LEAST = 1e-4
-# Variance of a candidate in that of its noise below which it does not matter to the others.
-_IDLE = 1e-4
-
-
-@dataclass(frozen=True, eq=False)
-class Missing:
-    """Candidates of what the model lacks, as regression columns.
-
-    Attributes
-    ----------
-    columns
-        ``(M, m)`` of all outputs, filtered as they are, N m or N; their largest value is the
-        torque's rms, or for friction what the model loses. A size of one is then as large as that.
-    kinds
-        Names of candidates, and of each the columns of every shape that it may have.
-    gram, scores, power
-        ``(m, m)``, ``(m,)`` and a number: products of what is left of columns and residual beside
-        the model's own, whitened; scores of a right model are taken off.
-    spread
-        ``(m,)`` sd of a right model's scores, in those of white noise; at least one.
-    free
-        Outputs beyond the model's own parameters.
-    """
-
-    columns: Array
-    kinds: dict[str, tuple[tuple[int, ...], ...]]
-    gram: Array
-    scores: Array
-    power: float
-    spread: Array
-    free: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +226,7 @@ def pull(target: Target, posterior: Posterior, missing: Missing | None) -> Pull 
     if missing is None or not known or posterior.diagnostics.status == "unusable":
         return None
     chance = chance_missing(missing)
-    if chance < _CHANCE:
+    if chance < CHANCE:
         return None
     around = _Around.of(target, posterior)
     drawn = -Sizes(missing).drawn(_stream(posterior)) @ around.scores(missing.columns).T
@@ -308,177 +258,6 @@ def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -
     sides = _stream(posterior, 1).standard_normal((count, 1))
     moves = one.scores(np.arange(count), sides) @ around.covariance
     return Discrepancy(one.chance, moves, around.shift, around.covariance)
-
-
-def chance_missing(missing: Missing) -> float:
-    """Give the probability that any candidate is there, each by itself against none.
-
-    Scores beyond what twins show count in the twins' own standard deviations.
-
-    Parameters
-    ----------
-    missing
-        Candidates, their scores and the residual's power.
-
-    Returns
-    -------
-    float
-        0 without candidates.
-
-    Notes
-    -----
-    For a candidate of sd ``s`` the evidence against none is that of a linear regression with a
-    normal size, the noise's variance integrated out, averaged over the grid of ``s``, over its
-    shapes, and over kinds. Prior odds are 1 to 9.
-    """
-    variance = missing.power / missing.free
-    scores = missing.scores / missing.spread
-    kinds = []
-    for shapes in missing.kinds.values():
-        told = []
-        for own in shapes:
-            power, vectors = np.linalg.eigh(missing.gram[np.ix_(own, own)])
-            turned = vectors.T @ scores[list(own)]
-            size = _GRID[:, None] ** 2
-            total = variance + size * np.clip(power, 0.0, None)
-            gain = (turned**2 * size / total).sum(axis=1) / missing.power
-            log_gain = -0.5 * missing.free * np.log(np.maximum(1.0 - gain, 1e-12))
-            told.append(log_gain - 0.5 * np.log(total / variance).sum(axis=1))
-        kinds.append(float(logsumexp(told)) - math.log(np.size(told)))
-    if not kinds:
-        return 0.0
-    factor = float(logsumexp(kinds)) - math.log(len(kinds))
-    odds: float = factor + math.log(_CHANCE / (1.0 - _CHANCE))
-    return float(expit(odds))
-
-
-@dataclass(frozen=True, eq=False)
-class _Kind:
-    """The shapes that one candidate may have; a column of zeros ends those of fewer columns."""
-
-    shapes: Index  # (shapes, width), numbers of columns
-    columns: Index  # of all shapes
-    places: Index  # (shapes, width), where those stand among these
-
-    @classmethod
-    def of(cls, shapes: tuple[tuple[int, ...], ...], width: int, zero: int) -> _Kind:
-        padded = np.array([own + (zero,) * (width - len(own)) for own in shapes])
-        widest = padded[:, : max(map(len, shapes))]
-        columns, places = np.unique(widest, return_inverse=True)
-        return cls(padded, columns, places.reshape(widest.shape))
-
-    def evidence(self, precision: Array, pull: Array) -> Array:
-        """Give the log evidence ``(shapes, scales)`` of each shape at each scale."""
-        own, size = self.places, _GRID[:, None] ** 2
-        power, vectors = np.linalg.eigh(precision[own[:, :, None], own[:, None]])
-        turned = (vectors * pull[own][:, :, None]).sum(axis=1)[:, None]
-        total = 1.0 + size * np.maximum(power, 0.0)[:, None]
-        return np.asarray(0.5 * (size * turned**2 / total - np.log(total)).sum(axis=2))
-
-
-class Sizes:
-    """Gibbs sampler of candidates' shapes and scales; sizes are integrated out.
-
-    Parameters
-    ----------
-    missing
-        Candidates, their Gram matrix and scores; at least one.
-    """
-
-    def __init__(self, missing: Missing) -> None:
-        zero, shapes = missing.scores.size, missing.kinds.values()
-        width = max(len(own) for each in shapes for own in each)
-        self.gram, self.scores = np.pad(missing.gram, (0, 1)), np.pad(missing.scores, (0, 1))
-        self.diagonal = np.diagonal(self.gram)
-        self.power, self.free = missing.power, missing.free
-        self.kinds = [_Kind.of(each, width, zero) for each in shapes]
-        self.taken = np.array([kind.shapes[0] for kind in self.kinds])
-        self.scale = np.zeros(len(self.kinds), dtype=np.intp)
-        self.variance = missing.power / missing.free
-
-    def drawn(self, rng: np.random.Generator) -> Array:
-        """Draw sizes of all candidates together.
-
-        Parameters
-        ----------
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        ndarray
-            ``(n, m)`` factors of the columns; zero of shapes that are not taken.
-        """
-        ratio = _GRID[:, None] / _GRID
-        around = np.log(ratio) - np.log1p(ratio**2)  # half Cauchy, a logarithm's
-        around -= logsumexp(around, axis=0)  # (scale, typical scale)
-        x = _GRID / _TYPICAL
-        prior, typical = np.log(x / (1.0 + x * x)), 0
-        # several kinds together may look like one, and no step leads back: the best goes first
-        for _ in range(_FIRST):
-            asked = [self._asked(g) + around[:, typical] for g in range(len(self.kinds))]
-            best = int(np.argmax([one.max() - one[:, 0].max() for one in asked]))
-            self._take(best, int(np.argmax(asked[best])))
-            mean, _, active = self._given()
-            self.variance = self._rest(active, mean) / self.free
-        sizes = np.zeros((_SWEEPS, _EACH, self.scores.size))
-        for sweep in sizes:
-            for g in range(len(self.kinds)):
-                self._take(g, _drawn((self._asked(g) + around[:, typical]).ravel(), rng))
-            typical = _drawn(prior + around[self.scale].sum(axis=0), rng)
-            mean, root, active = self._given()
-            drawn = mean[:, None] + root @ rng.standard_normal((active.size, _EACH))
-            self.variance = self._rest(active, drawn[:, 0]) / float(rng.chisquare(self.free))
-            sweep[:, active] = drawn.T
-        return sizes[_BURN:, :, :-1].reshape(-1, self.scores.size - 1)
-
-    def _take(self, g: int, place: int) -> None:
-        shape, self.scale[g] = divmod(place, _GRID.size)
-        self.taken[g] = self.kinds[g].shapes[shape]
-
-    def _asked(self, g: int) -> Array:
-        """Give the log evidence of a kind's shapes at each scale, beside all the others."""
-        gram, scores, own = self.gram, self.scores, self.kinds[g].columns
-        active, sd = self._active(without=g)
-        precision, pull = gram[own[:, None], own], scores[own]
-        if active.size:
-            cross = sd[:, None] * np.column_stack([gram[active[:, None], own], scores[active]])
-            known = cross.T @ np.linalg.solve(self._inner(active, sd), cross) / self.variance
-            precision, pull = precision - known[:-1, :-1], pull - known[:-1, -1]
-        return self.kinds[g].evidence(precision / self.variance, pull / self.variance)
-
-    def _active(self, without: int | None = None) -> tuple[Index, Array]:
-        """Give the numbers of columns that are taken, and their sds; those that matter to one."""
-        sd = np.repeat(_GRID[self.scale], self.taken.shape[1]).reshape(self.taken.shape)
-        power = sd**2 * self.diagonal[self.taken]
-        if without is None:
-            return self.taken[power > 0.0], sd[power > 0.0]
-        power[without] = 0.0
-        matter = power > _IDLE * self.variance
-        return self.taken[matter], sd[matter]
-
-    def _inner(self, active: Index, sd: Array) -> Array:
-        """Give the precision of sizes over their sds, ``(active, active)``."""
-        inner = sd[:, None] * self.gram[active[:, None], active] * (sd / self.variance)
-        inner[np.diag_indices(active.size)] += 1.0
-        return np.asarray(inner)
-
-    def _given(self) -> tuple[Array, Array, Index]:
-        """Give mean ``(active,)`` and root ``(active, active)`` of sizes given their scales."""
-        active, sd = self._active()
-        root = sd[:, None] * np.linalg.inv(np.linalg.cholesky(self._inner(active, sd))).T
-        return root @ (root.T @ self.scores[active]) / self.variance, root, active
-
-    def _rest(self, active: Index, size: Array) -> float:
-        """Give the power that sizes leave of the residual."""
-        left = self.power - 2.0 * size @ self.scores[active]
-        left += size @ self.gram[active[:, None], active] @ size
-        return max(float(left), _LEAST * self.power)
-
-
-def _drawn(log_weights: Array, rng: np.random.Generator) -> int:
-    weights = np.cumsum(np.exp(log_weights - log_weights.max()))
-    return int(np.searchsorted(weights, rng.uniform() * weights[-1]))
 
 
 @dataclass(frozen=True, eq=False)

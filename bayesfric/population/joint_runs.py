@@ -2,11 +2,11 @@
 
 Parameters that vary are each run's own, ``theta_r ~ N(mu, tau^2)``; all others are shared. Noise is
 each run's own besides, and held at the mean that the run alone has: a recording tells it far better
-than any parameter, and sampling it would be most of all dimensions. ``mu`` has a flat prior and is integrated in closed form: what
-is left of the population is ``-(R - 1) log tau - sum (theta_r - mean)^2 / (2 tau^2)``. ``tau`` has
-the prior of :mod:`bayesfric.population.population`, by the sds that runs fitted alone have, so that
-both ways answer one question. This way the shared parameters are told by all runs together; it
-takes a sampling of many dimensions, and is for few runs.
+than any parameter, and sampling it would be most of all dimensions. ``mu`` has a flat prior and is
+integrated in closed form: what is left of the population is ``-(R - 1) log tau - sum (theta_r -
+mean)^2 / (2 tau^2)``. ``tau`` has the prior of :mod:`bayesfric.population.population`, by the sds
+that runs fitted alone have, so that both ways answer one question. This way the shared parameters
+are told by all runs together; it takes a sampling of many dimensions, and is for few runs.
 """
 
 from __future__ import annotations

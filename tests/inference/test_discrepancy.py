@@ -5,79 +5,24 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.special import logsumexp
 from scipy.stats import kstest, norm, truncnorm
 
 import bayesfric as bf
 from bayesfric.inference.discrepancy import (
     Discrepancy,
-    Missing,
-    Sizes,
     _held,
     _without_bounds,
-    chance_missing,
     cut_normal,
     discrepancy,
 )
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import AXIS, VALUES, swing
+from tests.inference.test_missing import regression
 
 QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}
 UNCHECKED = {"self_check": {"recordings": 0}, "sampling": QUICK}
 LINES = [(0.31, 0.9), (0.73, 0.5), (1.9, 0.15)]
-
-
-def regression(size, n=400, m=1, seed=0):
-    """A residual of unit noise with ``size`` of the first of ``m`` orthogonal unit-rms columns."""
-    rng = np.random.default_rng(seed)
-    columns = np.linalg.qr(rng.standard_normal((n, m)))[0] * np.sqrt(n)
-    left = size * columns[:, 0] + rng.standard_normal(n)
-    return Missing(
-        columns=columns,
-        kinds={f"kind {k}": ((k,),) for k in range(m)},
-        gram=columns.T @ columns,
-        scores=columns.T @ left,
-        power=float(left @ left),
-        spread=np.ones(m),
-        free=n,
-    )
-
-
-def test_sizes_are_those_of_the_integral():
-    """One column: its mean size, by a sum over both scales at the variance that is left."""
-    one = regression(0.2, n=2000)
-    drawn = Sizes(one).drawn(np.random.default_rng(1))[:, 0]
-    n, b = one.gram[0, 0], one.scores[0]
-    variance = (one.power - b**2 / n) / one.free
-    grid = np.geomspace(3e-5, 0.5, 24)
-    ratio = grid[:, None] / grid
-    prior = np.log(ratio) - np.log1p(ratio**2)
-    prior -= logsumexp(prior, axis=0)
-    x = grid / 0.003
-    joint = prior + np.log(x / (1.0 + x**2))
-    total = variance + grid**2 * n
-    log_evidence = 0.5 * (b * grid) ** 2 / (variance * total) - 0.5 * np.log(total / variance)
-    weights = np.exp(joint + log_evidence[:, None] - logsumexp(joint + log_evidence[:, None]))
-    sizes = grid**2 * b / total
-    mean = float(weights.sum(axis=1) @ sizes)
-    sd = np.sqrt(variance / n)
-    # of nearly independent draws; the variance is drawn, too, by 1 in sqrt(2 n)
-    assert drawn.mean() == pytest.approx(mean, abs=4.0 * sd / np.sqrt(len(drawn) / 4.0))
-    assert drawn.std() == pytest.approx(sd, rel=0.25)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_large_effect_is_certain_and_none_is_less_likely_than_before(seed):
-    assert chance_missing(regression(1.0, m=8, seed=seed)) > 0.999
-    none = [chance_missing(regression(0.0, m=8, seed=10 * seed + k)) for k in range(40)]
-    # Markov: of data without an effect, evidence for one of 20 comes once in 20 times at most
-    assert np.mean(np.array(none) > 0.69) <= 0.15
-    assert np.median(none) < 0.1
-
-
-def test_without_candidates_nothing_can_be_missing():
-    assert chance_missing(replace(regression(1.0), kinds={})) == 0.0
 
 
 def recording(**extra):
@@ -194,7 +139,7 @@ def test_without_its_bound_a_cut_normal_is_whole(beyond, seed):
     pull = np.array([0.0 - mean[0], 0.0, 0.0])
     whole, shift = _without_bounds(np.cov(draws.T), rows, y - rows @ mean, pull, np.zeros(3))
     sds = np.sqrt(np.diag(covariance))
-    # variances of what is not held are known to sqrt(2 / 4000), and with them by how much it follows
+    # variances of what is not held are known to sqrt(2 / 4000), and how much it follows with them
     np.testing.assert_allclose((mean + shift - estimate) / sds, 0.0, atol=0.1 * beyond)
     np.testing.assert_allclose(
         whole / np.outer(sds, sds), covariance / np.outer(sds, sds), atol=0.15
