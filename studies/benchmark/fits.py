@@ -9,6 +9,7 @@ MEASURED (../shared/data). Writes ``fits.json``.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import subprocess
@@ -50,7 +51,7 @@ def once(name: str, folder: Path) -> None:
     fit(config, folder / "run", progress=seen, found=lambda _: now("numbers"))
     now(WRITTEN)
     stages: dict[str, float] = {}
-    for (stage, began), (_, ended) in zip(marks, marks[1:], strict=False):
+    for (stage, began), (_, ended) in itertools.pairwise(marks):
         stages[stage] = stages.get(stage, 0.0) + ended - began
     print(json.dumps({"stages": stages, "numbers": dict(marks)["numbers"], WRITTEN: marks[-1][1]}))
 

@@ -224,8 +224,8 @@ def cases(make_observation):
 NAMES = [
     *(f"knee-{factor}-{order}" for factor in (1, 4) for order in (0, 1, 2)),
     "knee-one-known-mass", "single-mu", "single-mu-known-mass", "no-load-loss", "angle",
-    "angle-known-mass", "angle-known-mass-only", "rest", "exact", "gain", "gain-single-mu-known-mass", "gain-no-load-loss", "gain-delay", *SHAPED,
-    "narrow",
+    "angle-known-mass", "angle-known-mass-only", "rest", "exact", "gain",
+    "gain-single-mu-known-mass", "gain-no-load-loss", "gain-delay", *SHAPED, "narrow",
 ]  # fmt: skip
 
 
