@@ -6,6 +6,7 @@ search itself knows bounds, several recordings, and values known with a standard
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -103,10 +104,15 @@ def _estimate(
     chain, observations = problem.chain, problem.observations
     plain = Terms(np.ones(problem.measured.size))
     if start is None:
-        inside, searched = _starts(problem, plain, options)
+        inside, lowest, searched = _starts(problem, plain, options)
     else:
-        inside, searched = [problem.inside(chain.vector(start))], ""
-    found = sorted((descend(problem, plain, x) for x in inside), key=lambda one: one.height)
+        inside, lowest, searched = [problem.inside(chain.vector(start))], -math.inf, ""
+    found = []
+    for x in inside:
+        found.append(descend(problem, plain, x))
+        if found[-1].height <= lowest:
+            break
+    found.sort(key=lambda one: one.height)
     terms, x = _refined(problem, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)
@@ -132,11 +138,15 @@ def _estimate(
     )
 
 
-def _starts(problem: TorqueProblem, plain: Terms, options: Estimation) -> tuple[list[Array], str]:
+def _starts(
+    problem: TorqueProblem, plain: Terms, options: Estimation
+) -> tuple[list[Array], float, str]:
     """Make starts of the variable projection, splits of the totals, random vectors, and shapes.
 
-    Gives free parameters ``(d,)`` each within the limits, and a note of how they were found.
+    Gives free parameters ``(d,)`` each within the limits, a height below which no other start can
+    come, and a note of how they were found.
     """
+    lowest = -math.inf
     vectors = [problem.split(mu, share) for mu, share in _SPLITS]
     rng = np.random.default_rng(options.seed)
     for _ in range(options.starts):
@@ -152,22 +162,15 @@ def _starts(problem: TorqueProblem, plain: Terms, options: Estimation) -> tuple[
         # the projection has looked everywhere; the splits look for minima that limits make
         vectors = vectors[: len(_SPLITS)]
         vectors.insert(0, form.parameters(found.theta1, found.theta2, fixed))
-        lowest = (1.0 + _REACHED) * projection.criterion(found.theta2) + problem.rounding
-        if _alone(problem) and _height(problem, problem.inside(vectors[0])) <= lowest:
-            # nothing known is in the way, and from the splits the projection has searched already
-            vectors = vectors[:1]
+        if _alone(problem):  # where nothing known is in the way, the projection has the lowest
+            lowest = (1.0 + _REACHED) * projection.criterion(found.theta2) + problem.rounding
         if found.theta2.size:
             searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
     inside = [problem.inside(vector) for vector in vectors]
     inside, tried = at_tried_shapes(problem, plain, inside, rng)
     if tried:
         searched = f", those that fitted best of {tried} with shapes held at values to try"
-    return inside, searched
-
-
-def _height(problem: TorqueProblem, x: Array) -> float:
-    residual = problem.residual(x)
-    return float(residual @ residual)
+    return inside, lowest, searched
 
 
 def _alone(problem: TorqueProblem) -> bool:

@@ -33,8 +33,8 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 # How far the region reaches. Draws look only as far as they are away themselves, so width costs
-# memory alone.
-RADIUS = 12.0
+# memory alone, up to where rounding of what is added far away would show.
+RADIUS = 20.0
 # Coefficients beyond this are left to the plain evaluation, which overflows where it does.
 _LARGEST = 1e100
 # Operations that a sample takes, about: forms of so many columns that they take more spare nothing.
