@@ -29,8 +29,9 @@ from bayesfric.report.summary.derived_quantities import Group, coefficients
 from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import PosteriorRow
 
-# Draws kept of the groups that hold a number for every draw and every output.
-_POINTWISE_DRAWS = 400
+# Draws kept of the groups that hold a number for every draw and every output: at most, at least,
+# and between them as many as make so many numbers.
+_POINTWISE_DRAWS, _LEAST_DRAWS, _POINTWISE = 400, 20, 1_000_000
 # Draws kept that allow for the model's error.
 _TOLD_DRAWS = 4000
 
@@ -210,8 +211,10 @@ def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[dict[str, Array], di
     """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
     e, w, s, d = fit.posterior.draws.shape
     each = fit.posterior.draws.reshape(e, w * s, d)
-    picked = each[:, np.linspace(0, w * s - 1, min(w * s, _POINTWISE_DRAWS // e)).astype(int)]
-    n = picked.shape[1]
+    outputs = sum(o.measured.size for o in fit.target.likelihood.outputs)
+    most = max(min(_POINTWISE_DRAWS, _POINTWISE // outputs), _LEAST_DRAWS) // e
+    n = min(w * s, max(most, 1))
+    picked = each[:, np.linspace(0, w * s - 1, n).astype(int)]
     flat = picked.reshape(-1, d)
     likelihood = fit.target.likelihood
     scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
@@ -226,6 +229,7 @@ def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[dict[str, Array], di
     ):
         # the position's terms are combinations of outputs, two fewer a segment
         same = density.shape[1] == o.measured.size
-        log_likelihood[o.name if same else f"{o.name}.terms"] = density.reshape(e, n, -1)
-        predictive[o.name] = (predicted + noise).reshape(e, n, -1)
+        name = o.name if same else f"{o.name}.terms"
+        log_likelihood[name] = density.reshape(e, n, -1)
+        predictive[o.name] = (predicted + noise).reshape(e, n, -1).astype(np.float32)
     return log_likelihood, predictive
