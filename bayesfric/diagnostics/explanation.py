@@ -75,6 +75,13 @@ class Explanation:
         """Whether there is an answer."""
         return self.reason is None
 
+    def noted(self, *, widened: bool) -> tuple[Finding, ...]:
+        """Give findings; of what is marginalised a note, where intervals are ``widened`` for it."""
+        room = self.missing.kinds if self.missing and widened else {}
+        return tuple(
+            replace(one, severity="note") if one.kind in room else one for one in self.findings
+        )
+
     @property
     def frame(self) -> pd.DataFrame:
         """A row for each finding."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.base.written import plain
@@ -76,11 +76,7 @@ def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding
     """Put in what else explains the torque, and how that was asked."""
     asked: dict[str, Any] = {"twins": len(found.twins), "asked": len(found.kinds)}
     asked |= {"reason": found.reason} if found.reason else {}
-    # what is marginalised is in the intervals, and no doubt
-    room = found.missing.kinds if found.missing and summary.widened else {}
-    findings = [
-        replace(one, severity="note") if one.kind in room else one for one in found.findings
-    ]
+    findings = found.noted(widened=summary.widened)
     update = {
         "findings": [FindingRow.model_validate(one.as_dict()) for one in findings],
         "taken": [FindingRow.model_validate(one.as_dict()) for one in taken],

@@ -32,7 +32,7 @@ class PooledParameter:
     name: str
     unit: str
     jointly: Varying
-    findings: tuple[str, ...]  # kinds that move it in a recording by more than its interval
+    findings: tuple[str, ...]  # kinds of doubts that move it in a recording
 
 
 @dataclass(frozen=True)
@@ -108,11 +108,12 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     jointly = varying_parts(posterior, flat, names, vary, LEVEL)
     findings = tuple(
         replace(one, recording=name)
-        for name, asked in zip(names, explained, strict=True)
-        for one in asked.findings
+        for name, asked, own in zip(names, explained, pulls, strict=True)
+        for one in asked.noted(widened=own is not None)
     )
+    doubts = [one for one in findings if one.severity == "doubt"]
     moved = {
-        name: tuple(dict.fromkeys(one.kind for one in findings if name in one.moves))
+        name: tuple(dict.fromkeys(one.kind for one in doubts if name in one.moves))
         for name in units
     }
     status = posterior.diagnostics.status
@@ -130,7 +131,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
         status=status,
         outcome=verdict(
             converged=status == "reliable",
-            doubts=sum(one.severity == "doubt" for one in findings),
+            doubts=len(doubts),
             doubtful=sum(map(bool, moved.values())),
             asked=None if any(one.reason for one in explained) else len(explained[0].kinds),
             explained=None,

@@ -207,7 +207,7 @@ def _told(row: PosteriorRow) -> dict[str, str]:
     return {key: text for key, text in told.items() if text}
 
 
-def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[dict[str, Array], dict[str, Array]]:
+def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[dict[str, Array], dict[str, Any]]:
     """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
     e, w, s, d = fit.posterior.draws.shape
     each = fit.posterior.draws.reshape(e, w * s, d)

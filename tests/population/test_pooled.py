@@ -5,9 +5,13 @@ import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.discrepancy import Pull
+from bayesfric.inference.missing import Missing
 from bayesfric.inference.prior.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
+from bayesfric.problem.problem import Problem
 from tests.axis import AXIS, VALUES, swing
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -66,6 +70,26 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
     sds = [(one.high - one.low) / 3.29 for one in (before, after)]
     assert shift > 2.0 * sds[0]
     assert sds[1] == pytest.approx(np.hypot(sds[0], shift), rel=0.15)
+
+
+@pytest.mark.parametrize("widened", [True, False])
+def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
+    """As of a fit: what is marginalised is a note, and only a doubt makes a number doubtful."""
+    kinds = {"stribeck": ((0,),)}
+    nothing = np.zeros((1, 0))
+    missing = Missing(nothing, kinds, nothing.T @ nothing, np.zeros(0), 1.0, np.zeros(0), 1)
+    lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
+    explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
+    monkeypatch.setattr(Problem, "explain", lambda *_, **__: explained)
+
+    def pulled(target, *_):
+        return Pull(1.0, np.zeros((1, len(target.free))), None) if widened else None
+
+    monkeypatch.setattr("bayesfric.fit.pooled_fit.pull", pulled)
+    pool = model(count=2, sampling=QUICK | {"min_ess": 100}).pool(seed=3)
+    assert {one.severity for one in pool.findings} == {"note" if widened else "doubt"}
+    assert [one.findings for one in pool.varying] == [() if widened else ("stribeck",)]
+    assert pool.outcome == ("usable" if widened else "doubtful")
 
 
 def test_the_population_mean_is_integrated_exactly():
