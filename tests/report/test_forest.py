@@ -1,6 +1,7 @@
 """The forest figure: bars are what they say, what is open has none, nothing is cut off."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,18 @@ def test_bars_are_90_percent():
     np.testing.assert_allclose([low, high], cells["posterior"].interval)
     values = sorted(float(x[0]) for x, _ in drawn(ax, "value"))
     np.testing.assert_allclose(values, sorted(cell.value for cell in cells.values()))
+
+
+def test_a_posterior_with_room_for_model_discrepancy_is_explained_as_one():
+    found = comparison({"a": knee()})
+    columns = tuple(replace(c, widened=c.kind == "posterior") for c in found.columns)
+    found = replace(found, columns=columns)
+    figure = forest_figure(found)
+    ((x, y),) = drawn(panels(figure)["total.inertia"], "wide")
+    np.testing.assert_allclose(x, found["total.inertia"].cells["posterior"].interval)
+    assert y == 0.0
+    (legend,) = figure.legends
+    assert sum("discrepancy" in text.get_text() for text in legend.get_texts()) == 1
 
 
 def test_open_numbers_have_no_bars_but_words():

@@ -146,7 +146,7 @@ def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
             ax.plot(end, line.y, **line.mark() | {"marker": "<" if end < cell.limit else ">"})
         elif cell.status != "undetermined":
             for ends, kind, look in _bars(cell):
-                line.draw(ax, ends, kind, look)
+                line.draw(ax, ends, "wide" if line.column.widened else kind, look)
             ax.plot(cell.value, line.y, gid="value", **line.mark())
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE])
@@ -209,24 +209,27 @@ def _reference(ax: Axes, cell: Cell) -> None:
 def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
     grey: Look = {"color": _ESTIMATES["output-error"][1]}
+    told: Look = {"color": style.POSTERIOR}
     open_ = _SPAN | {"gid": "open", "marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
     capped = Line2D([], [], label="90 %, uncorrelated residuals", gid="thin", **_THIN, **grey)
     handles = [
         Line2D([], [], label="90 %, correlated residuals", gid="thick", **_THICK, **grey),
         capped,
+        wide := Line2D([], [], label="90 %, with model discrepancy", gid="wide", **_THIN, **told),
         Line2D([], [], label="not determined", markerfacecolor="white", **open_, **grey),
         Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference", gid="reference"),
     ]
     if shown := style.explained(figure, handles):
-        look: Look = {"handler_map": {capped: HandlerLine2D(numpoints=2)}}
+        ends = HandlerLine2D(numpoints=2)
+        look: Look = {"handler_map": {capped: ends, wide: ends}}
         across = 2 if figure.get_figwidth() == style.COLUMN else 4
         figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
 
 
 _BARS = (
     f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: taking them for "
-    "uncorrelated; open symbols: not determined, dotted what fits as well. Posteriors have room "
-    "for the model's error where a run shows one."
+    "uncorrelated, or of posteriors with room for the model's error; open symbols: not determined, "
+    "dotted what fits as well."
 )
 METHODS = RunFigure(
     stem="methods",
