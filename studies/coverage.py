@@ -1,6 +1,6 @@
 """Run every study that quotes how often intervals or bands hold, one after the other.
 
-``python studies/coverage.py`` takes five hours of two cores; each writes its result beside itself,
+``python studies/coverage.py`` takes hours of two cores; each writes its result beside itself,
 and prints the table of its README. ``--only whole_path pooled`` runs some, ``--list`` none.
 """
 
@@ -22,6 +22,7 @@ STUDIES: dict[str, list[str]] = {
     "rabbit_knee/monte_carlo.py": [],
     "replication/replication.py": [],
     "replication/lacking.py": ["--recordings", "4"],
+    "replication/constants.py": [],
     "replication/pooled.py": [],
     "replication/fleets.py": [],
     "rollouts/rollouts.py": [],
