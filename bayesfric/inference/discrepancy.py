@@ -265,8 +265,8 @@ class _Around:
     """The fit as a linear regression in unit noise, as if no bound held anything.
 
     Posterior draws tell the covariance, of likelihood and prior together. Of what a bound holds
-    they do not; but what follows from it they do, as a normal that is cut keeps its conditionals.
-    So of that alone the information is the likelihood's, along what follows, and the prior's.
+    they do not, nor what follows from it; but of the others while that stays where it is they do,
+    as a normal that is cut keeps its conditionals. The rest is the likelihood's and the prior's.
     """
 
     likelihood: TorqueLikelihood

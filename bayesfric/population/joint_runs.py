@@ -131,8 +131,8 @@ class JointTarget(LogPosterior):
         parameters = parameters[np.isfinite(slope)]
         out = copy(self)
         out.targets = [
-            self.targets[run].prepared(self.targets[run].from_parameters(own))
-            for run, own in enumerate(self._of_runs(parameters))
+            target.prepared(target.from_parameters(own))
+            for target, own in zip(self.targets, self._of_runs(parameters), strict=True)
         ]
         return out
 
@@ -170,10 +170,9 @@ class JointTarget(LogPosterior):
         u, rng = self.coordinates.from_parameters(flat), np.random.default_rng([posterior.seed, 17])
         chance, sides = rng.uniform(size=(len(u), 1)), rng.standard_normal((len(u), 1))
         moved = u.copy()
-        runs = zip(self.targets, self._of_runs(flat), pulls, strict=True)
-        for target, parameters, pull in runs:
+        for target, run, pull in zip(self.targets, self._of_runs(flat), pulls, strict=True):
             if pull is not None:
-                own = target.unbounded(parameters)[:, : pull.drawn.shape[1]]
+                own = target.unbounded(run)[:, : pull.drawn.shape[1]]
                 cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
                 scores = pull.scores(rng.integers(len(pull.drawn), size=len(u)), sides)
                 moved += np.where(chance < pull.chance, scores @ cross, 0.0)

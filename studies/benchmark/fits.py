@@ -63,10 +63,10 @@ def main() -> None:
     parser.add_argument("--fits", nargs="*", default=list(FITS))
     parser.add_argument("--once", help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        if asked.once:
+    if asked.once:
+        with tempfile.TemporaryDirectory() as folder:
             once(asked.once, Path(folder))
-            return
+        return
     imports, took = [], {name: [] for name in asked.fits}
     one = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     for run in range(asked.runs + 1):

@@ -1,6 +1,6 @@
 """What a long recording costs: CPU seconds, memory, bytes. SIMULATED.
 
-``python studies/benchmark/long.py [--samples 10000 100000 1000000]`` makes the demo's recording so
+``python studies/benchmark/long.py [--samples 10000 100000]`` makes the demo's recording so
 long, fits it in a process of its own, and prints CPU seconds over those of importing the libraries,
 the most memory, and the size of ``posterior.nc``. Writes ``long.json``.
 """
@@ -9,51 +9,35 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import resource
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
-from commands import IMPORTS
+from commands import BAYESFRIC, IMPORTS, timed
 
 HERE = Path(__file__).resolve().parent
-
-
-def spent(words: list[str], folder: Path) -> tuple[float, float]:
-    """Run a command; its CPU seconds, and the most memory that any so far had, MB."""
-    one = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    before = os.times()
-    done = subprocess.run(
-        [sys.executable, *words], cwd=folder, env=one, stdout=subprocess.DEVNULL, check=False
-    )
-    if done.returncode not in (0, 3):
-        raise SystemExit(f"{words}: {done.returncode}")
-    after, most = os.times(), resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    cpu = after.children_user + after.children_system
-    return cpu - before.children_user - before.children_system, most / 1024.0
+SOURCE = HERE.parents[1]
 
 
 def main() -> None:
     """Make them longer and longer, so that the most memory is always the last one's."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--samples", type=int, nargs="*", default=[10_000, 100_000])
     asked = parser.parse_args()
     from bayesfric.commands.fit import demo_config
 
     result = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        spent(["-c", IMPORTS], folder)
-        base, _ = spent(["-c", IMPORTS], folder)
+        timed(["-c", IMPORTS], SOURCE, folder)  # fills the disk's cache
+        base = timed(["-c", IMPORTS], SOURCE, folder)[2]
         for samples in sorted(asked.samples):
             text = demo_config().text.replace("duration = 10.0", f"duration = {samples / 1e3}")
             (folder / "knee.toml").write_text(text, encoding="utf-8")
-            command = ["-m", "bayesfric"]
-            spent([*command, "simulate", "knee.toml", "-o", "knee.csv"], folder)
+            timed([*BAYESFRIC, "simulate", "knee.toml", "-o", "knee.csv"], SOURCE, folder)
             run = str(samples)
-            cpu, most = spent([*command, "fit", "knee.toml", "-o", run], folder)
+            cpu = timed([*BAYESFRIC, "fit", "knee.toml", "-o", run], SOURCE, folder)[2]
+            most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
             size = (folder / run / "posterior.nc").stat().st_size / 1e6
             row = {"samples": samples, "cpu": cpu, "over_imports": cpu / base}
             result.append(row | {"memory_mb": most, "posterior_mb": size})

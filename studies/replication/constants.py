@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 
@@ -25,18 +24,13 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-
-HERE = Path(__file__).resolve().parent
-for folder in ("calibration", "diagnostics"):
-    sys.path.insert(0, str(HERE.parent / folder))
-
-from joints import BENCHES, recorded
-from lacking import CORRECT, EFFECTS, NOT_LISTED, true_values
+from lacking import BENCHES, CORRECT, EFFECTS, NOT_LISTED, recorded, true_values
 
 import bayesfric.fit.fit
 from bayesfric import Model
 from bayesfric.inference import discrepancy, missing
 
+HERE = Path(__file__).resolve().parent
 SEED = 4100
 # Where each constant stands, and what it is tried at; the package's own among them.
 TRIED: dict[str, tuple[tuple[Any, ...], str, tuple[float, ...]]] = {
