@@ -21,7 +21,7 @@ import numpy as np
 from emcee.moves import Move
 from numpy.typing import NDArray
 
-from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.sampling.proposal import Proposal, ProposalInBoth
 from bayesfric.recordings.arrays import Array
 
 Chosen = NDArray[np.bool_]
@@ -119,7 +119,7 @@ class IndependenceMove(_VectorisedMove):
         ``min(1, p(y) q(x) / (p(x) q(y)))``.
     """
 
-    def __init__(self, proposal: Proposal) -> None:
+    def __init__(self, proposal: Proposal | ProposalInBoth) -> None:
         self.proposal = proposal
 
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:

@@ -1,15 +1,17 @@
 """A proposal fitted to draws of the posterior, frozen before it is used.
 
 An independence move is as good as its proposal is near the posterior, which bounds and
-load-dependent friction bend; several normals together follow that.
+load-dependent friction bend; several normals together follow that, in the coordinates in which it
+is bent less.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import expit, gammaln
 
 from bayesfric.recordings.arrays import Array
 
@@ -26,10 +28,13 @@ _LOOKED_AT = 8000
 _LOOKED_AT_LAST = 12_000
 _ROUNDS = 60
 # A round that gains less log-likelihood a draw ends the fit.
-_GAIN = 1e-4
+_GAIN = 1e-2
+_GAIN_LAST = 1e-4
 # Share and degrees of freedom of the wide component: it bounds the weights in the tails.
 _WIDE_SHARE = 0.1
 _WIDE_DEGREES = 5.0
+# Draws made anew at most where straight coordinates have no way back.
+_TRIALS = 100
 
 
 class Proposal:
@@ -117,7 +122,7 @@ class Proposal:
         components = min(most, distinct // (each * d * d))
         if components < 2:
             return cls(np.ones(1), mean[None], root[None], mean, root)
-        weights, means, roots = _mixture(z, components)
+        weights, means, roots = _mixture(z, components, _GAIN_LAST if last else _GAIN)
         return cls(weights, mean + means @ root.T, np.asarray(root @ roots), mean, root)
 
     def draw(self, n: int, random: np.random.RandomState) -> Array:
@@ -145,39 +150,119 @@ class Proposal:
         return np.asarray(top + np.log(np.exp(level - top).sum(axis=0)))
 
 
-def _mixture(z: Array, components: int) -> tuple[Array, Array, Array]:
+class ProposalInBoth:
+    """A proposal in the sampled coordinates and one in straight ones, mixed.
+
+    Parameters
+    ----------
+    own, straight
+        The proposals.
+    share
+        Of the straight one, from 0 to 1.
+    there, back
+        Maps ``(n, d)`` to straight coordinates, with the log Jacobian ``(n,)``, and undoes it;
+        a place that has no way back is not finite.
+
+    Notes
+    -----
+    A draw without a way back is made anew: that cuts the proposal off where the posterior ends,
+    and its density by a factor that is the same everywhere.
+    """
+
+    def __init__(
+        self,
+        own: Proposal,
+        straight: Proposal,
+        share: float,
+        there: Callable[[Array], tuple[Array, Array]],
+        back: Callable[[Array], Array],
+    ) -> None:
+        self.own, self.straight, self.share = own, straight, share
+        self._there, self._back = there, back
+
+    @classmethod
+    def fitted(
+        cls,
+        draws: Array,
+        there: Callable[[Array], tuple[Array, Array]],
+        back: Callable[[Array], Array],
+        *,
+        last: bool = False,
+    ) -> ProposalInBoth:
+        """Fit both to draws ``(n, d)``; their shares are those under which draws are likeliest.
+
+        See :meth:`Proposal.fitted`; the shares by expectation and maximisation as well.
+        """
+        v, slope = there(draws)
+        found = np.isfinite(slope)
+        own, straight = (Proposal.fitted(x, last=last) for x in (draws, v[found]))
+        made = cls(own, straight, 0.5, there, back)
+        some = draws[:: len(draws) // _LOOKED_AT + 1]
+        levels = made._levels(some)
+        for _ in range(_ROUNDS):
+            straights = expit(levels[1] - levels[0]).sum()
+            share = float((straights + 1.0) / (len(some) + 2.0))  # neither is ever sure
+            levels += np.log([[(1.0 - share) / (1.0 - made.share)], [share / made.share]])
+            made.share = share
+        return made
+
+    def draw(self, n: int, random: np.random.RandomState) -> Array:
+        """Draw ``(n, d)``; what has no way back after a hundred trials is not finite."""
+        out, wanted = np.full((n, self.own.dimension), np.nan), np.arange(n)
+        for _ in range(_TRIALS):
+            bent = random.rand(wanted.size) >= self.share
+            out[wanted[bent]] = self.own.draw(int(bent.sum()), random)
+            out[wanted[~bent]] = self._back(self.straight.draw(int((~bent).sum()), random))
+            wanted = wanted[~np.isfinite(out[wanted]).all(axis=1)]
+            if not wanted.size:
+                break
+        return out
+
+    def log_density(self, x: Array) -> Array:
+        """Log of the density at ``(n, d)`` points, ``(n,)``, but for a constant."""
+        return np.asarray(np.logaddexp(*self._levels(x)))
+
+    def _levels(self, x: Array) -> Array:
+        """Log density of each, its share in it, ``(2, n)``; minus infinity where there is none."""
+        v, slope = self._there(x)
+        own = self.own.log_density(x) + math.log(1.0 - self.share)
+        straight = self.straight.log_density(v) + slope + math.log(self.share)
+        return np.where(np.isfinite([own, straight]), [own, straight], -np.inf)
+
+
+def _mixture(z: Array, components: int, least: float) -> tuple[Array, Array, Array]:
     """Fit normals to white draws ``(n, d)``: weights, means and Cholesky factors."""
     n, d = z.shape
     skewed = (z * np.sum(z**2, axis=1, keepdims=True)).mean(axis=0)
-    share = np.eye(components)[np.argsort(np.argsort(z @ skewed)) * components // n]
+    share = np.eye(components)[:, np.argsort(np.argsort(z @ skewed)) * components // n]
     # densities and moments are both linear in a draw's coordinates and their products
     i, j = np.triu_indices(d)
-    terms = np.concatenate([np.ones((n, 1)), z, z[:, i] * z[:, j]], axis=1)
+    terms = np.concatenate([np.ones((1, n)), z.T, z.T[i] * z.T[j]])
     last = -np.inf
     for _ in range(_ROUNDS):
         found = _maximised(share, terms, d)
         share, gained = _expected(found, terms)
         # an empty component would divide by zero in the next round
-        if gained - last < _GAIN or share.mean(axis=0).min() * n < 2 * d:
+        if gained - last < least or share.mean(axis=1).min() * n < 2 * d:
             break
         last = gained
     return found
 
 
 def _maximised(share: Array, terms: Array, d: int) -> tuple[Array, Array, Array]:
-    """Give the normals that suit draws best that belong to each by a share, ``(n, k)``."""
-    moments = share.T @ terms
+    """Give the normals that suit draws best that belong to each by a share, ``(k, n)``."""
+    moments = share @ terms.T
     i, j = np.triu_indices(d)
     means = moments[:, 1 : d + 1] / moments[:, :1]
     covariances = np.empty((len(moments), d, d))
     covariances[:, i, j] = covariances[:, j, i] = moments[:, d + 1 :] / moments[:, :1]
     # draws are white, so nothing cancels; a component may not collapse onto a few of them
     covariances += 1e-3 * np.eye(d) - means[:, :, None] * means[:, None, :]
-    return moments[:, 0] / len(terms), means, _cholesky(covariances)
+    return moments[:, 0] / terms.shape[1], means, _cholesky(covariances)
 
 
 def _expected(found: tuple[Array, Array, Array], terms: Array) -> tuple[Array, float]:
-    """Give each draw's shares in the normals, ``(n, k)``, and the mean log density."""
+    """Give each draw's shares in the normals, ``(k, n)``, and the mean log density."""
     weights, means, roots = found
     i, j = np.triu_indices(means.shape[1])
     inverses = np.linalg.inv(roots)
@@ -186,10 +271,10 @@ def _expected(found: tuple[Array, Array, Array], terms: Array) -> tuple[Array, f
     constant = np.log(weights) - 0.5 * np.einsum("ki,ki->k", means, centres)
     constant -= np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     products = np.where(i == j, -0.5, -1.0) * precisions[:, i, j]
-    level = terms @ np.concatenate([constant[:, None], centres, products], axis=1).T
-    top = level.max(axis=1, keepdims=True)
+    level = np.concatenate([constant[:, None], centres, products], axis=1) @ terms
+    top = level.max(axis=0)
     share = np.exp(level - top)
-    total = share.sum(axis=1, keepdims=True)
+    total = share.sum(axis=0)
     return share / total, float(np.mean(top + np.log(total)))
 
 

@@ -36,7 +36,7 @@ from bayesfric.inference.sampling.moves import (
     ElsewhereMove,
     IndependenceMove,
 )
-from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.sampling.proposal import Proposal, ProposalInBoth
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
@@ -50,8 +50,11 @@ _WARM_RHAT = 1.05
 _NAMED = 4
 # Blocks of warm-up at least, so that the proposal has learned from what it proposed.
 _LEAST_BLOCKS = 3
+# What one more block may teach the proposal, in units of log density, where it has learned enough:
+# two densities so far apart share at least four fifths of their mass (Pinsker).
+_LEARNED = 0.08
 # Share of the steps that go where the walkers are, for what no proposal has learned.
-_OTHERWISE = 0.3
+_OTHERWISE = 0.2
 _UNSETTLED = (
     "warm-up was still moving when it was cut off: raise sampling.max_steps, or give narrower "
     "priors"
@@ -172,30 +175,17 @@ def sample(
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
     learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
-    search = DifferentialEvolutionMove(settings.ensembles)
-    moves = [(learning, 0.5), (search, 0.5)]
-    straight = None
-    if target.coordinates.bends:
-        # what the data tell is found there sooner
-        straight = IndependenceMove(_straight_proposal(target, positions, last=True))
-        moves = [(learning, 0.25), (_straight(target, straight), 0.25)]
-        moves += [(search, 0.25), (_straight(target, search), 0.25)]
+    moves = [(learning, 0.5), *_searching(target, settings, learning.proposal, 0.5)]
     warm = _Ensembles(target, moves, positions, random, checkpoint)
     # threads that share a small matrix wait for each other: on two busy cores seven times the work
     with threadpool_limits(1, "blas"):
-        half, settled = _warm_up(warm, learning, straight, settings, rng, progress)
+        half, settled = _warm_up(warm, learning, settings, rng, progress)
         # Where the posterior really lies, a likelihood can be prepared best.
         states = half.reshape(-1, d)
         target = target.prepared(states[:: max(1, len(states) // 500)])
-        frozen = IndependenceMove(Proposal.fitted(states, last=True))
-        moves = [(frozen, 1.0 - _OTHERWISE), (search, _OTHERWISE)]
-        if target.coordinates.bends:
-            straight = IndependenceMove(_straight_proposal(target, half, last=True))
-            moves = [(move, share / 2.0) for move, share in moves]
-            moves += [
-                (_straight(target, move), share)
-                for move, (_, share) in zip((straight, search), moves, strict=True)
-            ]
+        frozen = IndependenceMove(_fitted(target, half, last=True))
+        moves = [(frozen, 1.0 - _OTHERWISE)]
+        moves += _searching(target, settings, frozen.proposal, _OTHERWISE)
         main = _Ensembles(target, moves, warm.positions(), random, checkpoint)
         before = target.not_finite
         look = _walk(main, settings, settings.max_steps - warm.steps, progress)
@@ -263,14 +253,13 @@ def _concluded(
 
 def _block(target: Target, settings: Sampling) -> int:
     """Count the steps between two looks."""
-    usual = 100 if target.likelihood.method == "input-error" else 25
+    usual = 50 if target.likelihood.method == "input-error" else 25
     return min(usual, max(settings.max_steps // 8, 10))
 
 
 def _warm_up(
     warm: _Ensembles,
     learning: IndependenceMove,
-    straight: IndependenceMove | None,
     settings: Sampling,
     rng: np.random.Generator,
     progress: Shown,
@@ -278,21 +267,24 @@ def _warm_up(
     """Walk and learn; give the second half of the steps, and whether they had settled."""
     block, most = _block(warm.target, settings), settings.max_steps // 4
     seen: list[tuple[int, float]] = []
+    taught = math.inf
     while True:
         warm.run(block)
         warm.bring_back_lost(rng)
         progress(Progress("warm-up", warm.steps))
         half = warm.chain()[:, :, warm.steps // 2 :]
+        old, learning.proposal = learning.proposal, _fitted(warm.target, half, last=False)
+        newest = half[:, :, -block:].reshape(-1, warm.target.dimension)
+        gained = learning.proposal.log_density(newest) - old.log_density(newest)
+        before, taught = taught, float(gained.mean())
         rhats = nested_rhat(half)
         agree = warm.steps >= _LEAST_BLOCKS * block and rhats.max() < _WARM_RHAT
-        settled = agree and warm.settled()
+        # a shape that no proposal can learn teaches every block as much
+        settled = agree and warm.settled() and not _LEARNED < taught < before
         needed = convergence.steps_needed(warm.steps, len(half), rhats, _WARM_RHAT)
         seen.append((warm.steps, float(needed.max())))
         if settled or warm.steps >= most or hopeless(seen, most):
             return half, settled
-        learning.proposal = Proposal.fitted(half.reshape(-1, warm.target.dimension))
-        if straight is not None:
-            straight.proposal = _straight_proposal(warm.target, half, last=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -446,15 +438,24 @@ class _Ensembles:
         return np.asarray(self._sampler.acceptance_fraction).reshape(self._shape[:2])
 
 
-def _straight_proposal(target: Target, half: Array, *, last: bool) -> Proposal:
-    """Fit a proposal in the target's straight coordinates."""
-    states, slope = target.straighten(half.reshape(-1, target.dimension))
-    return Proposal.fitted(states[np.isfinite(slope)], last=last)
+def _fitted(target: Target, half: Array, *, last: bool) -> Proposal | ProposalInBoth:
+    """Fit a proposal to steps ``(ensembles, walkers, n, d)``; also where the target is straight."""
+    draws = half.reshape(-1, target.dimension)
+    if not target.coordinates.bends:
+        return Proposal.fitted(draws, last=last)
+    return ProposalInBoth.fitted(draws, target.straighten, target.bend, last=last)
 
 
-def _straight(target: Target, move: emcee.moves.Move) -> ElsewhereMove:
-    """Make a move in the target's straight coordinates."""
-    return ElsewhereMove(move, target.straighten, target.bend)
+def _searching(
+    target: Target, settings: Sampling, proposal: Proposal | ProposalInBoth, share: float
+) -> list[tuple[emcee.moves.Move, float]]:
+    """Make the moves that go where the walkers are, in whichever coordinates a proposal suits."""
+    search = DifferentialEvolutionMove(settings.ensembles)
+    if not target.coordinates.bends:
+        return [(search, share)]
+    straight = proposal.share if isinstance(proposal, ProposalInBoth) else 0.5
+    there = ElsewhereMove(search, target.straighten, target.bend)
+    return [(search, share * (1.0 - straight)), (there, share * straight)]
 
 
 def _problems(
