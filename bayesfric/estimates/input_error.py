@@ -38,6 +38,8 @@ _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.
 _SAME = 0.01
 # Minima of the first pass that the second looks at again.
 _MINIMA = 3
+# Outputs of each recording that are searched for minima, at most.
+_SEARCHED = 2000
 # Share of the lowest criterion of all by which what is known may raise it, and none is lower.
 _REACHED = 1e-6
 # Share of the torque that counts as a change of one, at least.
@@ -102,17 +104,23 @@ def _estimate(
 ) -> Estimate:
     """Search from all starts, weigh recordings and known values, and state what was found."""
     chain, observations = problem.chain, problem.observations
-    plain = Terms(np.ones(problem.measured.size))
+    some = problem.excerpt(_SEARCHED) if start is None else problem
+    plain = Terms(np.ones(some.measured.size))
     if start is None:
-        inside, lowest, searched = _starts(problem, plain, options)
+        inside, lowest, searched = _starts(some, plain, options)
     else:
         inside, lowest, searched = [problem.inside(chain.vector(start))], -math.inf, ""
     found = []
     for x in inside:
-        found.append(descend(problem, plain, x))
+        found.append(descend(some, plain, x))
         if found[-1].height <= lowest:
             break
     found.sort(key=lambda one: one.height)
+    agreement = _agreement(some, found)
+    if some is not problem:
+        plain = Terms(np.ones(problem.measured.size))
+        found = [descend(problem, plain, one.x) for one in _distinct(some, found)]
+        found.sort(key=lambda one: one.height)
     terms, x = _refined(problem, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)
@@ -121,7 +129,7 @@ def _estimate(
     information = _information(problem, terms, x)
     residual = problem.residual(x)
     notes = [
-        _agreement(problem, found) + searched,
+        agreement + searched,
         *_scale_notes(problem, information),
     ]
     return Estimate(
@@ -294,14 +302,20 @@ def _width(problem: TorqueProblem, found: Sequence[Found]) -> float:
     return _SAME * variance + problem.rounding
 
 
-def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
-    """One vector of each of the lowest minima, moved to where values with an sd fit best."""
+def _distinct(problem: TorqueProblem, found: Sequence[Found]) -> list[Found]:
+    """One of each of the lowest minima, of those ``found``, lowest first."""
     width = _width(problem, found)
     apart: list[Found] = []
     for one in found:
         if not apart or one.height > apart[-1].height + width:
             apart.append(one)
-    vectors = [_toward_told(problem, problem.vector(one.x)) for one in apart[:_MINIMA]]
+    return apart[:_MINIMA]
+
+
+def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
+    """One vector of each of the lowest minima, moved to where values with an sd fit best."""
+    apart = _distinct(problem, found)
+    vectors = [_toward_told(problem, problem.vector(one.x)) for one in apart]
     return [problem.inside(vector) for vector in vectors]
 
 

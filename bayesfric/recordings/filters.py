@@ -227,6 +227,22 @@ class ParallelFilter:
         """Number of outputs M."""
         return len(self.starts)
 
+    def excerpt(self, outputs: NDArray[np.int64]) -> tuple[ParallelFilter, NDArray[np.int64]]:
+        """Keep some outputs ``(m,)``, rising, and the samples that they are made of.
+
+        Gives the filter that takes these samples alone, and which they are.
+        """
+        # one after the first, minus one after the last sample of every window
+        borders = np.zeros(self.used.size + 1, dtype=np.int64)
+        np.add.at(borders, self.starts[outputs], 1)
+        np.add.at(borders, self.starts[outputs] + len(self.taps), -1)
+        kept = np.cumsum(borders[:-1]) > 0
+        places = np.cumsum(kept) - 1
+        chosen = ParallelFilter(
+            self.taps, places[self.starts[outputs]], self.used[kept], self.gains[outputs]
+        )
+        return chosen, np.flatnonzero(kept)
+
     @property
     def centres(self) -> NDArray[np.int64]:
         """Sample in the middle of every window, shape (M,)."""

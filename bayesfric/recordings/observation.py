@@ -61,6 +61,8 @@ _GUARD = 10
 _LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
+# Neighbouring outputs that an excerpt keeps together: their windows overlap.
+_TOGETHER = 50
 # Every number actually used, in SI units.
 Settings = dict[str, float | int | str]
 # What ends a band.
@@ -114,6 +116,27 @@ class Observation:
     def acceleration(self) -> Array:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
+
+    def excerpt(self, most: int) -> Observation:
+        """Keep about so many outputs at most, in stretches all over the recording.
+
+        Each is what it was: the samples of its window are kept as they are.
+        """
+        count = self.filter.n_outputs
+        if count <= most:
+            return self
+        begins = np.linspace(0, count - _TOGETHER, max(most // _TOGETHER, 1)).astype(np.int64)
+        outputs = np.unique(begins[:, None] + np.arange(_TOGETHER))
+        chosen, samples = self.filter.excerpt(outputs)
+        of_samples = ("q", "qd", "qdd", "torque", "compared", "stamps")
+        of_outputs = ("time", "measured", "speed", "segment_of")
+        return replace(
+            self,
+            filter=chosen,
+            smooth=None if self.smooth is None else self.smooth[samples],
+            **{name: getattr(self, name)[samples] for name in of_samples},
+            **{name: getattr(self, name)[outputs] for name in of_outputs},
+        )
 
     @property
     def pace(self) -> float:
