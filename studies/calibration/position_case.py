@@ -80,9 +80,9 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
     torque, n, period = excitation(), excitation().size, 1.0 / RATE
     felt = torque - torque_sd * rng.standard_normal(n)
     whole = np.array([[0, n]])
-    q = simulate_segments(
+    (q,), _ = simulate_segments(
         chain, values[None], felt, period, whole, np.zeros(1), np.zeros(1), substeps=8
-    )[0]
+    )
     qd, qdd = np.gradient(q, period), np.gradient(np.gradient(q, period), period)
     # borders where the joint is fast, as in a real fit: near a reversal nothing is linear
     even = np.arange(SEGMENT, n - SEGMENT // 2, SEGMENT)

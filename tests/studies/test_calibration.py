@@ -48,6 +48,12 @@ def test_the_band_holds_uniform_ranks_as_often_as_it_says(study):
     assert abs(inside / trials - level) < 5.0 * error
 
 
+def test_every_case_makes_recordings_that_its_truth_explains(study):
+    for case in study.CASES.values():
+        target, truth = study.recording(case, np.random.default_rng(11))
+        assert np.isfinite(target.log_likelihood(truth[None])).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "honest"), [("AR(1)", True), (CONTROLS[0], False)])
 def test_a_few_recordings_again(study, case, honest):
