@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.mechanism.inverse import inverse_torque, load_torque
+from bayesfric.mechanism.inverse import load_torque, torque_at
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
@@ -16,7 +16,7 @@ from bayesfric.recordings.observation import Observation
 _FAR = 2000
 
 # Numbers of unfiltered torque held at once.
-_ROWS_AT_ONCE = 500_000
+_ROWS_AT_ONCE = 2_000_000
 # The load torque at which efficiencies are stated: nearly the largest of the recordings.
 _LOAD_QUANTILE = 0.95
 
@@ -70,21 +70,12 @@ def _torques(
     chain: Joint, observation: Observation, values: Array
 ) -> Iterator[tuple[slice, Array]]:
     """Give unfiltered torque of a few vectors at a time: of a long recording it is large."""
-    rows = max(1, _ROWS_AT_ONCE // max(observation.q.size, 1))
+    o = observation
+    samples = chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
+    rows = max(1, _ROWS_AT_ONCE // max(o.q.size, 1))
     for first in range(0, values.shape[0], rows):
         part = slice(first, first + rows)
-        yield (
-            part,
-            inverse_torque(
-                chain,
-                values[part],
-                observation.q,
-                observation.qd,
-                observation.qdd,
-                inputs=observation.inputs,
-                time=observation.stamps,
-            ),
-        )
+        yield part, torque_at(chain, values[part], samples, o.inputs)
 
 
 def torque_jacobian(

@@ -40,6 +40,10 @@ from bayesfric.recordings.observation import Observation
 
 # Draws of the expected posterior that a cheaper likelihood is prepared for.
 _DRAWS = 300
+# Outputs of each recording by which places to start from are ranked, at most.
+_RANKED = 2000
+# Predicted outputs, over all draws, that a mean residual is made of.
+_PREDICTED = 2_000_000
 # Draws that are enough for intervals with the model's error, each of which is tried.
 _WIDE = 8000
 # Evaluations of a climb's step that may be dear before it is prepared anew.
@@ -126,10 +130,11 @@ class Fit:
     def residuals(self) -> list[Array]:
         """Measured minus posterior mean output of each recording, ``(M,)`` in the outputs' unit.
 
-        The mean is over 200 draws.
+        The mean is over 200 draws, of long recordings over fewer, ten at least.
         """
         likelihood = self.target.likelihood
-        predicted = likelihood.predict(self.chain_draws(200))
+        outputs = sum(o.measured.size for o in likelihood.outputs)
+        predicted = likelihood.predict(self.chain_draws(max(10, min(200, _PREDICTED // outputs))))
         pairs = zip(likelihood.outputs, predicted, strict=True)
         return [o.measured - rows.mean(axis=0) for o, rows in pairs]
 
@@ -301,17 +306,19 @@ def fit(
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
         candidates = _candidates(target, begin, points, prior_draws)
-        # these searched from several starts themselves, and are beside the mode already
-        near = any(e.point for e in begin)
+        # estimates with a point searched from several starts, and are beside the mode already
+        climbs = 1 if any(e.point for e in begin) else CLIMBS
+        heights = target.excerpt(_RANKED)(candidates)
+        candidates = candidates[np.argsort(-heights)[:climbs]]
         prior_places = target.from_parameters(prior_draws)
-        best = candidates[np.argmax(target(candidates))]
-        target = _prepared(target, gauss_newton(target, best, prior_places), rng)
+        best = gauss_newton(target, candidates[0], prior_places)
+        target = _prepared(target, best, rng)
         if likelihood.method == "input-error":
             search = _Search(target, prior_places, rng)
+            widths = 1.0 / np.sqrt(np.diag(np.linalg.inv(best.covariance)))
             mode = climb(
-                search, candidates, climbs=1 if near else CLIMBS, moved=search.prepare_again
+                search, candidates, climbs=climbs, widths=widths, moved=search.prepare_again
             )
-            target = search.target
         else:
             target, mode = _simulated_mode(target, candidates)
     except ValueError:

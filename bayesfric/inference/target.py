@@ -197,6 +197,12 @@ class Target(LogPosterior):
         out.likelihood = self.likelihood.prepared(draws)
         return out
 
+    def excerpt(self, most: int) -> Target:
+        """Make the target of excerpts of long recordings, of ``most`` outputs each."""
+        out = copy(self)
+        out.likelihood = self.likelihood.excerpt(most)
+        return out
+
     def chain_values(self, parameters: Array) -> Array:
         """Fill the fixed parameters in: ``(n, d)`` to ``(n, chain parameters)``."""
         values = np.tile(self._template, (parameters.shape[0], 1))

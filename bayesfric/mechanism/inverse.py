@@ -59,9 +59,17 @@ def inverse_torque(
     d dtorque/dt``, to first order. For the Rabbit knee this is eq. (13).
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    samples = chain.samples(q, qd, qdd, inputs, time)
-    torque: Array = kernels.inverse_many(*chain.tables(vectors, inputs), samples)
+    torque = torque_at(chain, vectors, chain.samples(q, qd, qdd, inputs, time), inputs)
     return torque[0] if np.ndim(values) == 1 else torque
+
+
+def torque_at(chain: Chain, values: Array, samples: kernels.Samples, inputs: Inputs) -> Array:
+    """Give the torque ``(n, N)`` of vectors ``(n, n_parameters)`` at laid-out samples.
+
+    See :func:`inverse_torque`; ``samples`` are of :meth:`Chain.samples` with the same inputs.
+    """
+    torque: Array = kernels.inverse_many(*chain.tables(values, inputs), samples)
+    return torque
 
 
 def load_torque(

@@ -98,6 +98,13 @@ class Likelihood(ABC):
         """
         return self
 
+    def excerpt(self, most: int) -> Likelihood:  # noqa: ARG002
+        """Give the likelihood of excerpts of long recordings, of ``most`` outputs each.
+
+        Itself where that spares nothing.
+        """
+        return self
+
     def prepared(self, draws: Array) -> Likelihood:  # noqa: ARG002
         """Give the same likelihood, cheaper near draws ``(n, n_parameters)``.
 

@@ -80,6 +80,12 @@ class TorqueLikelihood(Likelihood):
         """Whether the recordings were reduced to moments."""
         return self.moments is not self._plain
 
+    def excerpt(self, most: int) -> TorqueLikelihood:
+        """See :class:`Likelihood`."""
+        return TorqueLikelihood(
+            self.chain, [o.excerpt(most) for o in self.observations], self.noise
+        )
+
     def prepared(self, draws: Array) -> TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.
 

@@ -154,7 +154,10 @@ class ElsewhereMove(Move):  # type: ignore[misc]
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
         """Move walkers there, by the density there, and bring them back; emcee's interface."""
         coords, slope = self._there(state.coords)
-        away = emcee.State(coords, log_prob=state.log_prob - slope)
+        # a walker that has no place there, so far out is it, takes any step
+        with np.errstate(invalid="ignore"):
+            height = np.where(np.isfinite(slope), state.log_prob - slope, -np.inf)
+        away = emcee.State(coords, log_prob=height)
         gone, accepted = self.move.propose(model._replace(log_prob_fn=self._density(model)), away)
         moved = np.flatnonzero(accepted)
         if moved.size:

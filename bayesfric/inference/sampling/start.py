@@ -148,6 +148,7 @@ def climb(
     *,
     climbs: int = CLIMBS,
     max_steps: int = 60,
+    widths: Array | None = None,
     moved: Callable[[Array], None] = lambda _: None,
 ) -> Array:
     """Climb to the mode from the best of several candidates.
@@ -162,6 +163,8 @@ def climb(
         How many of the best are followed to their peak.
     max_steps
         Steps of each climb at most.
+    widths
+        ``(d,)`` by which the density falls by half a unit, about; adapted in any case.
     moved
         Called with every place ``(d,)`` a climb gets to; the density may prepare itself for it.
 
@@ -188,7 +191,9 @@ def climb(
     order = [i for i in np.argsort(-heights)[:climbs] if np.isfinite(heights[i])]
     if not order:
         raise ValueError("every starting point has zero probability")
-    found = [_climb(log_density, candidates[i], heights[i], max_steps, moved) for i in order]
+    found = [
+        _climb(log_density, candidates[i], heights[i], max_steps, widths, moved) for i in order
+    ]
     return max(found, key=lambda peak: peak[1])[0]
 
 
@@ -197,6 +202,7 @@ def _climb(
     x: Array,
     height: float,
     max_steps: int,
+    widths: Array | None,
     moved: Callable[[Array], None],
 ) -> tuple[Array, float]:
     """Climb from one place; give the peak and its height.
@@ -204,7 +210,8 @@ def _climb(
     Eight dampings are tried at once. It ends where a step gains less than 1e-3, or nothing does.
     """
     damping = 1.0
-    steps = _difference_steps(log_density, x, height, 0.1 * (np.abs(x) + 1e-3))
+    begin = 0.1 * (np.abs(x) + 1e-3) if widths is None else widths
+    steps = _difference_steps(log_density, x, height, begin)
     for _ in range(max_steps):
         moved(x)
         steps = _difference_steps(log_density, x, height, steps)
