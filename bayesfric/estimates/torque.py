@@ -83,8 +83,9 @@ def torque_jacobian(
 ) -> Array:
     """Differentiate the filtered torque by the chain's parameters.
 
-    The torque is linear in nearly every parameter, so central differences are exact up
-    to rounding except where a step changes the direction of power.
+    The torque is linear in every parameter that adds to it, so a difference to one side is exact up
+    to rounding except where a step changes the direction of power; in what only shapes other terms
+    differences are central.
 
     Parameters
     ----------
@@ -102,14 +103,17 @@ def torque_jacobian(
         ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
     """
     moving = np.flatnonzero(steps)
-    k = moving.size
     beside = np.eye(values.size)[moving] * steps
-    moved = values + np.concatenate([beside, -beside])
+    shaping = np.array([chain.parameters[k].row.role == "form" for k in moving], dtype=bool)
+    moved = np.concatenate([values[None], values + beside, values - beside[shaping]])
     blocks = []
     for o in observations:
         torque = filtered_torque(chain, o, moved)
+        here, up, down = np.split(torque, [1, 1 + moving.size])
+        change = up - here
+        change[shaping] = (up[shaping] - down) / 2.0
         block = np.zeros((o.filter.n_outputs, values.size))
-        block[:, moving] = ((torque[:k] - torque[k:]) / (2.0 * steps[moving, None])).T
+        block[:, moving] = (change / steps[moving, None]).T
         blocks.append(block)
     return np.concatenate(blocks)
 

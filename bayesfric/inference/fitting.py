@@ -126,15 +126,20 @@ class Fit:
         """The prepared recordings."""
         return self.target.likelihood.observations
 
+    @property
+    def predicting(self) -> Array:
+        """Draws ``(n, d)`` that predict every output: 200, of long recordings fewer."""
+        outputs = sum(o.measured.size for o in self.target.likelihood.outputs)
+        return self.posterior.flat(max(10, min(200, _PREDICTED // outputs)))
+
     @cached_property
     def residuals(self) -> list[Array]:
         """Measured minus posterior mean output of each recording, ``(M,)`` in the outputs' unit.
 
-        The mean is over 200 draws, of long recordings over fewer, ten at least.
+        The mean is over the draws of :attr:`predicting`.
         """
         likelihood = self.target.likelihood
-        outputs = sum(o.measured.size for o in likelihood.outputs)
-        predicted = likelihood.predict(self.chain_draws(max(10, min(200, _PREDICTED // outputs))))
+        predicted = likelihood.predict(self.target.chain_values(self.predicting))
         pairs = zip(likelihood.outputs, predicted, strict=True)
         return [o.measured - rows.mean(axis=0) for o, rows in pairs]
 

@@ -22,8 +22,6 @@ from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.results.roll_out import Rolled
 
 _MOST = 3
-# The same draws as the residuals of the summary.
-_DRAWS = 200
 # Numbers held at once while predicting: windows of the filter, 160 MB.
 _BUDGET = 20_000_000
 _HEIGHT = 3.4
@@ -47,7 +45,7 @@ def predictive(fit: Fit) -> list[Predictive]:
     The predictive is taken for normal: it is the normal noise, spread a little by what is unknown
     of the parameters. Quantiles of a few hundred draws would be far rougher than that.
     """
-    flat = fit.posterior.flat(_DRAWS)
+    flat = fit.predicting
     n = len(flat)
     values = fit.target.chain_values(flat)
     scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
