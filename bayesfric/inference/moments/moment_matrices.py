@@ -41,7 +41,7 @@ _STRETCH = 1e-14
 # And with columns for unknown shapes, below which it is left out: far below their accuracy.
 _SHAPED = 1e-22
 # At most this share of the samples is kept one by one, and in any case so many.
-_KEPT_SHARE, _KEPT = 0.05, 20_000
+_KEPT_SHARE, _KEPT = 0.2, 20_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ LogDensity = Callable[[Array], Array]
 _ONE_SD = 0.5
 # How far a density falls, for differences, where it is zero.
 _CLIFF = 50.0
+# Outputs of each recording that the information is taken from, at most; it grows with their number.
+_INFORMING = 10_000
 # Candidates that are followed to their peak.
 CLIMBS = 5
 
@@ -116,8 +118,16 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     centre, _ = target.to_parameters(mode[None])
     scales = target.noise.scales(centre[:, k:])[0]
     both = target.chain_values(np.concatenate([moved, centre]))
-    outputs = target.likelihood.standardised(both, scales)
-    jacobian = np.concatenate([_differences(output, steps) for output in outputs], axis=1)
+    some, whole = target.likelihood.excerpt(_INFORMING), target.likelihood.outputs
+    jacobian = np.concatenate(
+        [
+            _differences(output, steps) * np.sqrt(every.measured.size / few.measured.size)
+            for output, few, every in zip(
+                some.standardised(both, scales), some.outputs, whole, strict=True
+            )
+        ],
+        axis=1,
+    )
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
     slope = ((np.diag(moved[:d]) - np.diag(moved[d:])) / (2.0 * steps))[k:]
     noise = target.noise.fold(target.likelihood.noise_information(scales))
