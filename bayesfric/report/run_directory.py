@@ -31,7 +31,7 @@ from bayesfric.report.summary.rows import PosteriorRow
 
 # Draws kept of the groups that hold a number for every draw and every output: at most, at least,
 # and between them as many as make so many numbers.
-_POINTWISE_DRAWS, _LEAST_DRAWS, _POINTWISE = 400, 20, 1_000_000
+_POINTWISE_DRAWS, _LEAST_DRAWS, _POINTWISE = 400, 12, 1_000_000
 # Draws kept that allow for the model's error.
 _TOLD_DRAWS = 4000
 

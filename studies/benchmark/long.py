@@ -1,6 +1,6 @@
 """What a long recording costs: CPU seconds, memory, bytes. SIMULATED.
 
-``python studies/benchmark/long.py [--samples 10000 100000]`` makes the demo's recording so
+``python studies/benchmark/long.py [--samples 10000 100000 1000000]`` makes the demo's recording so
 long, fits it in a process of its own, and prints CPU seconds over those of importing the libraries,
 the most memory, and the size of ``posterior.nc``. Writes ``long.json``.
 """
@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -19,33 +21,42 @@ HERE = Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
 
 
-def main() -> None:
-    """Make them longer and longer, so that the most memory is always the last one's."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, nargs="*", default=[10_000, 100_000])
-    asked = parser.parse_args()
+def once(samples: int, folder: Path) -> None:
+    """Simulate and fit, and print what it took; nothing else is a child of this process."""
     from bayesfric.commands.fit import demo_config
 
+    text = demo_config().text.replace("duration = 10.0", f"duration = {samples / 1e3}")
+    (folder / "knee.toml").write_text(text, encoding="utf-8")
+    timed([*BAYESFRIC, "simulate", "knee.toml", "-o", "knee.csv"], SOURCE, folder)
+    timed(["-c", IMPORTS], SOURCE, folder)  # fills the disk's cache
+    base = timed(["-c", IMPORTS], SOURCE, folder)[2]
+    cpu = timed([*BAYESFRIC, "fit", "knee.toml", "-o", "run"], SOURCE, folder)[2]
+    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    size = (folder / "run" / "posterior.nc").stat().st_size / 1e6
+    row = {"samples": samples, "cpu": cpu, "over_imports": cpu / base}
+    print(json.dumps(row | {"memory_mb": most, "posterior_mb": size}))
+
+
+def main() -> None:
+    """Make them one after the other, each in a process that starts all others of its own."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--samples", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--once", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.once:
+        once(asked.samples[0], Path(asked.once))
+        return
     result = []
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        timed(["-c", IMPORTS], SOURCE, folder)  # fills the disk's cache
-        base = timed(["-c", IMPORTS], SOURCE, folder)[2]
-        for samples in sorted(asked.samples):
-            text = demo_config().text.replace("duration = 10.0", f"duration = {samples / 1e3}")
-            (folder / "knee.toml").write_text(text, encoding="utf-8")
-            timed([*BAYESFRIC, "simulate", "knee.toml", "-o", "knee.csv"], SOURCE, folder)
-            run = str(samples)
-            cpu = timed([*BAYESFRIC, "fit", "knee.toml", "-o", run], SOURCE, folder)[2]
-            most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
-            size = (folder / run / "posterior.nc").stat().st_size / 1e6
-            row = {"samples": samples, "cpu": cpu, "over_imports": cpu / base}
-            result.append(row | {"memory_mb": most, "posterior_mb": size})
-            print(
-                f"{samples:>10,} {cpu:6.1f} s = {cpu / base:5.1f} ×  {most:6.0f} MB  "
-                f"posterior.nc {size:5.1f} MB",
-                flush=True,
-            )
+    for samples in asked.samples:
+        with tempfile.TemporaryDirectory() as folder:
+            words = [sys.executable, __file__, "--once", folder, "--samples", str(samples)]
+            row = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)
+        result.append(row)
+        print(
+            f"{samples:>10,} {row['cpu']:6.1f} s = {row['over_imports']:5.1f} ×  "
+            f"{row['memory_mb']:6.0f} MB  posterior.nc {row['posterior_mb']:5.1f} MB",
+            flush=True,
+        )
     (HERE / "long.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
