@@ -19,7 +19,7 @@ from bayesfric.diagnostics.policy import (
     MOVES,
 )
 from bayesfric.diagnostics.regression import Regression, Step, Twin
-from bayesfric.diagnostics.twins import NoTwin
+from bayesfric.diagnostics.twins import NoTwin, excerpt
 from bayesfric.estimates.descent import few_threads
 from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.joint import Joint
@@ -31,7 +31,7 @@ from bayesfric.recordings.processing import Processing
 if TYPE_CHECKING:
     import pandas as pd
 
-Reason = Literal["few", "long", "simulation"]
+Reason = Literal["few", "simulation"]
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,10 @@ class Explanation:
     missing
         All candidates, to be marginalised as model discrepancy.
     reason
-        Why it was not asked: there are too ``few`` outputs, twins would take too ``long``, or their
-        ``simulation`` is impossible; else ``None``.
+        Why it was not asked: there are too ``few`` outputs, or a ``simulation`` of twins is
+        impossible; else ``None``.
+    share
+        Of the samples that were asked, the share of all; below one for long recordings.
     """
 
     findings: tuple[Finding, ...] = ()
@@ -68,6 +70,7 @@ class Explanation:
     limit: float = 0.0
     cpu_seconds: float = 0.0
     reason: Reason | None = None
+    share: float = 1.0
     missing: Missing | None = field(default=None, repr=False)
 
     @property
@@ -93,25 +96,21 @@ class Explanation:
         """Give all of it as JSON holds it."""
         told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": len(self.twins)}
         told |= {"largest": self.largest, "limit": self.limit}
-        told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason}
+        told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason, "share": self.share}
         return {"findings": [one.as_dict() for one in self.findings], **told}
 
 
-def unasked(
-    chain: Joint, recordings: Sequence[Measurement], observations: Sequence[Observation]
-) -> Reason | None:
+def unasked(chain: Joint, observations: Sequence[Observation]) -> Reason | None:
     """Say why recordings cannot be asked, as far as that is known before anything is computed.
 
     Returns
     -------
     str or None
         ``few`` where there are fewer outputs than the parameters and
-        :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` together; ``long`` where there are more
-        samples than :data:`~bayesfric.diagnostics.policy.LONGEST`.
+        :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` together.
     """
-    if sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS:
-        return "few"
-    return "long" if sum(r.time.size for r in recordings) > LONGEST else None
+    few = sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS
+    return "few" if few else None
 
 
 def explain(
@@ -141,21 +140,22 @@ def explain(
     Explanation
         What no chance is, in the order in which it explains; see
         :mod:`bayesfric.diagnostics.regression` for the method and its sources. Where twins cannot
-        be simulated it has the ``reason`` and nothing else.
+        be simulated it has the ``reason`` and nothing else. Of more samples than
+        :data:`~bayesfric.diagnostics.policy.LONGEST` an excerpt of half as many is asked.
     """
-    begun = time.process_time()
+    begun, values = time.process_time(), chain.vector(point)
+    whole = sum(r.time.size for r in recordings)
     try:
         with few_threads(observations):
-            asked = Regression(
-                chain,
-                recordings,
-                observations,
-                processing,
-                chain.vector(point),
-                known,
-                seed,
-            )
-            steps = asked.steps()
+            if whole > LONGEST:
+                most = [LONGEST * r.time.size // (2 * whole) for r in recordings]
+                each = zip(recordings, observations, most, strict=True)
+                made = [excerpt(chain, values, r, o, processing, n) for r, o, n in each]
+                recordings, observations = zip(*made, strict=True)
+            share = sum(r.time.size for r in recordings) / whole
+            asked = Regression(chain, recordings, observations, processing, values, known, seed)
+            # what moves a number by so many sds of an excerpt's is more of the whole's
+            steps = [_sharpened(step, share**-0.5) for step in asked.steps()]
     except NoTwin:
         return Explanation(reason="simulation")
     return Explanation(
@@ -166,8 +166,14 @@ def explain(
         steps[0].largest,
         steps[0].limit,
         time.process_time() - begun,
+        share=share,
         missing=asked.missing(),
     )
+
+
+def _sharpened(step: Step, factor: float) -> Step:
+    """Count what a step moves in standard deviations that are smaller by a factor."""
+    return replace(step, moves={name: factor * x for name, x in step.moves.items()})
 
 
 def finding(chain: Joint, step: Step) -> Finding:

@@ -8,8 +8,8 @@ from bayesfric.estimates.point_estimate import HALF
 
 # Of recordings whose model is right, the share in which anything is said to be missing.
 FALSE_ALARMS = 0.05
-# Twins that tell what chance does, and samples of recordings that are asked at most, as a fit and a
-# check are to end before anybody gives up.
+# Twins that tell what chance does, and samples of recordings that are asked whole at most; of more
+# an excerpt of half as many is asked, as a fit and a check are to end before anybody gives up.
 TWINS, LONGEST = 24, 100_000
 # Outputs beyond the model's parameters that a recording or twin must have to be asked.
 LEAST_OUTPUTS = 20

@@ -384,6 +384,7 @@ class Regression:
         mean, white = np.mean(scores, axis=0), float(np.mean(sds))
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
         return Missing(
+            observations=tuple(self.observations),
             columns=self.data.others * size,
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
             gram=rest.T @ rest,

@@ -78,8 +78,8 @@ class Checked:
     reason
         Why it could not be made, else ``None``: the ``likelihood`` is not of the torque, samples at
         ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most simulated joints
-        stood ``still``, the ``simulation`` is impossible, or recordings are too ``few`` or too
-        ``long`` for twins.
+        stood ``still``, the ``simulation`` is impossible, or recordings are too ``few`` for twins
+        or so ``long`` that twins are of excerpts.
     said
         Words for a ``simulation`` that is impossible.
     """
@@ -136,6 +136,8 @@ def self_check(
         reason = "rest"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
+    elif explained.share < 1.0:
+        reason = "long"
     elif reason == "simulation":
         said = _obstacle(target, posterior.median, period)
         reason = reason if said else "still"

@@ -170,6 +170,33 @@ def modelled_driver(
     return lowpass(torque, recording.segments, fs, cutoff, int(told["order"]))
 
 
+def excerpt(
+    chain: Joint,
+    values: Array,
+    recording: Measurement,
+    observation: Observation,
+    processing: Processing,
+    most: int,
+) -> tuple[Measurement, Observation]:
+    """Cut a recording to ``most`` samples, prepared as the whole was; the same if it has fewer.
+
+    ``values`` ``(n_parameters,)`` are those that its motion is refined with.
+
+    Raises
+    ------
+    NoTwin
+        If the filters leave nothing of it.
+    """
+    short = recording.excerpt(most)
+    if short is recording:
+        return recording, observation
+    alike = settled_as(processing, observation)
+    seen = _observed(chain, values, short, observation, alike)
+    if seen is None:
+        raise NoTwin("an excerpt hardly moves")
+    return short, seen
+
+
 def settled_as(processing: Processing, observation: Observation) -> Processing:
     """Write down the filters of a recording, so that its twins are treated alike.
 

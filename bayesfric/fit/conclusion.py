@@ -75,7 +75,7 @@ def may_be_simulated(problem: Problem) -> bool:
 def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding]) -> Summary:
     """Put in what else explains the torque, and how that was asked."""
     asked: dict[str, Any] = {"twins": len(found.twins), "asked": len(found.kinds)}
-    asked |= {"reason": found.reason} if found.reason else {}
+    asked |= {"reason": found.reason, "share": found.share}
     findings = found.noted(widened=summary.widened)
     update = {
         "findings": [FindingRow.model_validate(one.as_dict()) for one in findings],

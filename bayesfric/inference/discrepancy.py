@@ -20,6 +20,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,7 @@ from bayesfric.inference.missing import CHANCE, Missing, Sizes, chance_missing
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.target import Target
+from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -228,7 +230,7 @@ def pull(target: Target, posterior: Posterior, missing: Missing | None) -> Pull 
     chance = chance_missing(missing)
     if chance < CHANCE:
         return None
-    around = _Around.of(target, posterior)
+    around = _Around.of(target, posterior, missing.observations)
     drawn = -Sizes(missing).drawn(_stream(posterior)) @ around.scores(missing.columns).T
     return Pull(chance, drawn, around)
 
@@ -271,18 +273,24 @@ class _Around:
 
     likelihood: TorqueLikelihood
     scales: Array
+    shares: Array  # (R,) of the outputs of each recording that are asked
     rows: Array  # (n, k) what outputs change by for changes of one
     covariance: Array  # (k, k)
     shift: Array  # (k,) from the posterior's mean to the estimate without bounds
 
     @classmethod
-    def of(cls, target: Target, posterior: Posterior) -> _Around:
+    def of(
+        cls, target: Target, posterior: Posterior, observations: Sequence[Observation]
+    ) -> _Around:
         """Linearise the outputs about the posterior's mean, and take off what bounds hold.
 
         ``rows`` are central differences of the whitened outputs along the posterior's own axes.
+        ``observations`` may be excerpts: what they tell stands for as much more of the rest.
         """
-        k, likelihood = len(target.free), target.likelihood
-        assert isinstance(likelihood, TorqueLikelihood)
+        k, whole = len(target.free), target.likelihood
+        assert isinstance(whole, TorqueLikelihood)
+        likelihood = TorqueLikelihood(whole.chain, observations, whole.noise)
+        shares = likelihood.sizes / whole.sizes
         draws = posterior.flat(_DRAWS)
         v = target.unbounded(draws)
         v = v[np.isfinite(v).all(axis=1)]
@@ -299,19 +307,29 @@ class _Around:
         predicted = likelihood.predict(target.chain_values(parameters))
         scales = target.noise.scales(parameters[-1:, k:])[0]
         changes = [(p[:k] - p[k : 2 * k]) / (2.0 * size) for p in predicted]
-        unit = np.concatenate(likelihood.innovations(changes, scales), axis=1)
+        unit = _white(likelihood, changes, scales, shares)
         rows = np.linalg.solve(root.T, unit).T
         left = [o.measured - p[-1] for o, p in zip(likelihood.outputs, predicted, strict=True)]
-        white = np.concatenate(likelihood.innovations(left, scales))
+        white = _white(likelihood, left, scales, shares)
         pull, known = _held(target, v)
-        return cls(likelihood, scales, rows, *_without_bounds(covariance, rows, white, pull, known))
+        free = _without_bounds(covariance, rows, white, pull, known)
+        return cls(likelihood, scales, shares, rows, *free)
 
     def scores(self, columns: Array) -> Array:
         """Give what columns ``(n, m)`` of outputs pull the estimate by: ``(k, m)``."""
         ends = np.cumsum([o.measured.size for o in self.likelihood.outputs])[:-1]
         parts = [part.T for part in np.split(columns, ends)]
-        white = np.concatenate(self.likelihood.innovations(parts, self.scales), axis=1).T
+        white = _white(self.likelihood, parts, self.scales, self.shares).T
         return np.asarray(self.rows.T @ white)
+
+
+def _white(
+    likelihood: TorqueLikelihood, outputs: Sequence[Array], scales: Array, shares: Array
+) -> Array:
+    """Whiten ``(..., M)`` of each recording, and weigh it as what it is a share of."""
+    found = likelihood.innovations(outputs, scales)
+    weighed = [x / np.sqrt(share) for x, share in zip(found, shares, strict=True)]
+    return np.concatenate(weighed, axis=-1)
 
 
 def _held(target: Target, v: Array) -> tuple[Array, Array]:

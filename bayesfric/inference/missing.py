@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.observation import Observation
 
 Index = NDArray[np.intp]
 
@@ -50,8 +51,10 @@ class Missing:
 
     Attributes
     ----------
+    observations
+        The recordings that were asked, or excerpts of them.
     columns
-        ``(M, m)`` of all outputs, filtered as they are, N m or N; their largest value is the
+        ``(M, m)`` of all their outputs, filtered as they are, N m or N; their largest value is the
         torque's rms, or for friction what the model loses. A size of one is then as large as that.
     kinds
         Names of candidates, and of each the columns of every shape that it may have.
@@ -64,6 +67,7 @@ class Missing:
         Outputs beyond the model's own parameters.
     """
 
+    observations: tuple[Observation, ...]
     columns: Array
     kinds: dict[str, tuple[tuple[int, ...], ...]]
     gram: Array

@@ -180,7 +180,7 @@ class Problem:
         BadInput
             If nothing can be estimated from these recordings.
         """
-        if reason := unasked(self.chain, self.recordings, self.observations):
+        if reason := unasked(self.chain, self.observations):
             return Explanation(reason=reason)
         point = self._point(estimates, progress)
         progress(Progress("what else explains the torque"))
@@ -224,7 +224,7 @@ class Problem:
             If nothing can be estimated from these recordings.
         """
         model, taken = self, list[Finding]()
-        if unasked(self.chain, self.recordings, self.observations):
+        if unasked(self.chain, self.observations):
             return self, (), self.explain()
         found = self._candidate(progress)
         while True:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Index = NDArray[np.int64]
 # Half-open ranges of samples.
 Segments = tuple[tuple[int, int], ...]
 

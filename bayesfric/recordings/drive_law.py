@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.timebase import Grid
 
 
@@ -49,7 +49,7 @@ class Law:
         """Bring it from a file's stamps onto a uniform time base."""
         return replace(self, command=grid.linear(self.command), scale=grid.linear(self.scale))
 
-    def part(self, begin: int, end: int) -> Law:
+    def part(self, samples: Index | slice) -> Law:
         """Give that of some of the samples."""
-        off = None if self.off is None else self.off[begin:end]
-        return replace(self, command=self.command[begin:end], scale=self.scale[begin:end], off=off)
+        off = None if self.off is None else self.off[samples]
+        return replace(self, command=self.command[samples], scale=self.scale[samples], off=off)

@@ -159,14 +159,4 @@ def _piece(r: Measurement, begin: int, end: int) -> Measurement:
     cut = [(max(a, begin), min(b, end)) for a, b in r.segments if a < end and b > begin]
     kept = [(a, b) for a, b in cut if b - a >= LEAST_SAMPLES] or cut
     begin, end = kept[0][0], kept[-1][1]
-    return replace(
-        r,
-        time=r.time[begin:end],
-        position=r.position[begin:end],
-        velocity=None if r.velocity is None else r.velocity[begin:end],
-        torque=r.torque[begin:end],
-        back_emf=None if r.back_emf is None else r.back_emf[begin:end],
-        segments=tuple((a - begin, b - begin) for a, b in kept),
-        excluded=r.excluded[begin:end],
-        law=None if r.law is None else r.law.part(begin, end),
-    )
+    return r.part(slice(begin, end), tuple((a - begin, b - begin) for a, b in kept))

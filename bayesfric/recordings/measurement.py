@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from bayesfric.recordings.arrays import Array, Flags, Segments
+import numpy as np
+
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.timebase import LEAST_SAMPLES
 
+# Stretches of a recording that an excerpt is made of.
+_STRETCHES = 8
 # How a torque goes between its samples.
 Hold = Literal["zero", "linear", "cubic"]
 
@@ -58,6 +64,35 @@ class Measurement:
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
     # what no file tells, as a simulated twin
     law: Law | None = None
+
+    def part(self, samples: Index | slice, segments: Segments) -> Measurement:
+        """Cut out samples, which make up ``segments`` then."""
+        law, names = self.law, ("time", "position", "velocity", "torque", "back_emf", "excluded")
+        arrays = {name: getattr(self, name) for name in names}
+        cut: dict[str, Any] = {
+            name: None if x is None else x[samples] for name, x in arrays.items()
+        }
+        return replace(
+            self, segments=segments, law=None if law is None else law.part(samples), **cut
+        )
+
+    def excerpt(self, most: int) -> Measurement:
+        """Cut out about so many samples at most, in eight stretches all over the recording.
+
+        Stumps of segments go, as in reading. The same where there are no more samples.
+        """
+        count, length = self.time.size, most // _STRETCHES
+        if count <= most:
+            return self
+        begins = np.linspace(0, count - length, _STRETCHES).astype(np.int64)
+        kept = [
+            np.arange(max(a, begin), min(b, begin + length))
+            for begin in begins.tolist()
+            for a, b in self.segments
+            if min(b, begin + length) - max(a, begin) >= LEAST_SAMPLES
+        ]
+        ends = np.cumsum([0, *(part.size for part in kept)]).tolist()
+        return self.part(np.concatenate(kept), tuple(pairwise(ends)))
 
     @property
     def hold(self) -> Hold:

@@ -31,6 +31,7 @@ import position_case
 from numpy.typing import NDArray
 from ranks import summary_of
 
+from bayesfric.base.errors import BadInput
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.noise.autoregressive import Autoregressive
@@ -158,8 +159,11 @@ def recording(case: Case, rng: np.random.Generator) -> tuple[Target, Array]:
     return believed, truth[: len(believed.names)]
 
 
-def one(task: tuple[str, int]) -> dict[str, Any]:
-    """Rank the truth of one recording among draws of its posterior."""
+def one(task: tuple[str, int]) -> dict[str, Any] | None:
+    """Rank the truth of one recording among draws of its posterior; ``None`` where it is refused.
+
+    A linearised simulation is, where it does not hold over the posterior.
+    """
     name, number = task
     case = CASES[name]
     seed = np.random.SeedSequence(SEED, spawn_key=(list(CASES).index(name), number))
@@ -177,7 +181,10 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         finally:
             sampling._Ensembles = own
     else:
-        result = fit(target, settings)
+        try:
+            result = fit(target, settings)
+        except BadInput:
+            return None
     draws = result.posterior.flat()
     chosen = draws[rng.permutation(draws.shape[0])[:RANKED]]
     names, quantities = quantities_of(result.target, np.concatenate([truth[None], draws]))
@@ -217,8 +224,9 @@ def main() -> None:
     for name in options.cases:
         n = options.controls if name.startswith("control") else options.recordings
         with ProcessPoolExecutor(options.workers) as pool:
-            rows = list(pool.map(one, [(name, i) for i in range(n)], chunksize=4))
-        result[name] = summary_of(rows, RANKED)
+            made = list(pool.map(one, [(name, i) for i in range(n)], chunksize=4))
+        rows = [row for row in made if row is not None]
+        result[name] = {**summary_of(rows, RANKED), "refused": n - len(rows)}
         print(name, result[name]["recordings"], result[name]["statuses"], flush=True)
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 

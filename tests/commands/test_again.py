@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
     simulated(folder / "project" / "c.toml", SAMPLED)
     with pytest.MonkeyPatch.context() as patch:
         without_figures(patch)
-        patch.setattr(explanation, "LONGEST", 0)
+        patch.setattr(explanation, "LEAST_OUTPUTS", 10**9)
         # names as a user gives them: relative to where one is
         patch.chdir(folder / "project")
         fit(read_config(Path("c.toml")), Path("../run"))

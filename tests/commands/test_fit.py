@@ -103,7 +103,7 @@ def test_who_reads_only_the_first_lines_has_the_run(folder):
     undrawn = (
         "from bayesfric.commands import cli; from bayesfric.diagnostics import explanation; "
         "from bayesfric.report import run_directory; "
-        "explanation.LONGEST = 0; run_directory.FIGURES = {}; cli.main()"
+        "explanation.LEAST_OUTPUTS = 10**9; run_directory.FIGURES = {}; cli.main()"
     )
     command = [sys.executable, "-c", undrawn, "fit", "few.toml", "-o", "piped"]
     (folder / "few.toml").write_text(FEW, encoding="utf-8")

@@ -11,7 +11,7 @@ import bayesfric as bf
 from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, scales_of
 from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, unasked
-from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
 from bayesfric.diagnostics.regression import Step
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import ParallelFilter
@@ -227,16 +227,14 @@ def test_settings_name_the_element_that_can_have_them():
 # Whether it is asked
 
 
-def sized(outputs, samples):
+def test_recordings_are_asked_of_enough_outputs():
     chain = SimpleNamespace(names=("a", "b", "c"))
-    seen = [SimpleNamespace(measured=np.zeros(n)) for n in outputs]
-    return unasked(chain, [SimpleNamespace(time=np.zeros(n)) for n in samples], seen)
 
+    def sized(*outputs):
+        return unasked(chain, [SimpleNamespace(measured=np.zeros(n)) for n in outputs])
 
-def test_recordings_are_asked_of_enough_outputs_and_not_too_many_samples():
-    assert sized((10, LEAST_OUTPUTS - 8), (5, 5)) == "few"
-    assert sized((10, LEAST_OUTPUTS - 7), (LONGEST, 0)) is None
-    assert sized((10, LEAST_OUTPUTS), (LONGEST, 1)) == "long"
+    assert sized(10, LEAST_OUTPUTS - 8) == "few"
+    assert sized(10, LEAST_OUTPUTS - 7) is None
 
 
 def test_an_explanation_is_told_as_json_and_as_a_table():

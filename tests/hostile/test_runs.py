@@ -41,7 +41,7 @@ def ran(folder, *words):
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bayesfric.diagnostics.explanation.LONGEST", 0)
+        patch.setattr("bayesfric.diagnostics.explanation.LEAST_OUTPUTS", 10**9)
         simulated(folder / "small.toml", SAMPLED)
         outcome = ran(folder, "fit", "small.toml", "-o", "good")
     assert outcome.code in (0, 3), outcome

@@ -15,6 +15,7 @@ def regression(size, n=400, m=1, seed=0):
     columns = np.linalg.qr(rng.standard_normal((n, m)))[0] * np.sqrt(n)
     left = size * columns[:, 0] + rng.standard_normal(n)
     return Missing(
+        observations=(),
         columns=columns,
         kinds={f"kind {k}": ((k,),) for k in range(m)},
         gram=columns.T @ columns,

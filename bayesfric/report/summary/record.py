@@ -200,12 +200,13 @@ class FindingRow(Part):
 class RegressionPart(Part):
     """How it was asked what else explains the torque; ``reason`` is why it was not.
 
-    ``asked`` counts the kinds of candidates.
+    ``asked`` counts the kinds of candidates, ``share`` is that of the samples that were asked.
     """
 
     twins: int = 0
     asked: int = 0
-    reason: Literal["few", "long", "simulation"] | None = None
+    reason: Literal["few", "simulation"] | None = None
+    share: float = 1.0
 
 
 class SelfCheckRow(Part):
