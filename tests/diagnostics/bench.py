@@ -29,13 +29,13 @@ def axis(**more):
 
 
 @cache
-def table():
-    """Record ten seconds at 500 Hz, in counts of 8192 a turn of the motor.
+def table(duration=10.0):
+    """Record ten seconds, or more, at 500 Hz, in counts of 8192 a turn of the motor.
 
     It is simulated ten times finer, for the torque of a simulation is straight between samples.
     """
     options = {
-        "duration": 10.0,
+        "duration": duration,
         "rate": 5000,
         "excitation": "multisine",
         "amplitude": 0.06,

@@ -13,7 +13,7 @@ from bayesfric.diagnostics.regression import Regression
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
-from tests.diagnostics.bench import axis, model, recording, table
+from tests.diagnostics.bench import QUICK, axis, model, recording, table
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +78,24 @@ def test_a_joint_without_inertia_is_not_asked():
     found = bare.explain()
     assert found.reason == "simulation"
     assert not found.asked
+
+
+def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
+    """What it lacks has the same name, and intervals have room for as much as by the whole."""
+    made = table(40.0).copy()
+    made["torque"] *= 1.0 + 0.05 * made["torque"].abs() / made["torque"].abs().max()
+    whole = Model(axis(), recording(made), sampling=QUICK)
+    before = whole.fit(seed=1)
+    monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", len(made) - 1)
+    after = whole.fit(seed=1)
+    assert after.summary.regression.share == pytest.approx(0.5, abs=0.01)
+    assert [one.kind for one in after.summary.findings] == ["saturation"]
+    one, other = (run.fit.discrepancy for run in (before, after))
+    # of what is there half of the samples tell nearly all; what is not is drawn by chance
+    sds = np.sqrt(np.diag(one.covariance) + one.moves.var(axis=0))
+    np.testing.assert_allclose(
+        other.moves.mean(axis=0) / sds, one.moves.mean(axis=0) / sds, atol=0.3
+    )
 
 
 def test_few_outputs_are_not_asked():

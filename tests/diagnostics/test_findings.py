@@ -243,7 +243,7 @@ def test_an_explanation_is_told_as_json_and_as_a_table():
     assert one.asked
     assert one.as_json() == {
         "findings": [found.as_dict()], "kinds": ["a"], "untold": ["b"], "twins": 3,
-        "largest": 5.0, "limit": 4.0, "cpu_seconds": 2.0, "reason": None,
+        "largest": 5.0, "limit": 4.0, "cpu_seconds": 2.0, "reason": None, "share": 1.0,
     }  # fmt: skip
     assert one.frame["kind"].tolist() == ["quadratic"]
     assert not Explanation(reason="few").asked

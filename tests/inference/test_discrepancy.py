@@ -155,7 +155,9 @@ def test_what_no_candidate_moves_stays(right):
     noise = rng.standard_normal((o.measured.size, 1))
     noise *= np.sqrt(np.mean(o.measured**2) / np.mean(noise**2))
     one = regression(0.3, n=o.measured.size)
-    room = discrepancy(fit.target, fit.posterior, replace(one, columns=noise))
+    room = discrepancy(
+        fit.target, fit.posterior, replace(one, columns=noise, observations=fit.observations)
+    )
     assert room.chance > 0.99
     # by chance each direction of unit noise is moved by size times the rms over the noise
     most = 0.3 * np.sqrt(np.mean(o.measured**2)) / fit.posterior["noise.sigma"].mean()

@@ -115,6 +115,11 @@ def test_parallel_filter(factor, band, edges, seed):
     np.testing.assert_allclose(
         used.apply(2 * x - 3 * y), 2 * used.apply(x) - 3 * used.apply(y), atol=1e-12
     )
+    # some of its outputs, from the samples that they are made of
+    some = np.flatnonzero(rng.random(used.n_outputs) < 0.5)
+    if some.size:
+        short, samples = used.excerpt(some)
+        np.testing.assert_array_equal(short.apply(x[samples]), used.apply(x)[some])
     # sums of outputs are sums of samples
     sums = rng.normal(size=(3, used.n_outputs))
     np.testing.assert_allclose(used.reached(sums) @ x, sums @ used.apply(x), atol=1e-11)

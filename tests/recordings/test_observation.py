@@ -1,6 +1,7 @@
 """From a recording to what a model is compared with."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -31,6 +32,42 @@ def test_parameters_of_a_made_up_joint_come_back():
     design = np.array([seen.qdd, seen.qd, np.ones_like(seen.q)])
     found = np.linalg.lstsq(seen.filter.apply(design).T, seen.measured, rcond=None)[0]
     np.testing.assert_allclose(found, [2, 3, 0.5], rtol=1e-4)
+
+
+def test_outputs_of_an_excerpt_are_the_whole_s():
+    seen = observe(recording(n=40_000), Processing(dead_zone=0))
+    few = seen.excerpt(300)
+    assert seen.excerpt(seen.measured.size) is seen
+    assert few.measured.size <= 300
+    places = np.searchsorted(seen.time, few.time)
+    assert places[-1] == seen.time.size - 1
+    for name in ("time", "measured", "speed", "segment_of"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(seen, name)[places])
+    for name in ("q", "qd", "qdd", "torque", "stamps"):
+        made = few.filter.apply(getattr(few, name))
+        np.testing.assert_array_equal(made, seen.filter.apply(getattr(seen, name))[places])
+
+
+@given(
+    st.lists(st.integers(20, 900), min_size=1, max_size=6),
+    st.integers(400, 4000),
+)
+def test_an_excerpt_of_a_recording_keeps_its_segments(lengths, most):
+    ends = np.cumsum([0, *lengths]).tolist()
+    segments = tuple(pairwise(ends))
+    whole = recording(n=ends[-1], segments=segments)
+    short = whole.excerpt(most)
+    assert short.time.size <= max(most, 0) or short is whole
+    borders = [short.time[b - 1] for _, b in short.segments]
+    for (a, b), last in zip(short.segments, borders, strict=True):
+        inside = [
+            (s, e) for s, e in segments if whole.time[s] <= short.time[a] <= whole.time[e - 1]
+        ]
+        ((_, e),) = inside
+        assert last <= whole.time[e - 1]
+        np.testing.assert_allclose(np.diff(short.time[a:b]), whole.period)
+    places = np.searchsorted(whole.time, short.time)
+    np.testing.assert_array_equal(short.position, whole.position[places])
 
 
 def test_defaults_follow_the_sampling_rate_where_position_and_torque_allow():
