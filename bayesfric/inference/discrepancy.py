@@ -39,6 +39,8 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
+# Share of what the whole tells that an excerpt tells of any direction, at least.
+_TOLD = 0.05
 # How often that is halved where it leads to where nothing can be; and a move there drawn anew.
 _HALVINGS, _TRIES = 12, 12
 # Rounds of the Gibbs sampler of a normal that bounds cut.
@@ -285,7 +287,8 @@ class _Around:
         """Linearise the outputs about the posterior's mean, and take off what bounds hold.
 
         ``rows`` are central differences of the whitened outputs along the posterior's own axes.
-        ``observations`` may be excerpts: what they tell stands for as much more of the rest.
+        ``observations`` may be excerpts: what they tell stands for as much more of the rest, and
+        the covariance is then the one that draws would have, were the whole moved as they are.
         """
         k, whole = len(target.free), target.likelihood
         assert isinstance(whole, TorqueLikelihood)
@@ -304,13 +307,22 @@ class _Around:
             if np.isfinite(parameters).all():
                 break
             size *= 0.5
-        predicted = likelihood.predict(target.chain_values(parameters))
         scales = target.noise.scales(parameters[-1:, k:])[0]
-        changes = [(p[:k] - p[k : 2 * k]) / (2.0 * size) for p in predicted]
-        unit = _white(likelihood, changes, scales, shares)
+
+        def linearised(asked: TorqueLikelihood, shares: Array) -> tuple[Array, Array]:
+            """Give whitened changes along the posterior's axes, and what is left."""
+            predicted = asked.predict(target.chain_values(parameters))
+            changes = [(p[:k] - p[k : 2 * k]) / (2.0 * size) for p in predicted]
+            left = [o.measured - p[-1] for o, p in zip(asked.outputs, predicted, strict=True)]
+            return _white(asked, changes, scales, shares), _white(asked, left, scales, shares)
+
+        unit, white = linearised(likelihood, shares)
         rows = np.linalg.solve(root.T, unit).T
-        left = [o.measured - p[-1] for o, p in zip(likelihood.outputs, predicted, strict=True)]
-        white = _white(likelihood, left, scales, shares)
+        if (shares < 1.0).any():
+            every, _ = linearised(whole, np.ones(len(shares)))
+            told, axes = np.linalg.eigh(np.eye(k) + unit @ unit.T - every @ every.T)
+            along = root @ axes
+            covariance = along / np.maximum(told, _TOLD) @ along.T
         pull, known = _held(target, v)
         free = _without_bounds(covariance, rows, white, pull, known)
         return cls(likelihood, scales, shares, rows, *free)
