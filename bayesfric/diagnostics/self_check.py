@@ -28,7 +28,7 @@ from bayesfric.recordings.observation import Observation
 # Longest step, in units of the parameters, along which quantities are taken to be linear.
 _SMALL = 1e-3
 
-Reason = Literal["likelihood", "rest", "sampling", "still", "simulation", "few", "long"]
+Reason = Literal["likelihood", "rest", "sampling", "still", "simulation", "few"]
 
 
 class SelfCheckOptions(Options):
@@ -78,10 +78,11 @@ class Checked:
     reason
         Why it could not be made, else ``None``: the ``likelihood`` is not of the torque, samples at
         ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most simulated joints
-        stood ``still``, the ``simulation`` is impossible, or recordings are too ``few`` for twins
-        or so ``long`` that twins are of excerpts.
+        stood ``still``, the ``simulation`` is impossible, or there are too ``few`` outputs.
     said
         Words for a ``simulation`` that is impossible.
+    share
+        Of the recordings' samples that twins have: below one they are of excerpts.
     """
 
     truth: Array
@@ -90,6 +91,7 @@ class Checked:
     cpu_seconds: float
     reason: Reason | None = None
     said: str = ""
+    share: float = 1.0
 
 
 def self_check(
@@ -136,8 +138,6 @@ def self_check(
         reason = "rest"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
-    elif explained.share < 1.0:
-        reason = "long"
     elif reason == "simulation":
         said = _obstacle(target, posterior.median, period)
         reason = reason if said else "still"
@@ -151,23 +151,33 @@ def self_check(
         row[: len(columns)] = twin.values[columns]
     return Checked(
         truth,
-        tuple(_fit(target, *pair, sds, columns) for pair in zip(truth, twins, strict=True)),
+        tuple(
+            _fit(target, *pair, sds, columns, explained.share)
+            for pair in zip(truth, twins, strict=True)
+        ),
         time.perf_counter() - begun,
         time.process_time() - worked,
         reason,
         said,
+        explained.share,
     )
 
 
 def _fit(
-    target: Target, truth: Array, twin: Twin, prior_sds: Array, columns: Sequence[int]
+    target: Target,
+    truth: Array,
+    twin: Twin,
+    prior_sds: Array,
+    columns: Sequence[int],
+    share: float,
 ) -> QuickFit:
     """Take one Gauss-Newton step from the truth ``(d,)`` that a twin was made with.
 
     Filters, steps of the encoder and differentiation make the modelled torque differ from the
     simulated one. By how much that moves an estimate is asked of a posterior with the noise of the
     truth, as a normal about it. The prior counts as one more measurement, of sd ``prior_sds``
-    ``(free,)`` and centred on the truth: its pull is meant, and no bias.
+    ``(free,)`` and centred on the truth: its pull is meant, and no bias. Of an excerpt, a ``share``
+    of the recordings, it counts for as much less.
     """
     assert isinstance(target.likelihood, TorqueLikelihood)
     k = len(target.free)
@@ -182,12 +192,12 @@ def _fit(
     ]
     white = np.concatenate(pieces)
     jacobian, error = white[:, :-1], white[:, -1]
-    information = jacobian.T @ jacobian + np.diag((at.units / prior_sds) ** 2)
+    information = jacobian.T @ jacobian + share * np.diag((at.units / prior_sds) ** 2)
     step = np.asarray(np.linalg.lstsq(information, jacobian.T @ error)[0], dtype=np.float64)
-    share = _SMALL / max(float(np.abs(step).max(initial=0.0)), _SMALL)
-    nearby = np.concatenate([at.moved(truth[:k], share * step), truth[k:]])
+    part = _SMALL / max(float(np.abs(step).max(initial=0.0)), _SMALL)
+    nearby = np.concatenate([at.moved(truth[:k], part * step), truth[k:]])
     left = error - jacobian @ step
-    return QuickFit(nearby, share, float(np.mean(left**2)))
+    return QuickFit(nearby, part, float(np.mean(left**2)))
 
 
 def _obstacle(target: Target, parameters: Array, period: float) -> str:

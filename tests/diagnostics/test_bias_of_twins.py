@@ -85,7 +85,7 @@ def test_it_says_why_there_is_none(target):
         ({"rest": rest}, "rest"),
         ({"status": "unusable"}, "sampling"),
         ({"reason": "simulation"}, "still"),  # as this joint can be simulated
-        ({"reason": "long", "rest": rest}, "rest"),
+        ({"reason": "simulation", "rest": rest}, "rest"),
     ):
         _, found = checked(target, [twin], **told)
         assert (found.reason, found.fits, found.said) == (reason, (), "")

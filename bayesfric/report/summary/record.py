@@ -235,9 +235,7 @@ class SelfCheck(Part):
 
     asked: int
     made: int
-    reason: (
-        Literal["likelihood", "rest", "sampling", "still", "simulation", "few", "long"] | None
-    ) = None
+    reason: Literal["likelihood", "rest", "sampling", "still", "simulation", "few"] | None = None
     said: str = ""
     rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
     unexplained: NotNegative | None = None
