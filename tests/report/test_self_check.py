@@ -28,7 +28,7 @@ def result():
     return model(recordings=0).fit(seed=1)
 
 
-def checked(result, missed, unexplained=0.0, n=40):
+def checked(result, missed, unexplained=0.0, n=40, share=1.0):
     """Fits that miss the viscous loss by so many sds, one after the other."""
     posterior = result.fit.posterior
     truth, j = posterior.flat(n), posterior.names.index(NAME)
@@ -38,7 +38,7 @@ def checked(result, missed, unexplained=0.0, n=40):
         nearby = one.copy()
         nearby[j] += 1e-3 * z * sd
         fits.append(QuickFit(nearby, 1e-3, unexplained))
-    return Checked(truth, tuple(fits), 1.0, 2.0)
+    return Checked(truth, tuple(fits), 1.0, 2.0, share=share)
 
 
 def told(result, found):
@@ -86,6 +86,14 @@ def test_what_filters_leave_of_the_torque_is_no_noise(result):
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
     assert half.unexplained == 0.5
     assert half.rows[NAME].coverage == pytest.approx(0.980, abs=1e-3)  # P(|Z| < 1.645 sqrt(2))
+
+
+def test_the_whole_scatters_less_than_its_excerpts(result):
+    """By the root of the share, and of what forty of them leave unknown of the bias."""
+    check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
+    assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
+    # P(|Z + 3 sqrt(0.05 + 1/40)| < 1.645)
+    assert check.coverage == pytest.approx(0.788, abs=1e-3)
 
 
 @pytest.mark.parametrize("wide", [0.0, 5.0, 3000.0])
