@@ -11,7 +11,7 @@ from bayesfric.inference.sampling.moves import (
     ElsewhereMove,
     IndependenceMove,
 )
-from bayesfric.inference.sampling.proposal import Proposal
+from bayesfric.inference.sampling.proposal import Proposal, ProposalInBoth
 
 
 def run(log_density, starts, moves, steps, seed=0):
@@ -74,7 +74,7 @@ def uncubed(v):
         return np.where(v > 0.0, np.abs(v) ** (1 / 3), np.nan)
 
 
-@pytest.mark.parametrize("name", ["de", "mix", "elsewhere"])
+@pytest.mark.parametrize("name", ["de", "mix", "elsewhere", "both"])
 def test_moves_keep_a_skewed_posterior_with_a_wall(name):
     """An exponential and a gamma: a wall at zero, no normal tails."""
     gamma = stats.gamma(3.0)
@@ -96,6 +96,12 @@ def test_moves_keep_a_skewed_posterior_with_a_wall(name):
         inner = [(IndependenceMove(proposal), 0.3), (DifferentialEvolutionMove(), 0.3)]
         moves = [(ElsewhereMove(move, cubed, uncubed), share) for move, share in inner]
         moves += [(DifferentialEvolutionMove(), 0.4)]
+    if name == "both":
+        # a third of what the straight one proposes has no way back, and is drawn anew
+        own = Proposal.normal(np.array([1.0, 3.0]), np.diag([1.0, 3.0]))
+        straight = Proposal.normal(np.array([1.0, 10.0]), np.diag([20.0, 900.0]))
+        both = ProposalInBoth(own, straight, 0.6, cubed, uncubed)
+        moves = [(IndependenceMove(both), 0.6), (DifferentialEvolutionMove(), 0.4)]
     chain = run(log_density, starts, moves, 6000)[:, :, 500:]
     n = chain[..., 0].size / autocorrelation_time(chain)
     flat = chain.reshape(-1, 2)
