@@ -72,12 +72,9 @@ class TorqueProblem:
         self.typical[self.typical == 0.0] = 0.1
         self.rounding = (ROUNDING**2) * float(self.measured @ self.measured)
 
-    def excerpt(self, most: int) -> TorqueProblem:
-        """Give the problem of excerpts of long recordings, of ``most`` outputs each.
-
-        A search for the lowest minimum needs no more. The same where no recording is longer.
-        """
-        some = [o.excerpt(most) for o in self.observations]
+    def excerpt(self) -> TorqueProblem:
+        """Give the problem of excerpts of long recordings; the same where none is long."""
+        some = [o.excerpt() for o in self.observations]
         if sum(o.filter.n_outputs for o in some) == self.measured.size:
             return self
         return TorqueProblem(self.chain, some, self.knowledge)

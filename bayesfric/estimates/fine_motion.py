@@ -40,8 +40,6 @@ from bayesfric.recordings.observation import Observation, refinable, with_motion
 
 # An estimate that the encoder's motion made is off by a sd or more; one that this made is not.
 _PASSES = 2
-# Outputs of each recording that tell them, at most: what the motion is made of need not be sharper.
-_OUTPUTS = 5_000
 # Each round takes the direction of motion from the one before; more change nothing.
 _ROUNDS = 4
 
@@ -80,7 +78,7 @@ def with_fine_motion(
         return None, found
     try:
         for _ in range(_PASSES):
-            some = [o.excerpt(_OUTPUTS) for o in found]
+            some = [o.excerpt() for o in found]
             point = dict(input_error(chain, some, knowledge, options, point).point)
             values = chain.vector(point)
             pairs = zip(recordings, observations, strict=True)

@@ -38,8 +38,8 @@ _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.
 _SAME = 0.01
 # Minima of the first pass that the second looks at again.
 _MINIMA = 3
-# Outputs of each recording that are searched for minima, at most.
-_SEARCHED = 2000
+# Steps downhill by the whole of long recordings before the lowest of an excerpt's minima is taken.
+_STEPS = 3
 # Share of the lowest criterion of all by which what is known may raise it, and none is lower.
 _REACHED = 1e-6
 # Share of the torque that counts as a change of one, at least.
@@ -104,7 +104,7 @@ def _estimate(
 ) -> Estimate:
     """Search from all starts, weigh recordings and known values, and state what was found."""
     chain, observations = problem.chain, problem.observations
-    some = problem.excerpt(_SEARCHED) if start is None else problem
+    some = problem.excerpt() if start is None else problem
     plain = Terms(np.ones(some.measured.size))
     if start is None:
         inside, lowest, searched = _starts(some, plain, options)
@@ -119,8 +119,9 @@ def _estimate(
     agreement = _agreement(some, found)
     if some is not problem:
         plain = Terms(np.ones(problem.measured.size))
-        found = [descend(problem, plain, one.x) for one in _distinct(some, found)]
-        found.sort(key=lambda one: one.height)
+        # a few steps tell which of them is the lowest of the whole
+        begun = [descend(problem, plain, x.x, iterations=_STEPS) for x in _distinct(some, found)]
+        found = [descend(problem, plain, min(begun, key=lambda one: one.height).x)]
     terms, x = _refined(problem, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)

@@ -40,8 +40,6 @@ from bayesfric.recordings.observation import Observation
 
 # Draws of the expected posterior that a cheaper likelihood is prepared for.
 _DRAWS = 300
-# Outputs of each recording by which places to start from are ranked, at most.
-_RANKED = 2000
 # Predicted outputs, over all draws, that a mean residual is made of.
 _PREDICTED = 2_000_000
 # Draws that are enough for intervals with the model's error, each of which is tried.
@@ -313,7 +311,7 @@ def fit(
         candidates = _candidates(target, begin, points, prior_draws)
         # estimates with a point searched from several starts, and are beside the mode already
         climbs = 1 if any(e.point for e in begin) else CLIMBS
-        heights = target.excerpt(_RANKED)(candidates)
+        heights = target.excerpt()(candidates)
         candidates = candidates[np.argsort(-heights)[:climbs]]
         prior_places = target.from_parameters(prior_draws)
         best = gauss_newton(target, candidates[0], prior_places)

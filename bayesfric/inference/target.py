@@ -197,10 +197,10 @@ class Target(LogPosterior):
         out.likelihood = self.likelihood.prepared(draws)
         return out
 
-    def excerpt(self, most: int) -> Target:
-        """Make the target of excerpts of long recordings, of ``most`` outputs each."""
+    def excerpt(self) -> Target:
+        """Make the target of excerpts of long recordings."""
         out = copy(self)
-        out.likelihood = self.likelihood.excerpt(most)
+        out.likelihood = self.likelihood.excerpt()
         return out
 
     def chain_values(self, parameters: Array) -> Array:

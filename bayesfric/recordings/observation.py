@@ -61,8 +61,9 @@ _GUARD = 10
 _LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
-# Neighbouring outputs that an excerpt keeps together: their windows overlap.
-_TOGETHER = 50
+# Outputs of an excerpt: enough to search, to rank and to shape what every sample is asked of then.
+# And neighbouring ones that it keeps together, as their windows overlap.
+_SOME, _TOGETHER = 5_000, 50
 # Every number actually used, in SI units.
 Settings = dict[str, float | int | str]
 # What ends a band.
@@ -117,7 +118,7 @@ class Observation:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
-    def excerpt(self, most: int) -> Observation:
+    def excerpt(self, most: int = _SOME) -> Observation:
         """Keep about so many outputs at most, in stretches all over the recording.
 
         Each is what it was: the samples of its window are kept as they are.

@@ -169,7 +169,8 @@ def covered(folder: Path, kind: str, parts: int = 20) -> dict[str, Any]:
     plan = Fleet.from_config(folder / "fleet.toml").plan
     found: dict[str, Any] = {}
     for k in range(parts):
-        several = fleet_population(folder / "all" / "units", plan.units[k::parts])
+        names = [unit.name for unit in plan.units[k::parts]]
+        several = fleet_population(folder / "all" / "units", names)
         for one in several.quantities:
             if one.name not in POPULATION[kind]:
                 continue

@@ -98,11 +98,8 @@ class Likelihood(ABC):
         """
         return self
 
-    def excerpt(self, most: int) -> Likelihood:  # noqa: ARG002
-        """Give the likelihood of excerpts of long recordings, of ``most`` outputs each.
-
-        Itself where that spares nothing.
-        """
+    def excerpt(self) -> Likelihood:
+        """Give the likelihood of excerpts of long recordings; itself where that spares nothing."""
         return self
 
     def prepared(self, draws: Array) -> Likelihood:  # noqa: ARG002

@@ -80,11 +80,9 @@ class TorqueLikelihood(Likelihood):
         """Whether the recordings were reduced to moments."""
         return self.moments is not self._plain
 
-    def excerpt(self, most: int) -> TorqueLikelihood:
+    def excerpt(self) -> TorqueLikelihood:
         """See :class:`Likelihood`."""
-        return TorqueLikelihood(
-            self.chain, [o.excerpt(most) for o in self.observations], self.noise
-        )
+        return TorqueLikelihood(self.chain, [o.excerpt() for o in self.observations], self.noise)
 
     def prepared(self, draws: Array) -> TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.

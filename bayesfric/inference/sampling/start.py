@@ -20,8 +20,6 @@ LogDensity = Callable[[Array], Array]
 _ONE_SD = 0.5
 # How far a density falls, for differences, where it is zero.
 _CLIFF = 50.0
-# Outputs of each recording that the information is taken from, at most; it grows with their number.
-_INFORMING = 10_000
 # Candidates that are followed to their peak.
 CLIMBS = 5
 
@@ -118,7 +116,7 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     centre, _ = target.to_parameters(mode[None])
     scales = target.noise.scales(centre[:, k:])[0]
     both = target.chain_values(np.concatenate([moved, centre]))
-    some, whole = target.likelihood.excerpt(_INFORMING), target.likelihood.outputs
+    some, whole = target.likelihood.excerpt(), target.likelihood.outputs
     jacobian = np.concatenate(
         [
             _differences(output, steps) * np.sqrt(every.measured.size / few.measured.size)

@@ -25,8 +25,6 @@ from bayesfric.report.words import listed
 LEVEL = 0.9
 # Samples times draws for the totals; more draws change nothing that is printed.
 _TOTALS_BUDGET = 25_000_000
-# Outputs of each recording whose motion says what totals are, at most.
-_TOTALS_OUTPUTS = 5_000
 # A total below this share of the others of its unit is zero but for rounding.
 _NOUGHT = 1e-9
 # The loss per torque that a factor or an efficiency is made of, eqs. (4) and (6), and the side on
@@ -178,7 +176,7 @@ def weakly_given(names: list[str]) -> dict[str, Any]:
 
 def _totals(fit: Fit) -> Group:
     """Give the totals of eq. (11) that are determined and no parameter."""
-    observations = [o.excerpt(_TOTALS_OUTPUTS) for o in fit.observations]
+    observations = [o.excerpt() for o in fit.observations]
     projection = TotalsProjection(fit.chain, observations)
     names = list(zip(projection.names, projection.labels, projection.open, strict=True))
     wanted = [
