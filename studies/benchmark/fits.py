@@ -2,8 +2,8 @@
 
 ``python studies/benchmark/fits.py [--runs 3] [--fits demo emps]`` fits each configuration so often,
 a process each, in turn with the imports, and prints medians: until the numbers stand, until all is
-written, and of each stage, as the progress bar names them. The demo is SIMULATED, the others are
-MEASURED (../shared/data). Writes ``fits.json``.
+written, and of each stage, as the progress bar names them, and how the sampler went. The demo is
+SIMULATED, the others are MEASURED (../shared/data). Writes ``fits.json``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ FITS = {
     "emps": HERE.parent / "emps" / "emps-autoregressive.toml",
     "ur10e": HERE.parent / "ur10e" / "ur10e-joint2.toml",
     "xl330": HERE.parent / "xl330" / "xl330.toml",
+    "pendulum": HERE.parent / "dfki-pendulum" / "clean.toml",
 }
 READING, WRITTEN = "importing, reading", "written"
+SAMPLER = ("acceptance", "tau", "min_ess", "warmup", "steps")
 
 
 def once(name: str, folder: Path) -> None:
@@ -48,12 +50,14 @@ def once(name: str, folder: Path) -> None:
 
     path = FITS[name]
     config = read_config(path) if path else demo_config()
-    fit(config, folder / "run", progress=seen, found=lambda _: now("numbers"))
+    made = fit(config, folder / "run", progress=seen, found=lambda _: now("numbers"))
     now(WRITTEN)
+    sampler = {key: made["sampler"][key] for key in SAMPLER}
     stages: dict[str, float] = {}
     for (stage, began), (_, ended) in itertools.pairwise(marks):
         stages[stage] = stages.get(stage, 0.0) + ended - began
-    print(json.dumps({"stages": stages, "numbers": dict(marks)["numbers"], WRITTEN: marks[-1][1]}))
+    ends = {"numbers": dict(marks)["numbers"], WRITTEN: marks[-1][1]}
+    print(json.dumps({"stages": stages, **ends, "sampler": sampler}))
 
 
 def main() -> None:
@@ -86,8 +90,10 @@ def main() -> None:
     for name, runs in took.items():
         stages = {s: median(r["stages"].get(s, 0.0) for r in runs) for s in runs[0]["stages"]}
         ends = {end: median(r[end] for r in runs) for end in ("numbers", WRITTEN)}
-        result[name] = {"imports": base, **ends, "stages": stages}
+        sampler = runs[-1]["sampler"]  # the same in all
+        result[name] = {"imports": base, **ends, "sampler": sampler, "stages": stages}
         print(f"{name}: " + ", ".join(f"{k} {v:.1f} = {v / base:.1f} ×" for k, v in ends.items()))
+        print("    " + ", ".join(f"{key} {x:.4g}" for key, x in sampler.items()))
         print("".join(f"    {stage:34}{x:6.2f}\n" for stage, x in stages.items()), end="")
     (HERE / "fits.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
