@@ -20,15 +20,12 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
-
-Index = NDArray[np.int64]
 
 # Most predecessors, and at least so many outputs for each.
 _ORDER, _OUTPUTS = 6, 20

@@ -39,10 +39,10 @@ Index = NDArray[np.intp]
 
 # Draws that tell where the posterior lies; and step to either side, in its sds.
 _DRAWS, _STEP = 4000, 0.3
-# Share of what the whole tells that an excerpt tells of any direction, at least.
-_TOLD = 0.05
 # How often that is halved where it leads to where nothing can be; and a move there drawn anew.
 _HALVINGS, _TRIES = 12, 12
+# Share of what the whole tells that an excerpt tells of any direction, at least.
+_TOLD = 0.05
 # Rounds of the Gibbs sampler of a normal that bounds cut.
 _ROUNDS = 20
 # Share of a candidate's shift that is taken; the rest is spread.

@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.arrays import Array, Flags, Segments
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -227,7 +227,7 @@ class ParallelFilter:
         """Number of outputs M."""
         return len(self.starts)
 
-    def excerpt(self, outputs: NDArray[np.int64]) -> tuple[ParallelFilter, NDArray[np.int64]]:
+    def excerpt(self, outputs: Index) -> tuple[ParallelFilter, Index]:
         """Keep some outputs ``(m,)``, rising, and the samples that they are made of.
 
         Gives the filter that takes these samples alone, and which they are.

@@ -14,8 +14,8 @@ from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.timebase import LEAST_SAMPLES
 
-# Stretches of a recording that an excerpt is made of.
-_STRETCHES = 8
+# Stretches of a recording that an excerpt is made of, at most, and the samples of one, at least.
+_STRETCHES, _STRETCH = 8, 1000
 # How a torque goes between its samples.
 Hold = Literal["zero", "linear", "cubic"]
 
@@ -77,20 +77,22 @@ class Measurement:
         )
 
     def excerpt(self, most: int) -> Measurement:
-        """Cut out about so many samples at most, in eight stretches all over the recording.
+        """Cut out so many samples at most, in up to eight stretches all over the recording.
 
         Stumps of segments go, as in reading. The same where there are no more samples.
         """
-        count, length = self.time.size, most // _STRETCHES
+        count, stretches = self.time.size, min(_STRETCHES, max(1, most // _STRETCH))
         if count <= most:
             return self
-        begins = np.linspace(0, count - length, _STRETCHES).astype(np.int64)
-        kept = [
+        length = most // stretches
+        begins = np.linspace(0, count - length, stretches).astype(np.int64)
+        cut = [
             np.arange(max(a, begin), min(b, begin + length))
             for begin in begins.tolist()
             for a, b in self.segments
-            if min(b, begin + length) - max(a, begin) >= LEAST_SAMPLES
+            if a < begin + length and b > begin
         ]
+        kept = [part for part in cut if part.size >= LEAST_SAMPLES] or cut
         ends = np.cumsum([0, *(part.size for part in kept)]).tolist()
         return self.part(np.concatenate(kept), tuple(pairwise(ends)))
 

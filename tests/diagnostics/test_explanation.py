@@ -98,6 +98,12 @@ def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
     )
 
 
+def test_an_excerpt_too_short_for_the_filters_is_not_asked(right, monkeypatch):
+    """As of thousands of short recordings, of which each has its share."""
+    monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", 200)
+    assert right.explain().reason == "simulation"
+
+
 def test_few_outputs_are_not_asked():
     assert Model(axis(), recording(table()[:400])).explain().reason == "few"
 

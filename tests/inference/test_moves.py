@@ -97,7 +97,7 @@ def test_moves_keep_a_skewed_posterior_with_a_wall(name):
         moves = [(ElsewhereMove(move, cubed, uncubed), share) for move, share in inner]
         moves += [(DifferentialEvolutionMove(), 0.4)]
     if name == "both":
-        # a third of what the straight one proposes has no way back, and is drawn anew
+        # most of what the straight one proposes has no way back, and is drawn anew
         own = Proposal.normal(np.array([1.0, 3.0]), np.diag([1.0, 3.0]))
         straight = Proposal.normal(np.array([1.0, 10.0]), np.diag([20.0, 900.0]))
         both = ProposalInBoth(own, straight, 0.6, cubed, uncubed)

@@ -82,7 +82,10 @@ class TorqueLikelihood(Likelihood):
 
     def excerpt(self) -> TorqueLikelihood:
         """See :class:`Likelihood`."""
-        return TorqueLikelihood(self.chain, [o.excerpt() for o in self.observations], self.noise)
+        some = [o.excerpt() for o in self.observations]
+        if all(few is o for few, o in zip(some, self.observations, strict=True)):
+            return self
+        return TorqueLikelihood(self.chain, some, self.noise)
 
     def prepared(self, draws: Array) -> TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.

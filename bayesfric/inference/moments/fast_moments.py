@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.inference.moments.linear_torque import Coefficients, LinearTorque, linear_torque
-from bayesfric.inference.moments.moment_matrices import CELL, Index, MomentMatrices, moment_matrices
+from bayesfric.inference.moments.moment_matrices import CELL, MomentMatrices, moment_matrices
 from bayesfric.inference.moments.residual_moments import (
     Moments,
     PlainMoments,
@@ -29,7 +29,7 @@ from bayesfric.inference.moments.residual_moments import (
 )
 from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, Index
 from bayesfric.recordings.observation import Observation
 
 # How far the region reaches. Draws look only as far as they are away themselves, so width costs

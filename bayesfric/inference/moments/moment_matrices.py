@@ -27,10 +27,8 @@ from numpy.typing import NDArray
 from bayesfric.inference.moments.linear_torque import LinearTorque
 from bayesfric.inference.moments.residual_moments import Runs, product_sum
 from bayesfric.inference.moments.sign_region import SignRegion
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, Index
 from bayesfric.recordings.observation import Observation
-
-Index = NDArray[np.int64]
 
 # Neighbouring kept outputs that are marked together.
 CELL = 8
