@@ -358,6 +358,38 @@ def compare(
 
 
 @app.command()
+def arm(
+    urdf: Annotated[Path, typer.Argument(metavar="ROBOT.urdf", help="of the arm, with inertials")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="positions and efforts of its joints")],
+    output: Annotated[
+        Path | None, Option("-o", "--output", help="folder to make; LOG-arm if left out")
+    ] = None,
+    config: Annotated[
+        Path | None, Option("--config", metavar="arm.toml", help="what else is known")
+    ] = None,
+    predict: Annotated[
+        Path | None, Option(metavar="LOG", help="another motion, to be predicted")
+    ] = None,
+    full: Annotated[bool, Option("--full", help="figures, tables and page of each joint")] = False,
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
+    from bayesfric.arm.arm import Arm
+    from bayesfric.base.written import check_free
+
+    folder = output or Path(f"{log.stem}-arm")
+    check_free(folder, force=None)
+    with _progress() as progress:
+        made = Arm(urdf, {} if config is None else config)
+        found = made.fit(log, predict=predict, seed=seed, progress=progress)
+        page = found.write(folder, full=full)
+    _print(found.as_json(), as_json, [*found.text(), "", f"Written: {page}"])
+    if not found.reliable:
+        raise typer.Exit(NOT_CONVERGED)
+
+
+@app.command()
 def fleet(
     plan: Annotated[Path, typer.Argument(metavar="FLEET", help="template and units (TOML)")],
     output: Annotated[

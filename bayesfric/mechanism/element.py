@@ -10,6 +10,7 @@ from bayesfric.base.errors import nearest
 from bayesfric.mechanism.quantities import (
     CHOICES,
     CYCLES,
+    LISTED,
     LOAD_CHOICES,
     QUANTITIES,
     Motion,
@@ -40,7 +41,7 @@ class _Bearer:
         found: dict[str, Any] = {}
         for option in dict.fromkeys(q.option for q in self.quantities if q.option):
             rows = [q for q in self.quantities if q.option == option]
-            if option in CYCLES:
+            if option in LISTED:
                 found[option] = tuple(dict.fromkeys(q.choice for q in rows))
             else:
                 known = self._options[option]
@@ -136,7 +137,8 @@ class Load(_Bearer):
         Rows of the table, where no choice says otherwise.
     **choices
         ``inertia``, ``first_moment``, ``gravity_angle``: whether the load has the term. Real
-        arms do not hang at ``q = 0``: that is what ``gravity_angle`` is for.
+        arms do not hang at ``q = 0``: that is what ``gravity_angle`` is for. ``signals``: names
+        of further columns of the recording, torques that are known up to a coefficient.
 
     Raises
     ------
@@ -171,8 +173,8 @@ def _chosen(
     """Rows that choices bring and those given, in the order of the table; choices come first."""
     repeated: list[Quantity] = []
     for option, choice in choices.items():
-        if option in CYCLES:
-            repeated += [q for cycles in choice for q in CYCLES[option](_cycles(option, cycles))]
+        if option in LISTED:
+            repeated += [q for one in choice for q in LISTED[option](_listed(option, one))]
             continue
         if option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
@@ -183,11 +185,16 @@ def _chosen(
     chosen = (
         q for q in table if (q.brought_by(choices[q.option]) if q.option in choices else q in given)
     )
-    kept = (q for q in given if q not in table and not (q.option in CYCLES and q.option in choices))
+    kept = (q for q in given if q not in table and not (q.option in LISTED and q.option in choices))
     return tuple(dict.fromkeys((*chosen, *kept, *repeated)))
 
 
-def _cycles(option: str, cycles: Any) -> int:
-    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
-        raise ValueError(f"{option} = {cycles!r} is no number of cycles a turn; write 1, 2, ...")
-    return cycles
+def _listed(option: str, one: Any) -> int | str:
+    if option not in CYCLES:
+        if not (isinstance(one, str) and one.isidentifier() and one not in QUANTITIES):
+            what = "is no name of a column that a parameter can have"
+            raise ValueError(f"{option} = {one!r} {what}; write letters, digits and _")
+        return one
+    if isinstance(one, bool) or not isinstance(one, int) or one < 1:
+        raise ValueError(f"{option} = {one!r} is no number of cycles a turn; write 1, 2, ...")
+    return one

@@ -323,7 +323,7 @@ def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues
         )
     found = {}
     for k, (name, zero) in signals.items():
-        signal = getattr(inputs, name)
+        signal = inputs.signal(name)
         if signal is None:
             raise ValueError(f"the inputs hold no {name}")
         found[k] = (signal, zero)

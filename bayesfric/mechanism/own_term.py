@@ -135,7 +135,7 @@ def along(
     """
     factor: Any = 1.0
     if row.signal:
-        signal = getattr(inputs, row.signal)
+        signal = inputs.signal(row.signal)
         if signal is None:
             raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
         factor = np.asarray(signal.at(time)) - row.zero

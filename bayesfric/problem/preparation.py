@@ -78,11 +78,13 @@ def prepare(
         doubted: tuple[Attenuated, ...] = ()
         for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
             for o in divided.observations:
-                if getattr(o.inputs, signal) is None:
+                if o.inputs.signal(signal) is None:
                     raise BadInput(
                         f"recording {o.name!r}",
-                        f"has no {signal}, and the mechanism has losses that depend on it",
-                        f"name its column with {signal} = {{ column = ... }}",
+                        f"has no {signal}, and the mechanism has terms that depend on it",
+                        f"name its column with {signal} = {{ column = ... }}"
+                        if signal == "temperature"
+                        else f'name its column: others = ["{signal}"]',
                     )
         both = divided.recordings, divided.observations
         if attenuated := attenuations(chain, *both, tables.processing):

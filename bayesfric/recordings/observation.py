@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ from bayesfric.recordings.resolution import (
     too_coarse,
 )
 
+_Signal = TypeVar("_Signal", Signal, Signal | None)
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
 # Samples beside a rest that are not used, at least; and of a rest.
@@ -254,8 +256,12 @@ def observe(
         inputs=replace(
             recording.inputs,
             recording=recording.name,
-            # what is compared with it has passed this, too
+            # what is compared with them has passed this, too
             load_torque=_smoothed(recording.inputs.load_torque, recording, settings),
+            others={
+                name: _smoothed(signal, recording, settings)
+                for name, signal in recording.inputs.others.items()
+            },
         ),
         steps=(*recording.steps, *_told(numbers, recording, settings)),
         warnings=tuple(warnings),
@@ -267,10 +273,10 @@ def observe(
 
 
 def _smoothed(
-    signal: Signal | None, recording: Measurement, settings: Mapping[str, float | int | str]
-) -> Signal | None:
+    signal: _Signal, recording: Measurement, settings: Mapping[str, float | int | str]
+) -> _Signal:
     if signal is None:
-        return None
+        return signal
     values = signal.at(recording.time)
     passed = as_position(values, recording.segments, recording.period, settings)
     return Signal(recording.time, passed)
@@ -312,7 +318,11 @@ def with_motion(
         smooth=o.qdd,
         speed=qd[o.filter.centres],
         measured=o.filter.apply(o.compared),
-        inputs=replace(o.inputs, load_torque=recording.inputs.load_torque),
+        inputs=replace(
+            o.inputs,
+            load_torque=recording.inputs.load_torque,
+            others=recording.inputs.others,
+        ),
         steps=(*o.steps, told),
         settings=settings,
     )
@@ -415,13 +425,7 @@ def _prepared(
 ) -> _Prepared:
     """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
     segments, trim = recording.segments, numbers.trim_samples
-    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
-    if recording.velocity is None:
-        qd = derivative(q, segments, recording.period, numbers.reach)
-    else:
-        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
-        if recording.velocity_lag:
-            qd = unlagged(qd, segments, recording.period, recording.velocity_lag, numbers.reach)
+    q, qd = filtered_motion(recording, numbers.cutoff, processing.order, numbers.reach)
     kept = trimmed(segments, trim)
     inside = np.zeros(len(q), dtype=np.bool_)
     for a, b in kept:
@@ -443,6 +447,20 @@ def _prepared(
     parts = compared_parts(recording, trim)
     chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
+
+
+def filtered_motion(
+    recording: Measurement, cutoff: float, order: int, reach: int
+) -> tuple[Array, Array]:
+    """Position and speed of the joint ``(N,)``, low-passed; differentiated if not recorded."""
+    segments, period, fs = recording.segments, recording.period, 1.0 / recording.period
+    q = lowpass(recording.position, segments, fs, cutoff, order)
+    if recording.velocity is None:
+        return q, derivative(q, segments, period, reach)
+    qd = lowpass(recording.velocity, segments, fs, cutoff, order)
+    if recording.velocity_lag:
+        qd = unlagged(qd, segments, period, recording.velocity_lag, reach)
+    return q, qd
 
 
 def _windows(
