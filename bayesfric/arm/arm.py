@@ -202,9 +202,8 @@ class Arm:
 
     def _model(self, joint: UrdfJoint, logs: Sequence[ArmLog], felt: _Felt) -> Model:
         """Make the model of one joint: an element, its load the torque of the bodies."""
-        own, name = self._own(joint.name), joint.name
+        own = self._own(joint.name)
         recordings = [log.recording(joint, t) for log, t in zip(logs, felt.torques, strict=True)]
-        names = [f"recording-{n}" for n in range(1, 1 + len(logs))]
         columns = signals(felt.kept.shape[1])
         priors: dict[str, Any] = {
             f"load.{one}": {"distribution": "norm", "loc": 0.0, "scale": 1.0} for one in columns
@@ -215,7 +214,7 @@ class Arm:
             priors["motor.inertia"] = {"distribution": "norm", **width}
         tables = dict(self.options.fit)
         if len(logs) > 1:
-            tables["validation"] = {"recordings": names[1:]}
+            tables["validation"] = {"recordings": [one.source.name for one in recordings[1:]]}
         document = {
             "mechanism": {
                 "terms": tables.pop("terms", "auto"),
@@ -228,7 +227,7 @@ class Arm:
             "priors": {**priors, **own.priors},
             **tables,
         }
-        path = Path(f"joint {name}")
+        path = Path(joint.name)
         config = parse_config(document_text(document, path), path)
         return Model.from_config(config, recordings=recordings)
 

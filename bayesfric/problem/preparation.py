@@ -78,7 +78,9 @@ def prepare(
         doubted: tuple[Attenuated, ...] = ()
         for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
             for o in divided.observations:
-                if o.inputs.signal(signal) is None:
+                if o.inputs.signal(signal) is None or (
+                    signal != "temperature" and signal not in o.inputs.others
+                ):
                     raise BadInput(
                         f"recording {o.name!r}",
                         f"has no {signal}, and the mechanism has terms that depend on it",

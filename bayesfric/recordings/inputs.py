@@ -47,9 +47,14 @@ class Inputs:
     others: Mapping[str, Signal] = field(default_factory=dict, compare=False)
 
     def signal(self, name: str) -> Signal | None:
-        """Look up what a term may be multiplied by; a further column by its name."""
-        own: Signal | None = getattr(self, name, None) if name in _SIGNALS else None
-        return own or self.others.get(name)
+        """Look up what a term may be multiplied by; a further column, if there is one, by name.
+
+        Where no file is, as of motions that are thought of, a further column is zero.
+        """
+        if name in _SIGNALS:
+            own: Signal | None = getattr(self, name)
+            return own
+        return self.others.get(name, steady(0.0))
 
     @property
     def known_load(self) -> bool:
