@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from bayesfric.base.options import Options
 from bayesfric.mechanism.configuration import ElementOptions
+from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.units import Kilograms, Metres
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -75,10 +76,15 @@ class ArmOptions(Options):
         ElementOptions(),
         description="What joints have besides, or instead, as an element of a mechanism.",
     )
+    terms: Literal["auto", "as written"] = Field(
+        "auto", description="auto puts in what else explains a joint's torque."
+    )
+    processing: Processing = Field(
+        Processing(), description="As [processing] of a configuration, for all joints."
+    )
     fit: dict[str, Any] = Field(
         default_factory=dict,
-        description="Other tables of a configuration: processing, noise, sampling, self_check, "
-        "terms.",
+        description="Other tables of a configuration: noise, sampling, self_check, likelihood.",
     )
     joints: dict[str, JointOptions] = Field(
         default_factory=dict, description="By name, as in the URDF."

@@ -11,9 +11,12 @@ on one motion: the principal ones, by a singular value decomposition.
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,6 +30,8 @@ from bayesfric.recordings.arrays import Array
 _LARGEST = 10_000_000
 _MOTIONS: dict[str, Motion] = {"revolute": "rotary", "continuous": "rotary", "prismatic": "linear"}
 _OF_ONE = 10  # inertial parameters of a body
+# What iDynTree says on stderr where it reads on past what it should not.
+_REFUSED = ("[ERROR]", "[WARNING] InertiaElement")
 
 
 @dataclass(frozen=True)
@@ -35,35 +40,20 @@ class UrdfJoint:
 
     name: str
     motion: Motion
-    child: str  # link
-    limits: tuple[float, float]  # rad or m
+    range: float  # between its limits, rad or m; infinite without
     mimics: tuple[str, float, float] | None  # whose position, times what, plus what
 
 
 @dataclass(frozen=True, eq=False)
-class Motions:
-    """Motion of joints at n moments, ``(n_joints, n)`` each; rad or m and s."""
-
-    q: Array
-    qd: Array
-    qdd: Array
-
-    def thinned(self, most: int) -> Motions:
-        """Keep at most so many moments, evenly spread."""
-        at = np.unique(np.linspace(0, self.q.shape[1] - 1, most).astype(int))
-        return Motions(self.q[:, at], self.qd[:, at], self.qdd[:, at])
-
-
-@dataclass(frozen=True, eq=False)
 class Doubt:
-    """A Gaussian over the inertial parameters: ``nominal + spread @ z``, ``z`` standard normal.
+    """A Gaussian over inertial parameters: ``nominal + spread @ z``, ``z`` standard normal.
 
-    ``causes`` name the components of ``z`` and what one of each is, with its unit.
+    ``causes`` name the components of ``z`` and say what one of each is, with its unit.
     """
 
     nominal: Array  # (10 n_links,)
     spread: Array  # (10 n_links, n_causes)
-    causes: tuple[tuple[str, float, str], ...]
+    causes: Sequence[tuple[str, float, str]]
 
 
 class Bodies:
@@ -76,6 +66,13 @@ class Bodies:
     gravity
         In the frame of its root, m/s².
 
+    Attributes
+    ----------
+    joints
+        Those that move and mimic none, by name.
+    links
+        Names of the bodies.
+
     Raises
     ------
     BadInput
@@ -83,20 +80,19 @@ class Bodies:
     """
 
     def __init__(self, path: Path, gravity: Vector) -> None:
-        every, self._tip = _joints(path)
+        every = _joints(path)
         try:
             import idyntree.bindings as idyntree
         except ImportError as error:
             mend = "pip install 'bayesfric[arm]'"
             raise BadInput(str(path), "is a URDF, whose torques iDynTree computes", mend) from error
         loader = idyntree.ModelLoader()
-        if not loader.loadModelFromFile(str(path)):
-            what = "is no URDF that iDynTree reads"
-            raise BadInput(str(path), what, "look at it with check_urdf")
+        if wrong := _said(lambda: loader.loadModelFromFile(str(path))):
+            raise BadInput(str(path), f"is no URDF of an arm: {wrong}", "look with check_urdf")
         model = loader.model()
         self.path = path
         self.joints = {name: joint for name, joint in every.items() if joint.mimics is None}
-        self.links = tuple(model.getLinkName(k) for k in range(model.getNrOfLinks()))
+        self.links = [model.getLinkName(k) for k in range(model.getNrOfLinks())]
         self._gravity, self._engine = np.array(gravity), idyntree.KinDynComputations()
         self._engine.loadRobotModel(model)
         found = idyntree.VectorDynSize()
@@ -105,13 +101,15 @@ class Bodies:
         if not self._nominal[:, 0].any():
             raise BadInput(str(path), "no link has an <inertial> with a mass", "give links theirs")
         self._out = idyntree.MatrixDynSize(6 + model.getNrOfDOFs(), self._nominal.size)
-        at = {name: model.getJoint(model.getJointIndex(name)).getDOFsOffset() for name in every}
-        # from the joints that mimic none to all coordinates, and their torques back
-        self._moves, self._plus = np.zeros((len(at), len(self.joints))), np.zeros(len(at))
+        # from joints that mimic none to all coordinates, and torques back
         order = list(self.joints)
+        self._moves, self._plus = np.zeros((len(every), len(order))), np.zeros(len(every))
         for name, joint in every.items():
-            of, times, self._plus[at[name]] = joint.mimics or (name, 1.0, 0.0)
-            self._moves[at[name], order.index(of)] = times
+            at = model.getJoint(model.getJointIndex(name)).getDOFsOffset()
+            of, times, self._plus[at] = joint.mimics or (name, 1.0, 0.0)
+            if of not in order:
+                raise BadInput(str(path), f"{name!r} mimics {of!r}", nearest(of, order))
+            self._moves[at, order.index(of)] = times
 
     def doubt(self, told: Uncertainty, payload: Payload) -> Doubt:
         """Lay out what is known of the inertial parameters, with what is bolted on.
@@ -121,50 +119,49 @@ class Bodies:
         BadInput
             If there is no such link.
         """
-        link = payload.link or self._tip
+        link = payload.link or self._tip()
         if link not in self.links:
             raise BadInput("payload.link", f"no link is called {link!r}", nearest(link, self.links))
-        bolted = _point(payload.mass, np.array(payload.centre))
-        columns = [self._whole(range(len(self.links)), told.factor)]
-        causes = [("all bodies", told.factor, "")]
+        spread, causes = list[Array](), list[tuple[str, float, str]]()
+
+        def add(name: str, sd: float, unit: str, body: int | slice, of_one: Any) -> None:
+            column = np.zeros_like(self._nominal)
+            column[body] = sd * np.asarray(of_one)
+            spread.append(column.ravel())
+            causes.append((name, sd, unit))
+
+        add("all bodies", told.factor, "", slice(None), self._nominal)
+        first = np.eye(_OF_ONE)[1:4]  # moments along the axes
         for k, name in enumerate(self.links):
             if mass := self._nominal[k, 0]:
-                columns.append(self._whole([k], told.factor))
-                causes.append((f"{name} by itself", told.factor, ""))
-                for axis in range(3):
-                    columns.append(self._one(k, 1 + axis, mass * told.centre))
-                    causes.append((f"centre of {name}, {'xyz'[axis]}", told.centre, "m"))
-        k = self.links.index(link)
-        column = np.zeros_like(self._nominal)
-        column[k] = _point(payload.mass_sd, np.array(payload.centre))
-        columns.append(column)
-        causes.append((f"payload of {link}", payload.mass_sd, "kg"))
-        moment = payload.mass_sd * payload.centre_sd
-        for axis in range(3):
-            columns.append(self._one(k, 1 + axis, moment))
-            causes.append((f"payload's moment, {'xyz'[axis]}", moment, "kg m"))
+                add(f"{name} by itself", told.factor, "", k, self._nominal[k])
+                for axis, moment in zip("xyz", mass * first, strict=True):
+                    add(f"centre of {name}, {axis}", told.centre, "m", k, moment)
+        k, one_kg = self.links.index(link), _point(np.array(payload.centre))
+        add(f"payload of {link}", payload.mass_sd, "kg", k, one_kg)
+        for axis, moment in zip("xyz", first, strict=True):
+            name = f"moment of the payload, {axis}"
+            add(name, payload.mass_sd * payload.centre_sd, "kg m", k, moment)
         nominal = self._nominal.copy()
-        nominal[k] += bolted
-        spread = np.stack([column.ravel() for column in columns], axis=1)
-        return Doubt(nominal.ravel(), spread, tuple(causes))
+        nominal[k] += payload.mass * one_kg
+        return Doubt(nominal.ravel(), np.stack(spread, axis=1), causes)
 
-    def torques(self, motion: Motions, parameters: Array) -> Array:
+    def torques(self, motion: Array, parameters: Array) -> Array:
         """Torques of the joints for inertial parameters, ``(n_joints, k, n)``, N m or N.
 
         Parameters
         ----------
         motion
-            Of :attr:`joints`, in their order.
+            ``(3, n_joints, n)`` position, speed and acceleration of :attr:`joints`.
         parameters
             ``(n_joints, 10 n_links, k)``, a joint's own k columns.
         """
-        n_joints, _, k = parameters.shape
-        out = np.empty((motion.q.shape[1], n_joints, k))
+        out = np.empty((motion.shape[2], len(parameters), parameters.shape[2]))
         for i, regressor in enumerate(self._regressors(motion)):
             out[i] = np.einsum("jp,jpk->jk", regressor, parameters)
         return np.moveaxis(out, 0, 2)
 
-    def directions(self, motion: Motions, doubt: Doubt, small: Array) -> list[Array]:
+    def directions(self, motion: Array, doubt: Doubt, small: Array) -> list[Array]:
         """Find combinations of the causes that each joint's torque feels, ``(n_causes, k)`` each.
 
         They are orthonormal, so that their coefficients are standard normal, too. Of what is left
@@ -178,103 +175,66 @@ class Bodies:
             found.append(right[left_out > least].T)
         return found
 
-    def _regressors(self, motion: Motions) -> Iterator[Array]:
+    def _regressors(self, motion: Array) -> Iterator[Array]:
         """Give the regressor of every moment, ``(n_joints, 10 n_links)``."""
         base, still = np.eye(4), np.zeros(6)
-        q, qd, qdd = (self._moves @ x for x in (motion.q, motion.qd, motion.qdd))
+        q, qd, qdd = (self._moves @ x for x in motion)
         q += self._plus[:, None]
         for i in range(q.shape[1]):
             self._engine.setRobotState(base, q[:, i], still, qd[:, i], self._gravity)
             self._engine.inverseDynamicsInertialParametersRegressor(still, qdd[:, i], self._out)
             yield self._moves.T @ self._out.toNumPy()[6:]
 
-    def _whole(self, bodies: Sequence[int], factor: float) -> Array:
-        column: Array = np.zeros_like(self._nominal)
-        column[list(bodies)] = factor * self._nominal[list(bodies)]
-        return column
-
-    def _one(self, body: int, at: int, value: float) -> Array:
-        column: Array = np.zeros_like(self._nominal)
-        column[body, at] = value
-        return column
+    def _tip(self) -> str:
+        """Name the link that most joints move, of several the last."""
+        somewhere = np.ones((3, len(self.joints), 1))
+        moved = next(self._regressors(somewhere)).reshape(len(self.joints), -1, _OF_ONE)
+        counts = np.count_nonzero(np.abs(moved).sum(axis=2) > 1e-9, axis=0)
+        last = int(np.flatnonzero(counts == counts.max())[-1])
+        return str(self.links[last])
 
 
-def _point(mass: float, at: Array) -> Array:
-    """Inertial parameters of a mass at a place of the link's frame."""
-    inertia = mass * (at @ at * np.eye(3) - np.outer(at, at))
-    return np.array([mass, *(mass * at), *inertia[np.triu_indices(3)]])
+def _point(at: Array) -> Array:
+    """Inertial parameters of a kilogram at a place of the link's frame."""
+    inertia = at @ at * np.eye(3) - np.outer(at, at)
+    return np.array([1.0, *at, *inertia[np.triu_indices(3)]])
 
 
-def _joints(path: Path) -> tuple[dict[str, UrdfJoint], str]:
-    """Read the joints that move, and name the link that most of them move."""
+def _joints(path: Path) -> dict[str, UrdfJoint]:
+    """Read what iDynTree does not tell of the joints that move."""
     text = read_text(path, "name the robot's .urdf file", largest=_LARGEST)
+    found = {}
     try:
-        robot = ElementTree.fromstring(text)
+        for joint in ElementTree.fromstring(text).findall("joint"):
+            name, kind = joint.get("name", ""), joint.get("type", "")
+            limit, mimic = (getattr(joint.find(one), "attrib", {}) for one in ("limit", "mimic"))
+            width = float(limit.get("upper", 0)) - float(limit.get("lower", 0))
+            if kind in _MOTIONS:
+                times, plus = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
+                found[name] = UrdfJoint(
+                    name,
+                    _MOTIONS[kind],
+                    width if width > 0.0 and kind != "continuous" else np.inf,
+                    (mimic.get("joint", ""), times, plus) if mimic else None,
+                )
     except (ElementTree.ParseError, ValueError) as error:
-        raise BadInput(
-            str(path), f"is no XML ({error})", "give the URDF, as xacro makes it"
-        ) from None
-    if robot.tag != "robot" or robot.find("link") is None:
-        raise BadInput(str(path), "is no URDF: it has no <robot> with links", "give the URDF")
-    links = {str(link.get("name")) for link in robot.findall("link")}
-    parents: dict[str, tuple[str, bool]] = {}
-    found: dict[str, UrdfJoint] = {}
-    for joint in robot.findall("joint"):
-        name, kind = str(joint.get("name")), joint.get("type")
-        ends = {
-            e: str(getattr(joint.find(e), "attrib", {}).get("link")) for e in ("parent", "child")
-        }
-        if missing := [end for end in ends.values() if end not in links]:
-            what = f"joint {name!r} names a link {missing[0]!r} that is not there"
-            raise BadInput(str(path), what, nearest(missing[0], links))
-        parents[ends["child"]] = (ends["parent"], kind in _MOTIONS)
-        if kind in _MOTIONS:
-            found[name] = _joint(path, joint, name, ends["child"])
-        elif kind != "fixed":
-            what = f"joint {name!r} is {kind}"
-            raise BadInput(str(path), what, f"it can be {', '.join(_MOTIONS)} or fixed")
-    for one in found.values():
-        if one.mimics and (one.mimics[0] not in found or found[one.mimics[0]].mimics):
-            what = f"joint {one.name!r} mimics {one.mimics[0]!r}, which does not move by itself"
-            raise BadInput(str(path), what, "let it mimic one that does")
+        raise BadInput(str(path), f"is no URDF ({error})", "give what xacro makes") from None
     if not found:
-        raise BadInput(str(path), "has no joint that moves", "give the URDF of the arm")
-
-    def depth(one: UrdfJoint) -> int:
-        link, count, seen = one.child, 0, set[str]()
-        while link in parents and link not in seen:
-            seen.add(link)
-            link, moves = parents[link]
-            count += moves
-        return count
-
-    return found, max(found.values(), key=depth).child
+        raise BadInput(str(path), "has no joint that moves", "give the URDF of an arm")
+    return found
 
 
-def _joint(path: Path, joint: ElementTree.Element, name: str, child: str) -> UrdfJoint:
-    def number(of: str, key: str, default: float) -> float:
-        part = joint.find(of)
+def _said(load: Any) -> str:
+    """Load something, and give the first complaint on stderr, where libraries in C++ write."""
+    with tempfile.TemporaryFile() as caught:
+        kept = os.dup(2)
+        os.dup2(caught.fileno(), 2)
         try:
-            value = float(default if part is None else part.get(key, default))
-        except ValueError:
-            value = np.nan
-        if np.isnan(value):
-            raise BadInput(str(path), f"joint {name!r}: {of} {key} is no number", "correct it")
-        return value
-
-    kind = str(joint.get("type"))
-    mimic = joint.find("mimic")
-    limits = (number("limit", "lower", -np.inf), number("limit", "upper", np.inf))
-    return UrdfJoint(
-        name,
-        _MOTIONS[kind],
-        child,
-        (-np.inf, np.inf) if kind == "continuous" else limits,
-        None
-        if mimic is None
-        else (
-            str(mimic.get("joint")),
-            number("mimic", "multiplier", 1.0),
-            number("mimic", "offset", 0.0),
-        ),
-    )
+            load()
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+        caught.seek(0)
+        lines = caught.read().decode("utf-8", "replace").splitlines()
+    wrong = next((line for line in lines if line.startswith(_REFUSED)), "")
+    return wrong.rpartition(" : ")[2].strip()

@@ -69,7 +69,7 @@ def _progress() -> Any:
 @app.command()
 def init(
     preset: Annotated[
-        str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet")
+        str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet, arm")
     ] = None,
     output: Annotated[Path | None, Option("-o", "--output", help="file to write")] = None,
     log: Annotated[
@@ -77,6 +77,7 @@ def init(
     ] = None,
     table: Annotated[str | None, Option(help="with --from: table, group or topic in it")] = None,
     joint: Annotated[str | None, Option(help="with --from: which joint of several")] = None,
+    urdf: Annotated[Path | None, Option(metavar="ROBOT.urdf", help="of an arm")] = None,
     all_keys: Annotated[bool, Option("--all-keys", help="every key, its type and meaning")] = False,
     schema: Annotated[bool, Option("--schema", help="the JSON schema, for editors")] = False,
     force: Annotated[bool, Option("--force", help="replace the file to write")] = False,
@@ -96,7 +97,14 @@ def init(
         raise BadInput("--force", "replaces a file", "name it with -o")
     if log is None and (table or joint):
         raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
-    if log is not None:
+    if (preset == "arm") != (urdf is not None) or (urdf and not log):
+        raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
+    if log is not None and urdf is not None:
+        from bayesfric.commands.arm import arm_configuration
+
+        found = arm_configuration(log, urdf, table)
+        text = found["text"]
+    elif log is not None:
         found = configuration_from(log, preset, output, table=table, joint=joint)
         text = found["text"]
     elif asked:
