@@ -25,9 +25,10 @@ from bayesfric.base.progress import Progress, Shown, progress_shown
 from bayesfric.fit.model import Model
 from bayesfric.fit.result import Result
 from bayesfric.problem.config import checked_toml, parse_config, read_toml
-from bayesfric.problem.config_text import document_text, recording_table
+from bayesfric.problem.config_text import document_text, recording_table, toml_value
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.units import OPEN
 
 # What a joint has.
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
@@ -62,9 +63,12 @@ class Arm:
     def __init__(
         self, urdf: Path | str, options: Path | str | Mapping[str, Any] | None = None
     ) -> None:
-        named = isinstance(options, Path | str)
-        where = Path(options) if isinstance(options, Path | str) else Path("Arm")
-        text = read_toml(where) if named else document_text(options or {}, where)  # type: ignore[arg-type]
+        if isinstance(options, Path | str):
+            where = Path(options)
+            text = read_toml(where)
+        else:
+            where = Path("Arm")
+            text = "\n".join(f"{k} = {toml_value(x, k)}" for k, x in (options or {}).items())
         self.options = checked_toml(text, where, ArmOptions, "table of an arm")
         self.bodies = Bodies(Path(urdf), self.options.gravity)
         joints = self.bodies.joints
@@ -107,6 +111,10 @@ class Arm:
         if "position" not in options.recording:
             found = layout_of(path, joints, options.recording.get("table"))
             layout = Layout({**found.recording, **options.recording}, found.labels)
+            if OPEN in str(layout.recording):
+                what = f"does not tell all units: {toml_value(layout.recording)}"
+                mend = "write them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
+                raise BadInput(str(path), what, mend)
         paths = [path] if predict is None else [path, Path(predict)]
         with progress_shown(progress) as tell:
             tell(Progress("motion"))
@@ -171,7 +179,7 @@ class Arm:
         urdf, *off = felt.torques[0]
         told = replace(
             told,
-            remarks=tuple(_remarks(joint, effort, urdf)),
+            remarks=tuple(remarks(joint, effort, urdf)),
             urdf_rms=float(np.sqrt(np.mean(urdf**2))),
             doubt_rms=float(np.sqrt(sum(np.mean(one**2) for one in off))),
         )
@@ -211,7 +219,7 @@ class Arm:
         return Model.from_config(config, recordings=recordings)
 
 
-def _remarks(joint: UrdfJoint, one: Measurement, urdf: Array) -> Iterator[str]:
+def remarks(joint: UrdfJoint, one: Measurement, urdf: Array) -> Iterator[str]:
     """Say what of a joint's log looks wrong beside the URDF.
 
     Its effort is regressed on the bodies' torque ``urdf`` ``(n,)``, Coulomb and viscous friction:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,7 +83,9 @@ class Bodies:
     def __init__(self, path: Path, gravity: Vector) -> None:
         every = _joints(path)
         try:
-            import idyntree.bindings as idyntree
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # as an error one of SWIG's ends Python
+                import idyntree.bindings as idyntree
         except ImportError as error:
             mend = "pip install 'bayesfric[arm]'"
             raise BadInput(str(path), "is a URDF, whose torques iDynTree computes", mend) from error
