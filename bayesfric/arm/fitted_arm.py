@@ -6,13 +6,17 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bayesfric.arm.bodies import UrdfJoint
 from bayesfric.base.version import __version__
 from bayesfric.base.written import write_beside
 from bayesfric.fit.result import Result
+from bayesfric.inference.predictive import predict_held_out
 from bayesfric.report.numbers import TEXT, finer, p_text, text_rounded
 from bayesfric.report.page.rendering import render
 from bayesfric.report.summary.rows import PosteriorRow
@@ -95,12 +99,28 @@ class FittedJoint:
             yield f"added {listed([one.kind for one in summary.taken])}"
         if summary.findings:
             yield f"found {listed([one.kind for one in summary.findings])}"
-        for name, one in (summary.validation.parts if summary.validation else {}).items():
-            coverage = one.coverage["0.9"]
-            yield (
-                f"predicts {name} to {one.residual_rms:.3g} {summary.fit.unit} rms; "
-                f"90 % bands hold {coverage.share:.0%}"
-            )
+        for name, one in self.predicted.items():
+            what = f"predicts {name} to {one['rms']:.3g} {summary.fit.unit} rms"
+            yield f"{what}; 90 % bands hold {one['coverage']:.0%}"
+
+    @cached_property
+    def predicted(self) -> dict[str, dict[str, float]]:
+        """How well the torque of other motions is predicted, by log.
+
+        ``rms`` of what is left, N m or N, ``sd`` of the prediction, and the ``coverage`` of 90 %
+        bands; these have room for the model's error, as all numbers that are reported.
+        """
+        found = {}
+        if self.result is not None and self.result.model.held_out:
+            wide = self.result.fit.wide
+            held_out = self.result.model.held_out
+            for one in predict_held_out(wide.target, wide.posterior, held_out):
+                found[one.held_out.name] = {
+                    "rms": float(np.sqrt(np.mean((one.measured - one.mean) ** 2))),
+                    "sd": float(np.sqrt(np.mean(one.variance))),
+                    "coverage": float(np.mean(np.abs(one.pit - 0.5) <= 0.45)),
+                }
+        return found
 
     def as_json(self) -> dict[str, Any]:
         """Give its numbers."""
@@ -114,7 +134,7 @@ class FittedJoint:
             }
         if self.result is None:
             return {**told, "why": self.why}
-        summary, validation = self.result.summary, self.result.summary.validation
+        summary = self.result.summary
         ratio = self.gear_ratio
         armature = self.cells["armature"]
         if ratio and armature:
@@ -133,7 +153,7 @@ class FittedJoint:
             },
             "added": [one.kind for one in summary.taken],
             "findings": [one.kind for one in summary.findings],
-            "predicted": None if validation is None else validation.model_dump(mode="json"),
+            "predicted": self.predicted,
         }
 
 

@@ -85,12 +85,13 @@ def compared(folder: Path, joints: list[str] | None = None) -> dict[str, dict]:
     found = {}
     for name, one in fitted.joints.items():
         told = one.as_json()
-        predicted = told.pop("predicted")["pooled"]
+        narrow = one.result.summary.validation.pooled
         found[name] = {
-            "arm": {
-                "rms": predicted["residual_rms"],
-                "coverage": predicted["coverage"]["0.9"]["share"],
-                "predictive_sd": predicted["predictive_sd"],
+            "arm": told.pop("predicted")["validation"],
+            "arm, were the model right": {
+                "rms": narrow.residual_rms,
+                "coverage": narrow.coverage["0.9"].share,
+                "sd": narrow.predictive_sd,
             },
             "least squares": least_squares(one),
             **told,

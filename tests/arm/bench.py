@@ -1,6 +1,7 @@
 """A small arm: its URDF, and logs of it that MuJoCo makes, which no estimator has part in."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -39,7 +40,7 @@ def robot(*parts: str) -> str:
     return f'<robot name="bench">{"".join(parts)}</robot>'
 
 
-def urdf(factors: Mapping[str, float] = {}, *, slides: bool = False) -> str:  # noqa: B006
+def urdf(factors: Mapping[str, float] = MappingProxyType({}), *, slides: bool = False) -> str:
     """Write the arm with masses and inertias times ``factors`` by link."""
     return robot(
         *(link(name, factors.get(name, 1.0)) for name in LINKS),

@@ -14,6 +14,8 @@ from tests.conftest import DATA, made_recording
 from . import bench
 from .bench import ELBOW, SHOULDER
 
+pytestmark = pytest.mark.usefixtures("unexplained")
+
 # Less of what is not asked here.
 QUICK = {"terms": "as written", "fit": {"self_check": {"recordings": 0}}}
 TRUTH = {
@@ -39,8 +41,8 @@ def recorded(folder, change=lambda frame: frame, **more):
     change(bench.log(bench.urdf(), TRUTH, **more)).to_csv(folder / "log.csv", index=False)
 
 
-def test_intervals_hold_the_truth_beside_bodies_that_are_a_tenth_off(here, unexplained):
-    """Of eight 90 % intervals five or more hold it but once in 200 times, were they independent."""
+def test_intervals_hold_the_truth_beside_bodies_that_are_a_tenth_off(here):
+    """Fewer than five of eight 90 % intervals hold it once in 200 times, were they independent."""
     factors = {"upper": 1.1, "lower": 0.92, "tool": 1.08}
     frame = bench.log(bench.urdf(factors), TRUTH)
     frame.to_csv(here.folder / "log.csv", index=False)
@@ -57,7 +59,7 @@ def test_intervals_hold_the_truth_beside_bodies_that_are_a_tenth_off(here, unexp
     assert sum(inside) >= 5
 
 
-def test_a_body_that_is_far_off_contradicts_the_urdf(here, unexplained):
+def test_a_body_that_is_far_off_contradicts_the_urdf(here):
     bench.log(bench.urdf({"lower": 2.0}), TRUTH).to_csv(here.folder / "log.csv", index=False)
     options = {**QUICK, "joints": {SHOULDER: {"fit": False}}, "payload": {"mass_sd": "0.1 kg"}}
     one = Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv").joints[ELBOW]
@@ -65,7 +67,7 @@ def test_a_body_that_is_far_off_contradicts_the_urdf(here, unexplained):
     assert one.causes[0].value > 0.0
 
 
-def test_what_one_joint_lacks_does_not_spoil_another(here, unexplained):
+def test_what_one_joint_lacks_does_not_spoil_another(here):
     """The command, from init to the page: the shoulder's effort is a constant."""
 
     def silent(frame):
@@ -90,14 +92,14 @@ def test_what_one_joint_lacks_does_not_spoil_another(here, unexplained):
     assert here.run("report", f"out/{ELBOW}").code == 0
 
 
-def test_a_joint_that_stands_still_is_said_and_carried_along(here, unexplained):
+def test_a_joint_that_stands_still_is_said_and_carried_along(here):
     def still(frame):
         frame[f"position[{SHOULDER}] [rad]"] = 0.5
         return frame
 
     recorded(here.folder, still, seconds=5.0)
     options = {**QUICK, "joints": {ELBOW: {"fit": False}}}
-    with pytest.raises(BadInput, match="position is 0.5 in every sample"):
+    with pytest.raises(BadInput, match=r"position is 0\.5 in every sample"):
         Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv")
 
 

@@ -61,7 +61,7 @@ def test_a_mimic_joint_moves_with_another_whose_motor_carries_both(tmp_path):
         bench.joint(bench.SLIDE, "lower", "tool", "fixed"),
     )
     free = made(tmp_path, bench.robot(*links, *joints, bench.joint("e", "upper", "lower")))
-    q, qd, qdd = one = somewhere(1)
+    one = somewhere(1)
     both = np.concatenate([one, -0.5 * one], axis=1)
     both[0, 1] += 0.2
     shoulder, elbow = nominal(free, both)
