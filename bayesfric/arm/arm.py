@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
-from bayesfric.arm.fitted_arm import Cause, FittedArm, FittedJoint
+from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, progress_shown
 from bayesfric.fit.model import Model
@@ -38,6 +38,7 @@ _SMALL = 0.01
 _LOOKED_AT = 2000
 # Share of the prior's variance that the data must take off before a direction is judged by it.
 _TELLING = 0.05
+_MOST_CAUSES = 5  # that are told of a joint
 # How well a rotor's inertia is known that is given.
 _ROTOR = 0.2
 # Share of an effort that bodies explain before it is judged by them.
@@ -177,17 +178,16 @@ class Arm:
         if isinstance(effort, BadInput):
             return replace(told, why=str(effort))
         urdf, *off = felt.torques[0]
-        told = replace(
-            told,
-            remarks=tuple(remarks(joint, effort, urdf)),
-            urdf_rms=float(np.sqrt(np.mean(urdf**2))),
-            doubt_rms=float(np.sqrt(sum(np.mean(one**2) for one in off))),
-        )
+        sizes = {
+            "torque_rms": float(np.sqrt(np.mean(urdf**2))),
+            "doubt_rms": float(np.sqrt(sum(np.mean(one**2) for one in off))),
+        }
+        told = replace(told, remarks=tuple(remarks(joint, effort, urdf)), urdf=sizes)
         try:
             result = self._model(joint, logs, felt).fit(seed=seed, progress=tell)
         except BadInput as error:
             return replace(told, why=str(error))
-        return replace(told, result=result, **felt.told(result))
+        return replace(told, result=result, urdf={**sizes, **felt.told(result)})
 
     def _model(self, joint: UrdfJoint, logs: Sequence[ArmLog], felt: _Felt) -> Model:
         """Make the model of one joint: an element, its load the torque of the bodies."""
@@ -267,9 +267,11 @@ class _Felt:
         value = self.kept @ mean
         left = np.sqrt(np.maximum(1.0 - np.sum((self.kept @ seen) * self.kept, axis=1), 0.0))
         causes = [
-            Cause(name, float(x * one), float(sd * one), one, unit)
-            for (name, one, unit), x, sd in zip(self.doubt.causes, value, left, strict=True)
-            if one > 0.0
+            {"name": name, "value": x * one, "sd": sd * one, "prior_sd": one, "unit": unit}
+            for (name, one, unit), x, sd in zip(
+                self.doubt.causes, value.tolist(), left.tolist(), strict=True
+            )
         ]
-        causes.sort(key=lambda c: -abs(c.value) / c.prior_sd)
-        return {"causes": tuple(causes), "urdf_p": float(chi2.sf(far, np.count_nonzero(judged)))}
+        farthest = np.argsort(-np.abs(value))[:_MOST_CAUSES]
+        p = float(chi2.sf(far, np.count_nonzero(judged)))
+        return {"p": p, "causes": [causes[k] for k in farthest]}

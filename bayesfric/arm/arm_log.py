@@ -15,10 +15,10 @@ from bayesfric.arm.bodies import UrdfJoint
 from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import channels
+from bayesfric.recordings.acting import filtered_motion
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, reach_of
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import filtered_motion
 from bayesfric.recordings.read import read_recordings, recorded_time
 from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.recording import Recording

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.acting import acting, unlagged
+from bayesfric.recordings.acting import acting, filtered_motion
 from bayesfric.recordings.arrays import Array, Flags, Segments
 from bayesfric.recordings.filters import (
     FOLDING,
@@ -447,20 +447,6 @@ def _prepared(
     parts = compared_parts(recording, trim)
     chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
     return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
-
-
-def filtered_motion(
-    recording: Measurement, cutoff: float, order: int, reach: int
-) -> tuple[Array, Array]:
-    """Position and speed of the joint ``(N,)``, low-passed; differentiated if not recorded."""
-    segments, period, fs = recording.segments, recording.period, 1.0 / recording.period
-    q = lowpass(recording.position, segments, fs, cutoff, order)
-    if recording.velocity is None:
-        return q, derivative(q, segments, period, reach)
-    qd = lowpass(recording.velocity, segments, fs, cutoff, order)
-    if recording.velocity_lag:
-        qd = unlagged(qd, segments, period, recording.velocity_lag, reach)
-    return q, qd
 
 
 def _windows(

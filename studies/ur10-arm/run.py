@@ -14,6 +14,7 @@ import pandas as pd
 
 import bayesfric as bf
 from bayesfric.base.progress import Spent
+from bayesfric.inference.predictive import Prediction, predict_held_out
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "ur10-arm"
@@ -73,6 +74,15 @@ def least_squares(fitted: bf.Arm) -> dict[str, float]:
     }
 
 
+def quality(one: Prediction) -> dict[str, float]:
+    """Root mean square of what is left, sd of the prediction, coverage of its 90 % bands."""
+    return {
+        "rms": float(np.sqrt(np.mean((one.measured - one.mean) ** 2))),
+        "sd": float(np.sqrt(np.mean(one.variance))),
+        "coverage": float(np.mean(np.abs(one.pit - 0.5) <= 0.45)),
+    }
+
+
 def compared(folder: Path, joints: list[str] | None = None) -> dict[str, dict]:
     """Fit, and predict the other motion, both ways."""
     validation_log(folder / "validation.csv")
@@ -85,14 +95,12 @@ def compared(folder: Path, joints: list[str] | None = None) -> dict[str, dict]:
     found = {}
     for name, one in fitted.joints.items():
         told = one.as_json()
-        narrow = one.result.summary.validation.pooled
+        told.pop("validation")
+        fit = one.result.fit
+        wide = predict_held_out(fit.target, fit.wide.posterior, one.result.model.held_out)
         found[name] = {
-            "arm": told.pop("predicted")["validation"],
-            "arm, were the model right": {
-                "rms": narrow.residual_rms,
-                "coverage": narrow.coverage["0.9"].share,
-                "sd": narrow.predictive_sd,
-            },
+            "arm": quality(fit.held_out[0]),
+            "arm, with room for the model's error": quality(wide[0]),
             "least squares": least_squares(one),
             **told,
         }

@@ -55,7 +55,7 @@ def test_intervals_hold_the_truth_beside_bodies_that_are_a_tenth_off(here):
             low, high = told.interval
             inside.append(low <= value <= high)
             assert told.value == pytest.approx(value, rel=0.5), parameter
-        assert fitted.joints[name].urdf_p > 0.01
+        assert fitted.joints[name].urdf["p"] > 0.01
     assert sum(inside) >= 5
 
 
@@ -63,8 +63,8 @@ def test_a_body_that_is_far_off_contradicts_the_urdf(here):
     bench.log(bench.urdf({"lower": 2.0}), TRUTH).to_csv(here.folder / "log.csv", index=False)
     options = {**QUICK, "joints": {SHOULDER: {"fit": False}}, "payload": {"mass_sd": "0.1 kg"}}
     one = Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv").joints[ELBOW]
-    assert one.urdf_p < 0.01
-    assert one.causes[0].value > 0.0
+    assert one.urdf["p"] < 0.01
+    assert one.urdf["causes"][0]["value"] > 0.0
 
 
 def test_what_one_joint_lacks_does_not_spoil_another(here):
