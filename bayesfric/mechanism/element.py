@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -10,14 +11,42 @@ from bayesfric.base.errors import nearest
 from bayesfric.mechanism.quantities import (
     CHOICES,
     CYCLES,
-    LISTED,
     LOAD_CHOICES,
     QUANTITIES,
     Motion,
     Quantity,
+    State,
 )
 
 STANDARD_GRAVITY = 9.80665  # m/s²
+
+
+def _once(state: State) -> Any:
+    """Give a torque of one, that a signal is multiplied by."""
+    return 1.0 + 0.0 * state.speed
+
+
+def _by_signal(name: str) -> tuple[Quantity]:
+    """Describe a torque by a further column of the recording, known up to its coefficient."""
+    label = name.replace("_", r"\_")
+    row = Quantity(
+        name,
+        QUANTITIES["offset"].units,
+        rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
+        f"torque by the column {name}, for a value of one there",
+        option="signals",
+        choice=name,
+        column=_once,
+        signal=name,
+        slots=(),
+        lower=-math.inf,
+        stores=True,
+    )
+    return (row,)
+
+
+# Options that list something, and the quantities that each entry brings.
+LISTED: Mapping[str, Callable[[Any], tuple[Quantity, ...]]] = {**CYCLES, "signals": _by_signal}
 
 
 class _Bearer:

@@ -82,7 +82,7 @@ class Quantity:
     option, choice
         Which option of an element or load brings it (:data:`CHOICES`); empty for what the
         chain itself brings. Several choices where each brings it; a number of cycles where the
-        option lists these (:data:`LISTED`).
+        option lists these (:data:`CYCLES`).
     role
         ``own`` adds ``value * column`` to the torque; ``loss`` the same, and depends on the
         transmitted torque; ``form`` shapes other terms and adds nothing by itself.
@@ -91,9 +91,8 @@ class Quantity:
     shape
         Quantity of the same element whose value its column takes besides; empty for none.
     signal
-        Which signal of a recording its column is, or is multiplied by, as
-        :meth:`bayesfric.recordings.inputs.Inputs.signal` knows it; empty where ``column`` gives
-        it.
+        Which signal of a recording its column is, or is multiplied by, a name that
+        :class:`bayesfric.recordings.inputs.Inputs` knows; empty where ``column`` gives it.
     zero
         What is taken off the signal first.
     power
@@ -169,7 +168,7 @@ class Quantity:
         """Whether this choice of its option brings it."""
         if isinstance(self.choice, tuple):
             return choice in self.choice
-        if self.option in LISTED and not isinstance(choice, bool):
+        if self.option in CYCLES and not isinstance(choice, bool):
             return self.choice in choice
         return bool(choice == self.choice)
 
@@ -545,24 +544,6 @@ def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
 # Options that list numbers of cycles a turn, and the quantities that each number brings.
 CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
     option: partial(_waves, option) for option in ("cogging", "periodic_friction")
-}
-
-
-def _by_signal(name: str) -> Quantity:
-    """Torque that goes by a further column of the recording, known up to its coefficient."""
-    label = name.replace("_", r"\\_")
-    return Quantity(
-        name, _TORQUE, rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
-        f"torque by the column {name}, for a value of one there",
-        option="signals", choice=name, column=lambda m: 1.0 + 0.0 * m.speed, lower=-_INF,
-        slots=(), signal=name, stores=True,
-    )  # fmt: skip
-
-
-# Options that list something, and the quantities that each entry brings.
-LISTED: Mapping[str, Callable[[Any], tuple[Quantity, ...]]] = {
-    **CYCLES,
-    "signals": lambda name: (_by_signal(name),),
 }
 CYCLE_PHRASES: Mapping[str, str] = {
     "cogging": "a torque that repeats",
