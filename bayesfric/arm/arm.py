@@ -119,7 +119,13 @@ class Arm:
         paths = [path] if predict is None else [path, Path(predict)]
         with progress_shown(progress) as tell:
             tell(Progress("motion"))
-            logs = [ArmLog(one, options, layout, joints) for one in paths]
+            names = [one.stem for one in paths]
+            if len(set(names)) < len(names):
+                names = ["fitted", "predicted"]
+            logs = [
+                ArmLog(one, called, options, layout, joints)
+                for one, called in zip(paths, names, strict=True)
+            ]
             efforts: dict[str, Measurement | BadInput] = {}
             for name in logs[0].sources:
                 if self._own(name).fit:

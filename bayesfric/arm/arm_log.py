@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -33,8 +33,7 @@ _NO_TORQUE = "in place of a torque"
 Joints = Mapping[str, UrdfJoint]
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """Columns of a log with ``{joint}`` for a joint's label, and the label of each joint."""
 
     recording: Mapping[str, Any]
@@ -92,6 +91,8 @@ class ArmLog:
 
     Attributes
     ----------
+    table
+        The log, read.
     sources
         What the columns mean, by joint, of those that are in the log.
     motion
@@ -105,20 +106,28 @@ class ArmLog:
         If the log cannot be read, or a joint's position is neither in it nor in ``arm.toml``.
     """
 
-    def __init__(self, path: Path, options: ArmOptions, layout: Layout, joints: Joints) -> None:
+    def __init__(
+        self, path: Path, called: str, options: ArmOptions, layout: Layout, joints: Joints
+    ) -> None:
         given = options.processing
         self.path, self._given = path, given
         self.sources: dict[str, Source] = {}
-        self._table: Table | None = None
         motions: list[Measurement | float] = []
         for number, (name, joint) in enumerate(joints.items(), start=1):
             own = options.joints.get(name, JointOptions())
             if own.held is not None:
                 motions.append(own.held)
                 continue
-            label = own.label or layout.labels.get(name, name)
-            source = _source(path, layout, name, label, number, own.torque_constant)
-            self._table = self._table or read_table(path, source)
+            told = {
+                "joint": own.label or layout.labels.get(name, name),
+                "number": str(number),
+                "index": str(number - 1),
+                "torque_constant": own.torque_constant,
+            }
+            document = {**layout.recording, "file": str(path), "name": called}
+            source = _source(document, name, told)
+            if not self.sources:
+                self.table = read_table(path, source)
             self.sources[name] = source
             motions.append(self._moved(joint))
         moving = [one for one in motions if isinstance(one, Measurement)]
@@ -173,12 +182,6 @@ class ArmLog:
         moved = self._columns(source.model_copy(update=alone), {_NO_TORQUE: position})
         return self._read(moved, joint)
 
-    @property
-    def table(self) -> Table:
-        """The log, read."""
-        assert self._table is not None
-        return self._table
-
     def _read(self, recording: Recording, joint: UrdfJoint) -> Measurement:
         motion = joint.motion
         return read_recordings(
@@ -212,27 +215,15 @@ def _name(key: str | int) -> str:
     return key if isinstance(key, str) else f"column {key}"
 
 
-def _source(
-    path: Path, layout: Layout, joint: str, label: str, number: int, constant: str | None
-) -> Source:
-    """Say what the columns of one joint mean."""
-    told = {"{joint}": label, "{number}": str(number), "{index}": str(number - 1)}
-    told |= {"{torque_constant}": constant} if constant else {}
-
-    def filled(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: filled(one) for key, one in value.items()}
-        if isinstance(value, list):
-            return [filled(one) for one in value]
-        if isinstance(value, str):
-            for key, text in told.items():
-                value = value.replace(key, text)
-            if "{torque_constant}" in value:
-                mend = "write its drive gain, such as '13.6 N m/A'"
-                raise BadInput(f"joints.{joint}.torque_constant", "is missing", mend)
-        return value
-
-    document = {"name": path.stem, **filled(layout.recording), "file": str(path)}
+def _source(recording: Mapping[str, Any], joint: str, told: Mapping[str, str | None]) -> Source:
+    """Say what the columns of one joint mean: ``recording`` with what is ``told`` in its texts."""
+    text = json.dumps(recording, default=str)
+    for key, value in told.items():
+        if value is None and f"{{{key}}}" in text:
+            mend = "write its drive gain, such as '13.6 N m/A'"
+            raise BadInput(f"joints.{joint}.{key}", "is missing", mend)
+        text = text.replace(f"{{{key}}}", json.dumps(value)[1:-1])
+    document = json.loads(text)
     try:
         return Source.model_validate(document)
     except ValidationError as error:

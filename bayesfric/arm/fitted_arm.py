@@ -26,7 +26,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "load loss": ("motor.load", "motor.load_drive"),
 }
 # Draws kept of a joint whose pages are not made; lines of the table, and letters of a column.
-_DRAWS, _LINES, _WIDTH = 300, 28, 18
+_DRAWS, _LINES, _WIDTH = 300, 28, 22
 # A p-value below which bodies of the URDF are said to be otherwise.
 _UNLIKELY = 0.01
 
