@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.arm.arm import Arm, remarks
+from bayesfric.arm.arm_log import ArmLog, Layout
 from bayesfric.arm.bodies import UrdfJoint
 from bayesfric.base.errors import BadInput
 from tests.commands.bench import Bench
@@ -121,6 +122,38 @@ def test_a_log_that_does_not_go_with_the_urdf_is_refused(here, old, new, told):
     recorded(here.folder, renamed, seconds=3.0)
     line = here.refused("arm", "arm.urdf", "log.csv", "-o", "out")
     assert told in line
+
+
+def test_columns_go_by_patterns_and_currents_by_drive_gains(here):
+    def numbered(frame):
+        names = ["t", "q_1", "i_1", "q_2", "i_2"]
+        return frame.set_axis(names, axis=1).assign(i_2=lambda f: f["i_2"] / 12.5)
+
+    recorded(here.folder, numbered, seconds=3.0)
+    options = {
+        "recording": {
+            "time": {"column": "t", "unit": "s"},
+            "position": {"column": "q_{number}", "unit": "rad"},
+            "current": {
+                "column": "i_{number}",
+                "unit": "A",
+                "torque_constant": "{torque_constant}",
+            },
+        },
+        "joints": {
+            SHOULDER: {"torque_constant": "1 N m/A"},
+            ELBOW: {"torque_constant": "12.5 N m/A"},
+        },
+    }
+    arm = Arm(here.folder / "arm.urdf", options)
+    layout = Layout(arm.options.recording, {})
+    made = ArmLog(here.folder / "log.csv", "log", arm.options, layout, arm.bodies.joints)
+    expected = bench.log(bench.urdf(), TRUTH, seconds=3.0)[f"effort[{ELBOW}] [N m]"]
+    found = made.measured(arm.bodies.joints[ELBOW]).torque
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    del options["joints"][ELBOW]
+    with pytest.raises(BadInput, match=rf"joints\.{ELBOW}\.torque_constant"):
+        Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv")
 
 
 @pytest.mark.parametrize(
