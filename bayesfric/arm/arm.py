@@ -33,7 +33,7 @@ from bayesfric.recordings.units import OPEN
 # What a joint has.
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
 # Of a joint's effort, rms: by what bodies ask for less otherwise they are taken as they are.
-_SMALL = 0.01
+_SMALL = 0.005
 # Moments that are looked at for directions.
 _LOOKED_AT = 2000
 # Share of the prior's variance that the data must take off before a direction is judged by it.
