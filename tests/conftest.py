@@ -41,6 +41,8 @@ DATA = REPOSITORY.parent / "shared" / "data"
 LONG = {
     "": """
         face own_term""",
+    "arm": """
+        arm""",
     "commands": """
         advise again alerts bad_input bad_output compare doubts estimate
         explain fit identify init_from little_explained own_offsets
