@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
-from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
+from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint, directions, resolution
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, progress_shown
@@ -32,8 +32,6 @@ from bayesfric.recordings.units import OPEN
 
 # What a joint has.
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
-# Of a joint's effort, rms: by what bodies ask for less otherwise they are taken as they are.
-_SMALL = 0.005
 # Moments that are looked at for directions.
 _LOOKED_AT = 2000
 # Share of the prior's variance that the data must take off before a direction is judged by it.
@@ -153,13 +151,20 @@ class Arm:
         """Ask the bodies for the torque of each joint, in each log."""
         bodies, order = self.bodies, list(self.bodies.joints)
         doubt = bodies.doubt(self.options.urdf, self.options.payload)
-        small = np.full(len(order), np.inf)
-        for name, effort in efforts.items():
-            if isinstance(effort, Measurement):
-                small[order.index(name)] = _SMALL * float(np.std(effort.torque))
         motion = np.concatenate([log.motion for log in logs], axis=2)
+        count = logs[0].motion.shape[2]
         some = np.unique(np.linspace(0, motion.shape[2] - 1, _LOOKED_AT).astype(int))
-        kept = bodies.directions(motion[:, :, some], doubt, small)
+        own, motion = some[some < count], motion[:, :, some]
+        every = np.column_stack([doubt.nominal, doubt.spread])
+        columns = bodies.torques(motion, np.repeat(every[None], len(order), axis=0))
+        kept = []
+        for j, name in enumerate(order):
+            small, effort = np.inf, efforts.get(name)
+            if isinstance(effort, Measurement):
+                _, qd, qdd = motion[:, j, : own.size]
+                seen = columns[j][:, : own.size]
+                small = resolution(effort.torque[own], qd, qdd, seen) * np.sqrt(own.size / count)
+            kept.append(directions(columns[j, 1:], small))
         most = max(one.shape[1] for one in kept)
         parameters = np.zeros((len(order), doubt.nominal.size, 1 + most))
         parameters[:, :, 0] = doubt.nominal

@@ -11,6 +11,7 @@ on one motion: the principal ones, by a singular value decomposition.
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import warnings
@@ -25,6 +26,7 @@ import numpy as np
 from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.opened import read_text
+from bayesfric.estimates.information import long_run_variance
 from bayesfric.mechanism.quantities import Motion
 from bayesfric.recordings.arrays import Array
 
@@ -164,20 +166,6 @@ class Bodies:
             out[i] = np.einsum("jp,jpk->jk", regressor, parameters)
         return np.moveaxis(out, 0, 2)
 
-    def directions(self, motion: Array, doubt: Doubt, small: Array) -> list[Array]:
-        """Find combinations of the causes that each joint's torque feels, ``(n_causes, k)`` each.
-
-        They are orthonormal, so that their coefficients are standard normal, too. Of what is left
-        out the torque's rms is less than ``small`` ``(n_joints,)``, N m or N.
-        """
-        rows = np.stack([regressor @ doubt.spread for regressor in self._regressors(motion)])
-        found = []
-        for j, least in enumerate(small):
-            _, size, right = np.linalg.svd(rows[:, j] / np.sqrt(len(rows)), full_matrices=False)
-            left_out = np.sqrt(np.cumsum(size[::-1] ** 2)[::-1])
-            found.append(right[left_out > least].T)
-        return found
-
     def _regressors(self, motion: Array) -> Iterator[Array]:
         """Give the regressor of every moment, ``(n_joints, 10 n_links)``."""
         base, still = np.eye(4), np.zeros(6)
@@ -195,6 +183,31 @@ class Bodies:
         counts = np.count_nonzero(np.abs(moved).sum(axis=2) > 1e-9, axis=0)
         last = int(np.flatnonzero(counts == counts.max())[-1])
         return str(self.links[last])
+
+
+def directions(columns: Array, small: float) -> Array:
+    """Find combinations of causes that a joint's torque feels, ``(n_causes, k)``.
+
+    They are orthonormal, so that their coefficients are standard normal, too. Of what is left out
+    the torque's rms is less than ``small``. ``columns`` ``(n_causes, n)`` are the torques of one
+    standard deviation of each cause.
+    """
+    left, size, _ = np.linalg.svd(columns / np.sqrt(columns.shape[1]), full_matrices=False)
+    beyond = np.sqrt(np.cumsum(size[::-1] ** 2)[::-1])
+    return np.asarray(left[:, beyond > max(small, 1e-6 * beyond[0])])
+
+
+def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array) -> float:
+    """Say how small a torque, rms, a joint's log tells: the standard error of a mean.
+
+    It is that of the residual, autocorrelated as it is (Andrews 1991), of least squares on
+    ``columns`` ``(k, n)``, the bodies' torque first, and on friction.
+    """
+    sign = np.sign(speed)
+    losses = [sign, speed, np.abs(columns[0]) * sign, acceleration, np.ones_like(speed)]
+    x = np.stack([*columns, *losses], axis=1)
+    left = torque - x @ np.linalg.lstsq(x, torque, rcond=None)[0]
+    return math.sqrt(long_run_variance(left, np.arange(left.size))) / left.size
 
 
 def _point(at: Array) -> Array:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies
+from bayesfric.arm.bodies import Bodies, directions, resolution
 from bayesfric.base.errors import BadInput
 
 from . import bench
@@ -74,13 +74,21 @@ def test_directions_hold_all_of_the_doubt_but_a_little(tmp_path):
     doubt = bodies.doubt(Uncertainty(), Payload())
     time, *motion = bench.motion(5.0, rate=50.0)
     motion = np.swapaxes(np.stack(motion), 1, 2)
-    small = np.array([0.05, np.inf])
-    shoulder, elbow = bodies.directions(motion, doubt, small)
-    assert shoulder.T @ shoulder == pytest.approx(np.eye(shoulder.shape[1]), abs=1e-9)
-    assert elbow.shape[1] == 0
     each = bodies.torques(motion, np.repeat(doubt.spread[None], 2, axis=0))[0]
-    left = each - shoulder @ (shoulder.T @ each)
-    assert np.sqrt(np.sum(left**2) / time.size) <= small[0]
+    found = directions(each, 0.05)
+    assert found.T @ found == pytest.approx(np.eye(found.shape[1]), abs=1e-9)
+    left = each - found @ (found.T @ each)
+    assert np.sqrt(np.sum(left**2) / time.size) <= 0.05
+    assert directions(each, np.inf).shape[1] == 0
+
+
+def test_resolution_is_the_standard_error_of_a_mean():
+    """White noise of 0.3 N m, 4000 samples, within a tenth: 8 columns are fitted."""
+    noise = np.random.default_rng(1)
+    q, qd, qdd, bodies = noise.normal(size=(4, 4000))
+    torque = 2.0 * bodies + 3.0 * np.sign(qd) + qd + 0.3 * noise.normal(size=4000)
+    found = resolution(torque, qd, qdd, np.stack([bodies, q]))
+    assert found == pytest.approx(0.3 / np.sqrt(4000.0), rel=0.1)
 
 
 LINKS = "".join(map(bench.link, bench.LINKS))
