@@ -207,7 +207,7 @@ def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array)
     losses = [sign, speed, np.abs(columns[0]) * sign, acceleration, np.ones_like(speed)]
     x = np.stack([*columns, *losses], axis=1)
     left = torque - x @ np.linalg.lstsq(x, torque, rcond=None)[0]
-    return math.sqrt(long_run_variance(left, np.arange(left.size))) / left.size
+    return float(math.sqrt(long_run_variance(left, np.arange(left.size))) / left.size)
 
 
 def _point(at: Array) -> Array:
