@@ -185,7 +185,6 @@ def test_what_the_bodies_contradict_is_said(factor, degrees, said):
     assert (len(found) == 1 and said in found[0]) if said else not found
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the real recordings are not at {DATA}")
 def test_one_motion_of_a_measured_ur10_predicts_another(tmp_path):
     """Petrone et al. 2025: better than least squares on the URDF's torque and friction."""
