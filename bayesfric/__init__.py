@@ -17,6 +17,7 @@ from bayesfric.base.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from bayesfric import plot
+    from bayesfric.arm.arm import Arm
     from bayesfric.base.errors import BadInput
     from bayesfric.export.exported import export
     from bayesfric.fit.check_report import check
@@ -30,12 +31,13 @@ if TYPE_CHECKING:
     from bayesfric.rollouts.rollout import rollout
 
 __all__ = [
-    "BadInput", "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check",
+    "Arm", "BadInput", "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check",
     "export", "plot", "report", "rollout", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
 _HOMES = {
+    "Arm": "arm.arm",
     "BadInput": "base.errors",
     "Element": "mechanism.element",
     "Fleet": "fleet.fleet",

@@ -41,6 +41,8 @@ DATA = REPOSITORY.parent / "shared" / "data"
 LONG = {
     "": """
         face own_term""",
+    "arm": """
+        arm""",
     "commands": """
         advise again compare doubts estimate explain fit identify little_explained
         names own_offsets pool report resume validation voltage""",

@@ -24,7 +24,7 @@ FLOORS = (
     ("identifiability", "population", "diagnostics"),
     ("problem", "report"),
     ("fit",),
-    ("export", "rollouts", "fleet", "plot"),
+    ("export", "rollouts", "fleet", "arm", "plot"),
     ("commands", "bayesfric"),
     ("__main__",),
 )

@@ -68,7 +68,7 @@ def _progress() -> Any:
 @app.command()
 def init(
     preset: Annotated[
-        str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet")
+        str | None, typer.Argument(help="rabbit-knee, motor-axis, servo-pendulum; or fleet, arm")
     ] = None,
     output: Annotated[Path | None, Option("-o", "--output", help="file to write")] = None,
     log: Annotated[
@@ -76,6 +76,7 @@ def init(
     ] = None,
     table: Annotated[str | None, Option(help="with --from: table, group or topic in it")] = None,
     joint: Annotated[str | None, Option(help="with --from: which joint of several")] = None,
+    urdf: Annotated[Path | None, Option(metavar="ROBOT.urdf", help="of an arm")] = None,
     all_keys: Annotated[bool, Option("--all-keys", help="every key, its type and meaning")] = False,
     schema: Annotated[bool, Option("--schema", help="the JSON schema, for editors")] = False,
     force: Annotated[bool, Option("--force", help="replace the file to write")] = False,
@@ -95,7 +96,14 @@ def init(
         raise BadInput("--force", "replaces a file", "name it with -o")
     if log is None and (table or joint):
         raise BadInput("--table" if table else "--joint", "is for a log", "add --from LOG")
-    if log is not None:
+    if (preset == "arm") != (urdf is not None) or (urdf and not log):
+        raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
+    if log is not None and urdf is not None:
+        from bayesfric.commands.arm import arm_configuration
+
+        found = arm_configuration(log, urdf, table)
+        text = found["text"]
+    elif log is not None:
         found = configuration_from(log, preset, output, table=table, joint=joint)
         text = found["text"]
     elif asked:
@@ -325,6 +333,38 @@ def compare(
     found = run(runs, output, estimates=estimates or None)
     written = [f"Written to {output}"] if output else []
     _print(comparison_dict(found), as_json, [*comparison_text(found), *written])
+
+
+@app.command()
+def arm(
+    urdf: Annotated[Path, typer.Argument(metavar="ROBOT.urdf", help="of the arm, with inertials")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="positions and efforts of its joints")],
+    output: Annotated[
+        Path | None, Option("-o", "--output", help="folder to make; LOG-arm if left out")
+    ] = None,
+    config: Annotated[
+        Path | None, Option("--config", metavar="arm.toml", help="what else is known")
+    ] = None,
+    predict: Annotated[
+        Path | None, Option(metavar="LOG", help="another motion, to be predicted")
+    ] = None,
+    full: Annotated[bool, Option("--full", help="figures, tables and page of each joint")] = False,
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
+    from bayesfric.arm.arm import Arm
+    from bayesfric.base.written import check_free
+
+    folder = output or Path(f"{log.stem}-arm")
+    check_free(folder, force=None)
+    with _progress() as progress:
+        made = Arm(urdf, {} if config is None else config)
+        found = made.fit(log, predict=predict, seed=seed, progress=progress)
+        page = found.write(folder, full=full)
+    _print(found.as_json(), as_json, [*found.text(), "", f"Written: {page}"])
+    if not found.reliable:
+        raise typer.Exit(NOT_CONVERGED)
 
 
 @app.command()

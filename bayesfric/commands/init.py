@@ -114,16 +114,16 @@ def configuration_from(
 
 def open_text(found: dict[str, Any]) -> Iterator[str]:
     """List for a person what to write before anything else is done."""
-    if len(found["joints"]) > 1:
+    if len(found.get("joints", ())) > 1:
         others = ", ".join(one for one in found["joints"] if one != found["joint"])
         yield f"Joint {found['joint']}; with --joint one of: {others}"
     if found["open"]:
         yield f"The log does not tell; write it where '{OPEN}' stands:"
     for key, value in found["open"].items():
         yield f"  {key} = {toml_value(value)}"
-    for text in found["unknown"]:
+    for text in found.get("unknown", ()):
         yield f"  not known: {text}"
-    for one in found["presets"]:
+    for one in found.get("presets", ()):
         yield f"  preset = {toml_value(one['preset'])} is for {one['when']}"
 
 

@@ -169,7 +169,11 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         cycles=cycles,
         push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
         names=tuple(o.name for o in observations),
-        others=tuple(dict.fromkeys(name for o in observations for name in o.inputs.others)),
+        others=tuple(
+            name
+            for name in dict.fromkeys(name for o in observations for name in o.inputs.others)
+            if f"load.{name}" not in chain.names
+        ),
         inertia=inertia,
         need=_rms(carried) / inertia,
         band=max(float(o.settings["band"]) for o in observations)
@@ -183,7 +187,7 @@ def _rms(x: Array) -> float:
 
 def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
     """Motor torque ``(N,)`` of inertia, weight and springs alone; at rest without inertia."""
-    kept = [name.rpartition(".")[2] in _CARRIED for name in chain.names]
+    kept = [p.quantity in _CARRIED or p.row.option == "signals" for p in chain.parameters]
     at_rest = replace(o, qdd=np.zeros_like(o.q)) if still else o
     return _torque(chain, np.where(kept, values, 0.0), at_rest)
 
@@ -479,7 +483,7 @@ def _temperature(a: Along) -> Sets:
 def _another_signal(a: Along) -> Sets:
     found = {}
     for name in a.scales.others:
-        signal = a.o.inputs.others.get(name)
+        signal = a.recording.inputs.others.get(name)
         x = np.zeros_like(a.o.q) if signal is None else a.smooth(signal.at(a.o.stamps))
         found[name] = [x, a.rate(x), a.rate(a.rate(x))]
     return found

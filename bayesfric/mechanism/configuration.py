@@ -73,6 +73,12 @@ class _Load(_Options):
         json_schema_extra=in_unit("m/s²"),
     )
     motion: Motion = Field("rotary", description="whether the load turns or slides")
+    signals: tuple[str, ...] = Field(
+        (),
+        description="names of further columns (others of the recording): torques of the load that "
+        "are known up to a coefficient, load.<name>",
+        examples=[("tool_torque",)],
+    )
 
 
 def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:

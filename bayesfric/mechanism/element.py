@@ -5,7 +5,8 @@ Options choose the terms: each choice brings rows of the table of quantities, an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -18,9 +19,38 @@ from bayesfric.mechanism.quantities import (
     QUANTITIES,
     Motion,
     Quantity,
+    State,
 )
 
 STANDARD_GRAVITY = 9.80665  # m/s²
+
+
+def _once(state: State) -> Any:
+    """Give a torque of one, that a signal is multiplied by."""
+    return 1.0 + 0.0 * state.speed
+
+
+def _by_signal(name: str) -> tuple[Quantity]:
+    """Describe a torque by a further column of the recording, known up to its coefficient."""
+    label = name.replace("_", r"\_")
+    row = Quantity(
+        name,
+        QUANTITIES["offset"].units,
+        rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
+        f"torque by the column {name}, for a value of one there",
+        option="signals",
+        choice=name,
+        column=_once,
+        signal=name,
+        slots=(),
+        lower=-math.inf,
+        stores=True,
+    )
+    return (row,)
+
+
+# Options that list something, and the quantities that each entry brings.
+LISTED: Mapping[str, Callable[[Any], tuple[Quantity, ...]]] = {**CYCLES, "signals": _by_signal}
 
 
 class _Bearer:
@@ -126,7 +156,8 @@ class Load(_Bearer):
     choices, **more
         ``inertia``, ``first_moment``, ``gravity_angle``, ``spring``: whether the load has the term
         (``spring="stiffening"`` adds a cube of the position). Real arms do not hang at ``q = 0``:
-        that is what ``gravity_angle`` is for.
+        that is what ``gravity_angle`` is for. ``signals``: names of further columns of the
+        recording, torques that are known up to a coefficient.
 
     Raises
     ------
@@ -159,8 +190,8 @@ def _brought(
     """Rows that choices bring: those of the table, and behind them those of cycles."""
     repeated: list[Quantity] = []
     for option, choice in choices.items():
-        if option in CYCLES:
-            repeated += [q for cycles in choice for q in CYCLES[option](_cycles(option, cycles))]
+        if option in LISTED:
+            repeated += [q for one in choice for q in LISTED[option](_listed(option, one))]
         elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
         elif choice not in (*options[option], False, "none"):
@@ -171,7 +202,12 @@ def _brought(
     return tuple(dict.fromkeys((*chosen, *repeated)))
 
 
-def _cycles(option: str, cycles: Any) -> int:
-    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
-        raise ValueError(f"{option} = {cycles!r} is no number of cycles a turn; write 1, 2, ...")
-    return cycles
+def _listed(option: str, one: Any) -> int | str:
+    if option not in CYCLES:
+        if not (isinstance(one, str) and one.isidentifier() and one not in QUANTITIES):
+            what = "is no name of a column that a parameter can have"
+            raise ValueError(f"{option} = {one!r} {what}; write letters, digits and _")
+        return one
+    if isinstance(one, bool) or not isinstance(one, int) or one < 1:
+        raise ValueError(f"{option} = {one!r} is no number of cycles a turn; write 1, 2, ...")
+    return one

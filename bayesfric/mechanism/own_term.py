@@ -140,7 +140,8 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
     Parameters
     ----------
     row
-        With a ``signal``: the rate of the torque, the temperature or the torque on the load.
+        With a ``signal``: the rate of the torque, the temperature, the torque on the load, or a
+        further column.
     inputs
         Of the recording.
 
@@ -154,7 +155,7 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
     ValueError
         If the inputs have no such signal.
     """
-    signal: Signal | None = getattr(inputs, row.signal)
+    signal = inputs.signal(row.signal)
     if signal is None:
         raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
     return signal

@@ -91,8 +91,8 @@ class Quantity:
     shape
         Quantity of the same element whose value its column takes besides; empty for none.
     signal
-        Which signal of a recording its column is, or is multiplied by, a field of
-        :class:`bayesfric.recordings.inputs.Inputs`; empty where ``column`` gives it.
+        Which signal of a recording its column is, or is multiplied by, a name that
+        :class:`bayesfric.recordings.inputs.Inputs` knows; empty where ``column`` gives it.
     zero
         What is taken off the signal first.
     power
@@ -143,7 +143,7 @@ class Quantity:
     role: Literal["own", "loss", "form"] = "own"
     column: Column | None = None
     shape: str = ""
-    signal: Literal["", "torque_rate", "temperature", "load_torque"] = ""
+    signal: str = ""
     zero: float = 0.0
     power: int | None = None
     slots: tuple[str, ...] | None = None

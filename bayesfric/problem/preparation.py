@@ -200,14 +200,18 @@ def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]
 
 
 def _check_signals(chain: Joint, observations: Sequence[Observation]) -> None:
-    """Refuse losses by a signal that a recording does not have."""
-    for signal in {c.row.signal for c in chain.carried if c.row.column and c.row.signal}:
+    """Refuse terms by a signal that a recording does not have."""
+    rows = {c.row for c in chain.carried if c.row.column and c.row.signal}
+    for row in rows:
         for o in observations:
-            if getattr(o.inputs, signal) is None:
+            listed = row.option == "signals"
+            if row.signal not in o.inputs.others if listed else not o.inputs.signal(row.signal):
                 raise BadInput(
                     f"recording {o.name!r}",
-                    f"has no {signal}, and the mechanism has losses that depend on it",
-                    f"name its column with {signal} = {{ column = ... }}",
+                    f"has no {row.signal}, and the mechanism has terms that depend on it",
+                    f'name its column: others = ["{row.signal}"]'
+                    if listed
+                    else f"name its column with {row.signal} = {{ column = ... }}",
                 )
 
 

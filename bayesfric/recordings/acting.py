@@ -1,4 +1,4 @@
-"""The torque that moves a joint, at its samples, made of the one that was recorded."""
+"""The torque that moves a joint, and its motion, made of what was recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesfric.base.robust import robust_sd
 from bayesfric.recordings.arrays import Array, Segments
-from bayesfric.recordings.filters import averaged, derivative, later
+from bayesfric.recordings.filters import averaged, derivative, later, lowpass
 from bayesfric.recordings.measurement import Lag, Measurement
 
 # Chance of one bend or more that is none, in a whole recording.
@@ -35,6 +35,20 @@ def acting(recording: Measurement, reach: int) -> Array:
     for a, b in segments:
         late[a:b] = later(torque[a:b], 0.5)
     return averaged(late, segments, 1.0)
+
+
+def filtered_motion(
+    recording: Measurement, cutoff: float, order: int, reach: int
+) -> tuple[Array, Array]:
+    """Position and speed of the joint ``(N,)``, low-passed; differentiated if not recorded."""
+    segments, period, fs = recording.segments, recording.period, 1.0 / recording.period
+    q = lowpass(recording.position, segments, fs, cutoff, order)
+    if recording.velocity is None:
+        return q, derivative(q, segments, period, reach)
+    qd = lowpass(recording.velocity, segments, fs, cutoff, order)
+    if recording.velocity_lag:
+        qd = unlagged(qd, segments, period, recording.velocity_lag, reach)
+    return q, qd
 
 
 def unkinked(values: Array, segments: Segments) -> Array:

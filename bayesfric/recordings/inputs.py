@@ -22,6 +22,8 @@ class Signal:
         return np.asarray(np.interp(time, self.stamps, self.values), dtype=np.float64)
 
 
+# Fields of the inputs that are signals.
+_SIGNALS = ("torque_rate", "temperature", "load_torque")
 # Degrees Celsius at which losses that depend on temperature are what their parameters say.
 ROOM = 20.0
 
@@ -43,6 +45,16 @@ class Inputs:
     load_torque: Signal | None = field(default=None, compare=False)
     # further columns by name, which no model has
     others: Mapping[str, Signal] = field(default_factory=dict, compare=False)
+
+    def signal(self, name: str) -> Signal | None:
+        """Look up what a term may be multiplied by; a further column, if there is one, by name.
+
+        Where no file is, as of motions that are thought of, a further column is zero.
+        """
+        if name in _SIGNALS:
+            own: Signal | None = getattr(self, name)
+            return own
+        return self.others.get(name, steady(0.0))
 
     @property
     def known_load(self) -> bool:

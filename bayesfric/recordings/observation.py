@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.acting import acting, unlagged
+from bayesfric.recordings.acting import acting, filtered_motion
 from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.filters import (
     FOLDING,
@@ -210,11 +210,7 @@ def observe(
     borders = np.array([a for a, _ in segments], dtype=np.int64)
     torque = acting(recording, numbers.reach)
     passed = as_position(torque, segments, period, settings)
-    inputs, resting = replace(recording.inputs, recording=recording.name), None
-    if (load := inputs.load_torque) is not None:
-        # what is compared with it has passed this, too
-        values = as_position(load.at(recording.time), segments, period, settings)
-        inputs = replace(inputs, load_torque=Signal(recording.time, values))
+    inputs, resting = _smoothed(recording, settings), None
     if processing.rest:
         still = (recording.position, passed, recording.time, chosen.taps, made.parts)
         resting = rests(*still, numbers.factor, made.still, numbers.guard)
@@ -287,6 +283,23 @@ def _settings(
     return settings
 
 
+def _smoothed(recording: Measurement, settings: Settings) -> Inputs:
+    """Let the torques that the recording gives pass what the measured one has passed."""
+    own = recording.inputs
+
+    def passed(signal: Signal) -> Signal:
+        values = signal.at(recording.time)
+        values = as_position(values, recording.segments, recording.period, settings)
+        return Signal(recording.time, values)
+
+    return replace(
+        own,
+        recording=recording.name,
+        load_torque=None if own.load_torque is None else passed(own.load_torque),
+        others={name: passed(signal) for name, signal in own.others.items()},
+    )
+
+
 def as_position(torque: Array, segments: Segments, period: float, settings: Settings) -> Array:
     """Low-pass a measured torque ``(N,)`` where the position's filter is the torque's too."""
     cutoff, order = float(settings.get("torque_lowpass", 0.0)), int(settings.get("order", 1))
@@ -321,7 +334,11 @@ def with_motion(
         smooth=o.qdd,
         speed=qd[o.filter.centres],
         measured=o.filter.apply(o.compared),
-        inputs=replace(o.inputs, load_torque=recording.inputs.load_torque),
+        inputs=replace(
+            o.inputs,
+            load_torque=recording.inputs.load_torque,
+            others=recording.inputs.others,
+        ),
         steps=(*o.steps, told),
         settings=settings,
     )
@@ -424,13 +441,7 @@ def _prepared(
 ) -> _Prepared:
     """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
     segments, trim = recording.segments, numbers.trim_samples
-    q = lowpass(recording.position, segments, numbers.fs, numbers.cutoff, processing.order)
-    if recording.velocity is None:
-        qd = derivative(q, segments, recording.period, numbers.reach)
-    else:
-        qd = lowpass(recording.velocity, segments, numbers.fs, numbers.cutoff, processing.order)
-        if recording.velocity_lag:
-            qd = unlagged(qd, segments, recording.period, recording.velocity_lag, numbers.reach)
+    q, qd = filtered_motion(recording, numbers.cutoff, processing.order, numbers.reach)
     # nothing may be left of a segment
     kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
     inside = np.zeros(len(q), dtype=np.bool_)

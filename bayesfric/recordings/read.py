@@ -86,7 +86,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     where = table.label(source.position.column)
     position, step = channels.joint_signal(source.position, "position", table, drive)
     steps = [*table.notes, step]
-    time = _time(source, table, len(position))
+    time = recorded_time(source, table, len(position))
     chosen = slice(*_chosen(source, time, table.where))
     checks.check_size(position, where, "position")
     velocity = None
@@ -185,7 +185,8 @@ def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
     return out
 
 
-def _time(source: Columns, table: Table, count: int) -> Array:
+def recorded_time(source: Columns, table: Table, count: int) -> Array:
+    """Give the stamps ``(count,)`` in s since the first."""
     if source.time is None:
         assert source.rate is not None
         return np.arange(count) / source.rate

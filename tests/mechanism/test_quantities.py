@@ -133,7 +133,7 @@ def by_the_table(chain, values, o):
                 shape = [at[f"{place}.{p.row.shape}"]] if p.row.shape else []
                 column = p.row.column(state, *shape)
                 if p.row.signal:
-                    column = column * (o.inputs.temperature.at(o.stamps) - 20.0)
+                    column = column * (o.inputs.signal(p.row.signal).at(o.stamps) - p.row.zero)
                 total = total + at[p.name] * column * (rises[p.row.role] if p.row.rises else 1.0)
         # by direction, the loss of either flow of power is that much larger one way
         drives = torque * state.direction > 0.0
@@ -329,6 +329,17 @@ def test_a_measured_load_torque_on_every_path(pushed):
     test_plain_and_compiled(pushed)
     test_moments_prepared_and_fused(pushed)
     test_forward_then_inverse(pushed)
+
+
+def test_a_column_up_to_its_coefficient_on_every_path(pushed):
+    """Of minus one it is what a measured load torque is."""
+    chain, values, o = pushed
+    chain = replace(chain, load=replace(chain.load, signals=("push",)))
+    named = dict(zip(pushed[0].names, values.tolist(), strict=True))
+    inputs = replace(o.inputs, load_torque=None, others={"push": o.inputs.load_torque})
+    told = chain, chain.vector({**named, "load.push": -1.0}), replace(o, inputs=inputs)
+    np.testing.assert_allclose(by_the_table(*told), by_the_table(*pushed))
+    test_a_measured_load_torque_on_every_path(told)
 
 
 def test_a_measured_load_torque_takes_the_scaling_away(pushed):

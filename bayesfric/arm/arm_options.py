@@ -1,0 +1,91 @@
+"""``arm.toml``: what is known of an arm besides its URDF and the log."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from bayesfric.base.options import Options
+from bayesfric.mechanism.configuration import ElementOptions
+from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.units import Kilograms, Metres
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Payload(Options):
+    """The ``[payload]`` table: what is bolted to a link and not in the URDF."""
+
+    link: str | None = Field(
+        None, description="Link that carries it; the last of the longest chain if left out."
+    )
+    mass: Kilograms = Field(0.0, description="Known mass, kg.")
+    centre: Vector = Field((0.0, 0.0, 0.0), description="Its centre in the link's frame, m.")
+    mass_sd: Kilograms = Field(1.0, description="Standard deviation of that mass, kg.")
+    centre_sd: Metres = Field(0.1, description="How far off that a mass of mass_sd may be, m.")
+
+
+class Uncertainty(Options):
+    """The ``[urdf]`` table: how well the bodies of the URDF are known, as standard deviations."""
+
+    factor: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
+        0.1, description="Relative, of all bodies together, and once more of each by itself."
+    )
+    centre: Metres = Field(0.02, description="Of each body's centre of mass, m, along each axis.")
+
+
+class JointOptions(Options):
+    """A ``[joints.NAME]`` table."""
+
+    fit: bool = Field(True, description="Whether it is fitted.")
+    label: str | None = Field(None, description="What {joint} is in the log; its name if left out.")
+    held: Finite | None = Field(
+        None, description="Position of a joint that the log does not have, rad or m."
+    )
+    torque_constant: str | None = Field(
+        None,
+        description="Torque at the joint per current (drive gain), such as '13.58 N m/A'; it is "
+        "{torque_constant} in [recording].",
+    )
+    gear_ratio: Positive | None = Field(
+        None, description="Motor speed over joint speed; then the rotor's inertia is told, too."
+    )
+    rotor_inertia: Positive | None = Field(
+        None, description="Known inertia of the rotor in kg m², within a fifth; with gear_ratio."
+    )
+    priors: dict[str, Any] = Field(
+        default_factory=dict, description="As [priors] of a configuration, for this joint."
+    )
+
+
+class ArmOptions(Options):
+    """Everything that ``arm.toml`` may hold."""
+
+    gravity: Vector = Field((0.0, 0.0, -9.80665), description="In the frame of the root, m/s².")
+    payload: Payload = Field(Payload(), description="What is bolted to the arm.")
+    urdf: Uncertainty = Field(Uncertainty(), description="How well the URDF is known.")
+    recording: dict[str, Any] = Field(
+        default_factory=dict,
+        description="A [[recordings]] table without file: {joint} in its texts is the joint's "
+        "label, {number} its place in the URDF from 1, {index} from 0.",
+    )
+    friction: ElementOptions = Field(
+        ElementOptions(),
+        description="What joints have besides, or instead, as an element of a mechanism.",
+    )
+    terms: Literal["auto", "as written"] = Field(
+        "auto", description="auto puts in what else explains a joint's torque."
+    )
+    processing: Processing = Field(
+        Processing(), description="As [processing] of a configuration, for all joints."
+    )
+    fit: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Other tables of a configuration: noise, sampling, self_check, likelihood.",
+    )
+    joints: dict[str, JointOptions] = Field(
+        default_factory=dict, description="By name, as in the URDF."
+    )

@@ -1,0 +1,124 @@
+"""A measured UR10: six joints fitted on one motion, their torque predicted on another.
+
+``python studies/ur10-arm/run.py`` reads ``../shared/data/ur10-arm``, takes about a minute of CPU
+time and writes ``result.json`` beside itself.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+import bayesfric as bf
+from bayesfric.base.progress import Spent
+from bayesfric.inference.predictive import Prediction, predict_held_out
+
+HERE = Path(__file__).parent
+DATA = HERE.parents[2] / "shared" / "data" / "ur10-arm"
+SEED = 1
+# N m/A, and friction in A that the authors published (Petrone et al., IEEE TII 2025): viscous,
+# and half of the height of the step at standstill.
+DRIVE_GAINS = (13.5841, 14.2959, 11.3716, 11.2408, 11.7681, 11.7682)
+PUBLISHED = {
+    "viscous": (1.064, 0.994, 0.680, 0.316, 0.224, 0.236),
+    "Coulomb": (1.03, 1.20, 0.82, 0.23, 0.24, 0.30),
+}
+
+
+def validation_log(path: Path) -> None:
+    """Write the one JointTrajectory message as a log, a row a point."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    bag, types = DATA / "validation_trajectory.db3", get_typestore(Stores.LATEST)
+    with AnyReader([bag], default_typestore=types) as reader:
+        connection, _, raw = next(reader.messages())
+        message = reader.deserialize(raw, connection.msgtype)
+    frame = {
+        "header.stamp": [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec
+                         for p in message.points]
+    }  # fmt: skip
+    for field, column in (("positions", "position"), ("velocities", "velocity"), ("effort",) * 2):
+        values = np.array([getattr(point, field) for point in message.points])
+        for k, name in enumerate(message.joint_names):
+            frame[f"{column}[{name}]"] = values[:, k]
+    pd.DataFrame(frame).to_csv(path, index=False)
+
+
+def least_squares(fitted: bf.Arm) -> dict[str, float]:
+    """Predict by ordinary least squares on the same outputs, with its bands for white noise.
+
+    Columns: the URDF's torque, Coulomb, viscous, armature, offset.
+    """
+
+    def columns(o):
+        urdf = -o.inputs.load_torque.at(o.stamps)
+        rows = np.stack([urdf, np.sign(o.qd), o.qd, o.qdd, np.ones_like(o.q)])
+        return o.filter.apply(rows).T, o.measured
+
+    model = fitted.result.model
+    seen, torque = columns(model.observations[0])
+    new, measured = columns(model.held_out[0].observation)
+    found, *_ = np.linalg.lstsq(seen, torque, rcond=None)
+    scale = np.sqrt(np.sum((torque - seen @ found) ** 2) / (torque.size - found.size))
+    leverage = np.einsum("ij,jk,ik->i", new, np.linalg.inv(seen.T @ seen), new)
+    error = measured - new @ found
+    names = ("URDF torque", "Coulomb", "viscous", "armature", "offset")
+    return {
+        "rms": float(np.sqrt(np.mean(error**2))),
+        "coverage": float(np.mean(np.abs(error) < 1.645 * scale * np.sqrt(1.0 + leverage))),
+        "coefficients": dict(zip(names, np.round(found, 4).tolist(), strict=True)),
+    }
+
+
+def quality(one: Prediction) -> dict[str, float]:
+    """Root mean square of what is left, sd of the prediction, coverage of its 90 % bands."""
+    return {
+        "rms": float(np.sqrt(np.mean((one.measured - one.mean) ** 2))),
+        "sd": float(np.sqrt(np.mean(one.variance))),
+        "coverage": float(np.mean(np.abs(one.pit - 0.5) <= 0.45)),
+    }
+
+
+def compared(folder: Path, joints: list[str] | None = None) -> dict[str, dict]:
+    """Fit, and predict the other motion, both ways."""
+    validation_log(folder / "validation.csv")
+    arm = bf.Arm(DATA / "ur10.urdf")
+    if joints:
+        off = {name: {"fit": name in joints} for name in arm.bodies.joints}
+        arm = bf.Arm(DATA / "ur10.urdf", {"joints": off})
+    log = DATA / "ur10_exciting_trajectory.db3"
+    fitted = arm.fit(log, predict=folder / "validation.csv", seed=SEED)
+    found = {}
+    for name, one in fitted.joints.items():
+        told = one.as_json()
+        told.pop("validation")
+        fit = one.result.fit
+        wide = predict_held_out(fit.target, fit.wide.posterior, one.result.model.held_out)
+        found[name] = {
+            "arm": quality(fit.held_out[0]),
+            "arm, with room for the model's error": quality(wide[0]),
+            "least squares": least_squares(one),
+            **told,
+        }
+    print("\n".join(fitted.text()), file=sys.stderr)
+    return found
+
+
+def main() -> None:
+    spent = Spent()
+    with tempfile.TemporaryDirectory() as folder:
+        found = compared(Path(folder))
+    for k, told in enumerate(found.values()):
+        gain = DRIVE_GAINS[k]
+        told["published"] = {key: round(gain * x[k], 3) for key, x in PUBLISHED.items()}
+    result = {"seed": SEED, "cpu_seconds": round(spent.cpu_seconds, 1), "joints": found}
+    text = json.dumps(result, indent=1, ensure_ascii=False)
+    (HERE / "result.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""A small arm: its URDF, and logs of it that MuJoCo makes, which no estimator has part in."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+import pandas as pd
+
+# Mass, centre and inertia of the links, in the frames of their joints.
+LINKS = {
+    "base": (4.0, (0.0, 0.0, 0.05), 0.02),
+    "upper": (6.0, (0.02, 0.01, 0.2), 0.12),
+    "lower": (3.0, (-0.01, 0.0, 0.15), 0.05),
+    "tool": (1.0, (0.0, 0.03, 0.1), 0.005),
+}
+SHOULDER, ELBOW, SLIDE = "shoulder_joint", "elbow_joint", "slide_joint"
+
+
+def link(name: str, factor: float = 1.0) -> str:
+    mass, centre, inertia = LINKS[name]
+    terms = f'ixx="{factor * inertia}" iyy="{factor * inertia}" izz="{0.3 * factor * inertia}"'
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{" ".join(map(str, centre))}"/>'
+        f'<mass value="{factor * mass}"/><inertia {terms} ixy="0" ixz="0" iyz="0"/>'
+        f"</inertial></link>"
+    )
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", more: str = "") -> str:
+    limit = "" if kind == "fixed" else '<limit lower="-3" upper="3" effort="90" velocity="9"/>'
+    axis = "0 0 1" if kind == "prismatic" else "0 1 0"
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0.01 0.02 0.3"/><axis xyz="{axis}"/>{limit}{more}</joint>'
+    )
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="bench">{"".join(parts)}</robot>'
+
+
+def urdf(factors: Mapping[str, float] = MappingProxyType({}), *, slides: bool = False) -> str:
+    """Write the arm with masses and inertias times ``factors`` by link."""
+    return robot(
+        *(link(name, factors.get(name, 1.0)) for name in LINKS),
+        joint(SHOULDER, "base", "upper", "continuous"),
+        joint(ELBOW, "upper", "lower"),
+        joint(SLIDE, "lower", "tool", "prismatic" if slides else "fixed"),
+    )
+
+
+def rigid_torque(text: str, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Inverse dynamics by MuJoCo, ``(n, n_joints)`` as what goes in."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(model)
+    out = np.empty_like(q)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(model, data)
+        out[k] = data.qfrc_inverse
+    return out
+
+
+def motion(seconds: float, rate: float = 200.0) -> tuple[np.ndarray, ...]:
+    """Time, and position, speed and acceleration of two joints, ``(n, 2)``, all of sines."""
+    time = np.arange(0.0, seconds, 1.0 / rate)
+    found = np.zeros((3, time.size, 2))
+    for k, waves in enumerate((((0.9, 0.23), (0.4, 0.71)), ((1.1, 0.31), (0.3, 0.93)))):
+        for size, hertz in waves:
+            w = 2.0 * np.pi * hertz
+            found[0, :, k] += size * np.sin(w * time + k)
+            found[1, :, k] += size * w * np.cos(w * time + k)
+            found[2, :, k] -= size * w**2 * np.sin(w * time + k)
+    return time, *found
+
+
+def log(
+    text: str, truth: Mapping[str, Mapping[str, float]], seconds: float = 20.0, seed: int = 1
+) -> pd.DataFrame:
+    """Record the arm of a URDF with friction, white encoder and torque noise."""
+    noise = np.random.default_rng(seed)
+    time, q, qd, qdd = motion(seconds)
+    carried = rigid_torque(text, q, qd, qdd)
+    columns = {"time [s]": time}
+    for k, (name, own) in enumerate(truth.items()):
+        lost = own["motor.coulomb"] + own["motor.load"] * np.abs(carried[:, k])
+        effort = carried[:, k] + own["motor.inertia"] * qdd[:, k]
+        effort += lost * np.sign(qd[:, k]) + own["motor.viscous"] * qd[:, k]
+        columns[f"position[{name}] [rad]"] = q[:, k] + 2e-6 * noise.normal(size=time.size)
+        columns[f"effort[{name}] [N m]"] = effort + 0.3 * noise.normal(size=time.size)
+    return pd.DataFrame(columns)
