@@ -58,7 +58,9 @@ def along(
         )  # fmt: skip
         observations.append(replace(o, measured=1.5 * o.measured))
         recordings.append(
-            made_recording(time, q, torque, PERIOD, segments=segments, name=name, **more)
+            made_recording(
+                time, q, torque, PERIOD, segments=segments, name=name, inputs=given, **more
+            )
         )
     values = chain.vector({name: TRUTH.get(name, 0.0) for name in chain.names})
     scales = scales_of(chain, values, observations)
@@ -247,13 +249,20 @@ def felt(k):
     return Inputs(recording=f"{k}", **signals)
 
 
+def feeling(a, k):
+    """The same recording, as prepared and as read, with what it felt."""
+    inputs = felt(k)
+    both = replace(a.o, inputs=inputs), replace(a.recording, inputs=inputs)
+    return replace(a, o=both[0], recording=both[1])
+
+
 @pytest.mark.parametrize("k", [0, 1])
 def test_columns_are_their_formulas(k):
     """Of inputs that the model's own torque feels, none here: it is known without."""
     a = along(at=k)
     a = replace(a, scales=replace(a.scales, others=("q2",)))
     # what is looked up beside the model's torque, which no load torque moves here
-    given = replace(a, o=replace(a.o, inputs=felt(k)))
+    given = feeling(a, k)
     columns, beside = expected(a, k)
     assert set(columns) == {kind.name for kind in KINDS}
     for kind in KINDS:
@@ -276,8 +285,8 @@ def test_friction_is_what_rests_with_the_joint_and_must_be_positive_where_it_can
     """Columns are finite at rest; what a bristle remembers is friction that is there then, too."""
     a = along()
     resting = np.arange(N) % 9 == 4
-    o = replace(a.o, qd=np.where(resting, 0.0, a.o.qd), inputs=felt(0))
-    a = replace(a, o=o, scales=replace(a.scales, others=("q2",)))
+    o = replace(a.o, qd=np.where(resting, 0.0, a.o.qd))
+    a = feeling(replace(a, o=o, scales=replace(a.scales, others=("q2",))), 0)
     by_size = "presliding", "stribeck_by_direction", "load_loss_by_direction"
     # of which a joint may have less than its model, or lose less as it warms
     either = "coulomb", "viscous", "coulomb_warming", "viscous_warming", "temperature"
