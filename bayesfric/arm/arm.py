@@ -14,16 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
-from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint, directions, resolution
+from bayesfric.arm.bodies import Bodies, UrdfJoint, directions, resolution
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, progress_shown
 from bayesfric.fit.model import Model
-from bayesfric.fit.result import Result
 from bayesfric.problem.config import checked_toml, parse_config, read_toml
 from bayesfric.problem.config_text import document_text, recording_table, toml_value
 from bayesfric.recordings.arrays import Array
@@ -34,9 +32,6 @@ from bayesfric.recordings.units import OPEN
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
 # Moments that are looked at for directions.
 _LOOKED_AT = 2000
-# Share of the prior's variance that the data must take off before a direction is judged by it.
-_TELLING = 0.05
-_MOST_CAUSES = 5  # that are told of a joint
 # How well a rotor's inertia is known that is given.
 _ROTOR = 0.2
 # Share of an effort that bodies explain before it is judged by them.
@@ -140,7 +135,9 @@ class Arm:
         if all(one.result is None for one in fitted.values()):
             why = "; ".join(f"{name}: {one.why}" for name, one in fitted.items())
             raise BadInput(str(path), f"no joint is fitted ({why})", "see to one")
-        return FittedArm(self.bodies.path, tuple(paths), fitted)
+        doubt = self.bodies.doubt(self.options.urdf, self.options.payload)
+        kept = {name: felt[name].kept for name in fitted}
+        return FittedArm.joined(self.bodies, logs, fitted, doubt, kept, seed)
 
     def _own(self, name: str) -> JointOptions:
         return self.options.joints.get(name, JointOptions())
@@ -172,7 +169,7 @@ class Arm:
             parameters[j, :, 1 : 1 + one.shape[1]] = doubt.spread @ one
         torques = [bodies.torques(log.motion, parameters) for log in logs]
         return {
-            name: _Felt(doubt, one, [t[j, : 1 + one.shape[1]] for t in torques])
+            name: _Felt(one, [t[j, : 1 + one.shape[1]] for t in torques])
             for j, (name, one) in enumerate(zip(order, kept, strict=True))
         }
 
@@ -198,7 +195,7 @@ class Arm:
             result = self._model(joint, logs, felt).fit(seed=seed, progress=tell)
         except BadInput as error:
             return replace(told, why=str(error))
-        return replace(told, result=result, urdf={**sizes, **felt.told(result)})
+        return replace(told, result=result)
 
     def _model(self, joint: UrdfJoint, logs: Sequence[ArmLog], felt: _Felt) -> Model:
         """Make the model of one joint: an element, its load the torque of the bodies."""
@@ -255,34 +252,5 @@ def remarks(joint: UrdfJoint, one: Measurement, urdf: Array) -> Iterator[str]:
 class _Felt:
     """What one joint feels of the bodies."""
 
-    doubt: Doubt
     kept: Array  # (n_causes, k) directions
     torques: Sequence[Array]  # (1 + k, n) of each log
-
-    def told(self, result: Result) -> dict[str, Any]:
-        """Say what the posterior of the directions makes of the causes.
-
-        Both are Gaussian but for the sampling, and causes beside the directions are as before.
-        """
-        count = self.kept.shape[1]
-        if not count:
-            return {}
-        posterior = result.fit.posterior
-        draws = posterior.flat()[:, [posterior.names.index(f"load.{n}") for n in signals(count)]]
-        mean = draws.mean(axis=0)
-        # by the prior a posterior mean scatters by what the data take off the prior
-        seen = np.eye(count) - np.atleast_2d(np.cov(draws.T))
-        size, ways = np.linalg.eigh(seen)
-        judged = size > _TELLING
-        far = float(np.sum((ways[:, judged].T @ mean) ** 2 / size[judged]))
-        value = self.kept @ mean
-        left = np.sqrt(np.maximum(1.0 - np.sum((self.kept @ seen) * self.kept, axis=1), 0.0))
-        causes = [
-            {"name": name, "value": x * one, "sd": sd * one, "prior_sd": one, "unit": unit}
-            for (name, one, unit), x, sd in zip(
-                self.doubt.causes, value.tolist(), left.tolist(), strict=True
-            )
-        ]
-        farthest = np.argsort(-np.abs(value))[:_MOST_CAUSES]
-        p = float(chi2.sf(far, np.count_nonzero(judged)))
-        return {"p": p, "causes": [causes[k] for k in farthest]}

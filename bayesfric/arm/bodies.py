@@ -22,8 +22,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
+from bayesfric.arm.inertia import OF_ONE as _OF_ONE
+from bayesfric.arm.inertia import tensor
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.opened import read_text
 from bayesfric.estimates.information import long_run_variance
@@ -32,7 +35,6 @@ from bayesfric.recordings.arrays import Array
 
 _LARGEST = 10_000_000
 _MOTIONS: dict[str, Motion] = {"revolute": "rotary", "continuous": "rotary", "prismatic": "linear"}
-_OF_ONE = 10  # inertial parameters of a body
 # What iDynTree says on stderr where it reads on past what it should not.
 _REFUSED = ("[ERROR]", "[WARNING] InertiaElement")
 
@@ -57,6 +59,7 @@ class Doubt:
     nominal: Array  # (10 n_links,)
     spread: Array  # (10 n_links, n_causes)
     causes: Sequence[tuple[str, float, str]]
+    inside: Array  # (n_causes,) a z of which a payload is a body that can be
 
 
 class Bodies:
@@ -75,6 +78,8 @@ class Bodies:
         Those that move and mimic none, by name.
     links
         Names of the bodies.
+    gravity
+        As given.
 
     Raises
     ------
@@ -98,7 +103,7 @@ class Bodies:
         self.path = path
         self.joints = {name: joint for name, joint in every.items() if joint.mimics is None}
         self.links = [model.getLinkName(k) for k in range(model.getNrOfLinks())]
-        self._gravity, self._engine = np.array(gravity), idyntree.KinDynComputations()
+        self.gravity, self._engine = gravity, idyntree.KinDynComputations()
         self._engine.loadRobotModel(model)
         found = idyntree.VectorDynSize()
         model.getInertialParameters(found)
@@ -124,32 +129,45 @@ class Bodies:
         BadInput
             If there is no such link.
         """
-        link = payload.link or self._tip()
+        moved = self._moved_by()
+        # of several that most joints move the last
+        link = payload.link or self.links[int(np.flatnonzero(moved == moved.max())[-1])]
         if link not in self.links:
             raise BadInput("payload.link", f"no link is called {link!r}", nearest(link, self.links))
-        spread, causes = list[Array](), list[tuple[str, float, str]]()
+        spread, causes, inside = list[Array](), list[tuple[str, float, str]](), list[float]()
 
-        def add(name: str, sd: float, unit: str, body: int | slice, of_one: Any) -> None:
+        def add(
+            name: str, sd: float, unit: str, body: int | slice, of_one: Any, start: float = 0.0
+        ) -> None:
             column = np.zeros_like(self._nominal)
             column[body] = sd * np.asarray(of_one)
             spread.append(column.ravel())
             causes.append((name, sd, unit))
+            inside.append(start)
 
         add("all bodies", told.factor, "", slice(None), self._nominal)
-        first = np.eye(_OF_ONE)[1:4]  # moments along the axes
         for k, name in enumerate(self.links):
-            if mass := self._nominal[k, 0]:
+            mass = self._nominal[k, 0]
+            if mass and moved[k]:
                 add(f"{name} by itself", told.factor, "", k, self._nominal[k])
-                for axis, moment in zip("xyz", mass * first, strict=True):
-                    add(f"centre of {name}, {axis}", told.centre, "m", k, moment)
-        k, one_kg = self.links.index(link), _point(np.array(payload.centre))
-        add(f"payload of {link}", payload.mass_sd, "kg", k, one_kg)
-        for axis, moment in zip("xyz", first, strict=True):
-            name = f"moment of the payload, {axis}"
-            add(name, payload.mass_sd * payload.centre_sd, "kg m", k, moment)
+                at = self._nominal[k, 1:4] / mass
+                for axis, way in zip("xyz", np.eye(3), strict=True):
+                    change = mass * _moved(at, way)
+                    add(f"centre of {name}, {axis}", told.centre, "m", k, change)
+        k, at = self.links.index(link), np.array(payload.centre)
+        add(f"payload of {link}", payload.mass_sd, "kg", k, _point(at), 1.0)
+        reach, name = payload.mass_sd * payload.centre_sd, "of the payload"
+        for axis, way in zip("xyz", np.eye(3), strict=True):
+            add(f"moment {name}, {axis}", reach, "kg m", k, _moved(at, way))
+        for x, axes in enumerate(("xx", "xy", "xz", "yy", "yz", "zz")):
+            moment = np.zeros(_OF_ONE)
+            moment[4:] = _inertia(tensor(np.eye(6)[x]))
+            start = float(axes[0] == axes[1])
+            size = reach * payload.centre_sd
+            add(f"second moment {name}, {axes}", size, "kg m²", k, moment, start)
         nominal = self._nominal.copy()
-        nominal[k] += payload.mass * one_kg
-        return Doubt(nominal.ravel(), np.stack(spread, axis=1), causes)
+        nominal[k] += payload.mass * _point(at)
+        return Doubt(nominal.ravel(), np.stack(spread, axis=1), causes, np.array(inside))
 
     def torques(self, motion: Array, parameters: Array) -> Array:
         """Torques of the joints for inertial parameters, ``(n_joints, k, n)``, N m or N.
@@ -168,21 +186,19 @@ class Bodies:
 
     def _regressors(self, motion: Array) -> Iterator[Array]:
         """Give the regressor of every moment, ``(n_joints, 10 n_links)``."""
-        base, still = np.eye(4), np.zeros(6)
+        base, still, gravity = np.eye(4), np.zeros(6), np.array(self.gravity)
         q, qd, qdd = (self._moves @ x for x in motion)
         q += self._plus[:, None]
         for i in range(q.shape[1]):
-            self._engine.setRobotState(base, q[:, i], still, qd[:, i], self._gravity)
+            self._engine.setRobotState(base, q[:, i], still, qd[:, i], gravity)
             self._engine.inverseDynamicsInertialParametersRegressor(still, qdd[:, i], self._out)
             yield self._moves.T @ self._out.toNumPy()[6:]
 
-    def _tip(self) -> str:
-        """Name the link that most joints move, of several the last."""
+    def _moved_by(self) -> NDArray[np.int64]:
+        """Count the joints that feel each link."""
         somewhere = np.ones((3, len(self.joints), 1))
-        moved = next(self._regressors(somewhere)).reshape(len(self.joints), -1, _OF_ONE)
-        counts = np.count_nonzero(np.abs(moved).sum(axis=2) > 1e-9, axis=0)
-        last = int(np.flatnonzero(counts == counts.max())[-1])
-        return str(self.links[last])
+        felt = next(self._regressors(somewhere)).reshape(len(self.joints), -1, _OF_ONE)
+        return np.asarray(np.count_nonzero(np.abs(felt).sum(axis=2) > 1e-9, axis=0))
 
 
 def directions(columns: Array, small: float) -> Array:
@@ -212,8 +228,17 @@ def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array)
 
 def _point(at: Array) -> Array:
     """Inertial parameters of a kilogram at a place of the link's frame."""
-    inertia = at @ at * np.eye(3) - np.outer(at, at)
-    return np.array([1.0, *at, *inertia[np.triu_indices(3)]])
+    return np.array([1.0, *at, *_inertia(np.outer(at, at))])
+
+
+def _moved(at: Array, way: Array) -> Array:
+    """Change of inertial parameters a kilogram as a body's centre moves from ``at``, per m."""
+    return np.array([0.0, *way, *_inertia(np.outer(at, way) + np.outer(way, at))])
+
+
+def _inertia(second: Array) -> Array:
+    """Give the inertia ``(6,)`` of second moments of mass ``(3, 3)``."""
+    return np.asarray((np.trace(second) * np.eye(3) - second)[np.triu_indices(3)])
 
 
 def _joints(path: Path) -> dict[str, UrdfJoint]:

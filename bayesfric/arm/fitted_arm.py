@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from bayesfric.arm.bodies import UrdfJoint
+import numpy as np
+
+from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.base_parameters import base_parameters
+from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
+from bayesfric.arm.together import UNLIKELY, Together, moved, retold, together
 from bayesfric.base.version import __version__
 from bayesfric.base.written import write_beside
 from bayesfric.fit.result import Result
+from bayesfric.inference.predictive import predict_held_out
+from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT, finer, p_text, text_rounded
 from bayesfric.report.page.rendering import render
+from bayesfric.report.summary.record import Validation
 from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import listed
 
 # Columns of the table, and which parameter is in them: the first that the joint has.
@@ -27,8 +38,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 # Draws kept of a joint whose pages are not made; lines of the table, and letters of a column.
 _DRAWS, _LINES, _WIDTH = 300, 28, 22
-# A p-value below which bodies of the URDF are said to be otherwise.
-_UNLIKELY = 0.01
+_MOST_CAUSES = 3  # that a line tells of bodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,10 +50,14 @@ class FittedJoint:
     result: Result | None = None
     why: str = ""
     remarks: tuple[str, ...] = ()
-    # torque_rms of the bodies on this motion, N m or N, and doubt_rms of what that may be off by;
-    # p of bodies as far off as these data say, were the doubt right; and causes of that, each with
-    # name, value, sd, prior_sd and unit, those the farthest off first
-    urdf: Mapping[str, Any] = field(default_factory=dict)
+    # torque_rms of the bodies on this motion, N m or N, and doubt_rms of what that may be off by
+    urdf: Mapping[str, float] = field(default_factory=dict)
+    # by all joints: numbers, and how well what was not fitted is predicted; chance of data as far
+    # from what the others say of the bodies
+    rows: Mapping[str, PosteriorRow] = field(default_factory=dict)
+    validation: Validation | None = None
+    apart: float = 1.0
+    agrees: bool = True
 
     @property
     def folder(self) -> str:
@@ -53,9 +67,8 @@ class FittedJoint:
     @property
     def cells(self) -> dict[str, PosteriorRow | None]:
         """What stands in each column of the table."""
-        rows = {} if self.result is None else self.result.summary.parameters
         return {
-            column: next((rows[name] for name in names if name in rows), None)
+            column: next((self.rows[name] for name in names if name in self.rows), None)
             for column, names in COLUMNS.items()
         }
 
@@ -65,18 +78,14 @@ class FittedJoint:
         if self.result is None:
             yield f"not fitted: {self.why}"
         yield from self.remarks
-        if self.urdf.get("p", 1.0) < _UNLIKELY:
-            far = [
-                f"{c['name']} {c['value']:+.2g} ± {c['sd']:.2g} {c['unit']}".rstrip()
-                for c in self.urdf["causes"][:2]
-            ]
-            yield f"contradicts the URDF ({p_text(self.urdf['p'])}): {listed(far)}"
+        if not self.agrees:
+            yield f"stands for itself: contradicts the others about bodies ({p_text(self.apart)})"
         if self.result is not None:
             summary = self.result.summary
             for word, found in (("added", summary.taken), ("found", summary.findings)):
                 if found:
                     yield f"{word} {listed([one.kind for one in found])}"
-            for name, part in (summary.validation.parts if summary.validation else {}).items():
+            for name, part in (self.validation.parts if self.validation else {}).items():
                 held = f"90 % bands hold {part.coverage['0.9'].share:.0%}"
                 yield f"predicts {name} to {part.residual_rms:.3g} {summary.fit.unit} rms; {held}"
 
@@ -88,19 +97,19 @@ class FittedJoint:
         summary, armature = self.result.summary, self.cells["armature"]
         if self.gear_ratio and armature:
             told["rotor_inertia"] = armature.value / self.gear_ratio**2
-        rows = {name: row for name, row in summary.parameters.items() if row.reported}
         return {
             "folder": self.folder,
             "sampler": summary.sampler.status,
             "fit": summary.fit.model_dump(include={"residual_rms", "explained", "unit"}),
             "parameters": {
                 name: {"unit": row.unit, **row.reported.model_dump(exclude={"how"})}
-                for name, row in rows.items()
+                for name, row in self.rows.items()
                 if row.reported and not name.startswith("noise.")
             },
             "added": [one.kind for one in summary.taken],
             "findings": [one.kind for one in summary.findings],
-            "validation": summary.validation and summary.validation.model_dump(mode="json"),
+            "apart": self.apart,
+            "validation": self.validation and self.validation.model_dump(mode="json"),
             **told,
         }
 
@@ -109,9 +118,84 @@ class FittedJoint:
 class FittedArm:
     """What came of an arm, by joint in the order of the URDF."""
 
-    urdf: Path
+    bodies: Bodies
     logs: tuple[Path, ...]
     joints: Mapping[str, FittedJoint]
+    doubt: Doubt
+    together: Together
+    visited: Array  # (n_joints, 2) lowest and highest positions of the log, rad or m
+
+    @classmethod
+    def joined(
+        cls,
+        bodies: Bodies,
+        logs: Sequence[ArmLog],
+        joints: Mapping[str, FittedJoint],
+        doubt: Doubt,
+        kept: Mapping[str, Array],
+        seed: int | None,
+    ) -> FittedArm:
+        """Join what fits say of the bodies by ``kept`` directions, and put it into joints."""
+        rng, told = np.random.default_rng(seed), dict(joints)
+        fits = {name: one.result.fit for name, one in joints.items() if one.result}
+        found = together(doubt, fits, kept, rng)
+        for name, fit in fits.items():
+            one = joints[name]
+            assert one.result is not None
+            rows, posterior, checked = one.result.summary.parameters, fit.posterior, None
+            if name in found.agreed:
+                ways = kept[name], found.draws, rng
+                rows = retold(rows, fit, moved(fit, fit.wide.posterior, *ways))
+                posterior = moved(fit, posterior, *ways)
+            if held_out := one.result.model.held_out:
+                predictions = predict_held_out(fit.target, posterior, held_out)
+                record = validation_record(replace(fit, held_out=predictions))
+                checked = Validation.model_validate(record)
+            told[name] = replace(
+                one,
+                rows=rows,
+                validation=checked,
+                apart=found.apart[name],
+                agrees=name in found.agreed,
+            )
+        q = logs[0].motion[0]
+        visited = np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
+        return cls(bodies, tuple(log.path for log in logs), told, doubt, found, visited)
+
+    @property
+    def urdf(self) -> Path:
+        """The URDF."""
+        return self.bodies.path
+
+    @cached_property
+    def found(self) -> dict[str, Any]:
+        """What joints that agree say of the bodies.
+
+        ``p`` of data as far from the URDF, ``causes`` of that and ``base_parameters``.
+        """
+        found, rng = self.together, np.random.default_rng(0)
+        return {
+            "p": found.p,
+            "agreed": [*found.agreed],
+            "physical": found.physical,
+            "causes": found.causes(self.doubt),
+            "base_parameters": [
+                asdict(one) for one in base_parameters(self.bodies, self.doubt, found.draws, rng)
+            ],
+        }
+
+    @property
+    def said(self) -> list[str]:
+        """What is to be said besides the table, a line each."""
+        lines = [f"{name}: {line}" for name, one in self.joints.items() for line in one.lines]
+        told = self.found
+        far = [
+            f"{c['name']} {c['value']:+.2g} ± {c['sd']:.2g} {c['unit']}".rstrip()
+            for c in told["causes"][:_MOST_CAUSES]
+            if abs(c["value"]) > 2.0 * c["sd"]
+        ]
+        word = "contradict the URDF" if told["p"] < UNLIKELY else "beside the URDF"
+        return [*([f"bodies {word} ({p_text(told['p'])}): {listed(far)}"] if far else []), *lines]
 
     @property
     def reliable(self) -> bool:
@@ -125,6 +209,7 @@ class FittedArm:
             "bayesfric": __version__,
             "urdf": str(self.urdf),
             "logs": [*map(str, self.logs)],
+            "bodies": self.found,
             "joints": {name: one.as_json() for name, one in self.joints.items()},
         }
 
@@ -137,16 +222,22 @@ class FittedArm:
                 cells = [_cell(row) for row in one.cells.values()]
                 rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
         table = [r[0].ljust(margin) + "".join(c.ljust(_WIDTH) for c in r[1:]) for r in rows]
-        said = [f"{name}: {line}" for name, one in self.joints.items() for line in one.lines]
+        said = self.said
         room = max(_LINES - len(table), 1)
         if len(said) > room:
             said = [*said[: room - 1], f"and {len(said) - room + 1} lines more in arm.html"]
         return [line.rstrip() for line in (*table, *said)]
 
-    def write(self, folder: Path | str, *, full: bool = False) -> Path:
+    def write(
+        self,
+        folder: Path | str,
+        *,
+        full: bool = False,
+        more: Mapping[str, str] = MappingProxyType({}),
+    ) -> Path:
         """Write a run directory a joint, ``arm.json`` and the page ``arm.html``, which is returned.
 
-        With ``full`` each joint has its figures, tables and page, too.
+        With ``full`` each joint has its figures, tables and page, too; ``more`` are further files.
         """
         folder = Path(folder)
         for one in self.joints.values():
@@ -157,7 +248,8 @@ class FittedArm:
             "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,
             version=__version__,
         )  # fmt: skip
-        write_beside({folder / "arm.json": f"{told}\n", folder / "arm.html": page}, replace=True)
+        files = {"arm.json": f"{told}\n", "arm.html": page, **more}
+        write_beside({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
 
 

@@ -349,11 +349,22 @@ def arm(
         Path | None, Option(metavar="LOG", help="another motion, to be predicted")
     ] = None,
     full: Annotated[bool, Option("--full", help="figures, tables and page of each joint")] = False,
+    to_files: Annotated[
+        bool, Option("--export", help="URDF, MJCF, ros2_control and Python with what was found")
+    ] = False,
+    advise: Annotated[
+        bool, Option("--advise", help="the motion that tells most next, as CSV and JointTrajectory")
+    ] = False,
+    wanted: Annotated[
+        list[str] | None, Option(metavar="JOINT.NUMBER", help="with --advise: what it is to tell")
+    ] = None,
+    seconds: Annotated[float, Option(help="with --advise: how long it may be")] = 20.0,
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
     """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
     from bayesfric.arm.arm import Arm
+    from bayesfric.arm.onward import files_of, next_motion
     from bayesfric.base.written import check_free
 
     folder = output or Path(f"{log.stem}-arm")
@@ -361,8 +372,16 @@ def arm(
     with _progress() as progress:
         made = Arm(urdf, {} if config is None else config)
         found = made.fit(log, predict=predict, seed=seed, progress=progress)
-        page = found.write(folder, full=full)
-    _print(found.as_json(), as_json, [*found.text(), "", f"Written: {page}"])
+        more: dict[str, str] = {}
+        if to_files:
+            more |= files_of(found)
+        told = found.text()
+        if advise:
+            motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
+            more |= {"exciting.csv": motion.as_csv(), "exciting.yaml": motion.as_joint_trajectory()}
+            told.append(f"next motion: {motion.narrower:.2g} times narrower than one at random")
+        page = found.write(folder, full=full, more=more)
+    _print(found.as_json(), as_json, [*told, "", f"Written: {page}"])
     if not found.reliable:
         raise typer.Exit(NOT_CONVERGED)
 
