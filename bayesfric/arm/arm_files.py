@@ -176,6 +176,9 @@ def written_mjcf(
         mimics = {one.name1 for one in spec.equalities}
         for joint in spec.joints:
             joint.armature = arm.joints.get(joint.name, {}).get("armature", 0.0)
+            # else joints that stick creep
+            joint.solref_friction = (2.0 * spec.option.timestep, 1.0)
+            joint.solimp_friction = (0.9999, 0.9999, 0.001, 0.5, 2.0)
             if joint.name not in mimics:
                 motor = spec.add_actuator(name=joint.name, target=joint.name)
                 motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
@@ -187,7 +190,10 @@ def written_mjcf(
         text = spec.to_xml()
     except ValueError as error:
         raise BadInput(str(path), f"MuJoCo refuses it: {error}", "see to its links") from None
-    return f"{_said(arm)}{_in_full(text, model)}\n"
+    remarks = [*arm.remarks]
+    if any(own.get("load") for own in lossy.values()) and typical:
+        remarks.append("frictionloss has the friction of the load at its typical size, too")
+    return f"{_said(replace(arm, remarks=remarks))}{_in_full(text, model)}\n"
 
 
 def _in_full(text: str, model: Any) -> str:

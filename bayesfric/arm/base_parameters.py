@@ -49,6 +49,12 @@ class BaseParameter:
     urdf: float
     urdf_sd: float
 
+    @property
+    def text(self) -> str:
+        """The sum."""
+        parts = (f"{'+-'[k < 0.0]} {abs(k):.3g} {name}" for name, k in self.beside.items())
+        return " ".join((self.name, *parts)).replace(" 1 ", " ")
+
 
 def combinations(bodies: Bodies, rng: np.random.Generator) -> tuple[Array, Array]:
     """Find the base parameters of an arm.

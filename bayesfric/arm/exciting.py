@@ -101,6 +101,15 @@ class Excited:
     sd_after: Mapping[str, float]
     narrower: float
 
+    def text(self, wanted: Sequence[str] | None = None) -> str:
+        """Say how much narrower than now it will make what is wanted, all if left out."""
+        found = [self.sd_before[name] / self.sd_after[name] for name in wanted or self.sd_after]
+        mean = math.exp(float(np.mean(np.log([x for x in found if math.isfinite(x)] or [1.0]))))
+        return (
+            f"next motion: expected to make intervals {mean:.2g} times narrower than now, "
+            f"{self.narrower:.2g} times narrower than a motion at random"
+        )
+
     def as_csv(self) -> str:
         """Write it as a log: time, then position, velocity, acceleration and effort by joint."""
         names, columns = ["time [s]"], [self.time]

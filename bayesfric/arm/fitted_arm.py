@@ -16,7 +16,7 @@ import numpy as np
 from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.base_parameters import base_parameters
 from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
-from bayesfric.arm.together import UNLIKELY, Together, moved, retold, together
+from bayesfric.arm.together import UNLIKELY, Felt, Together, moved, retold, together
 from bayesfric.base.version import __version__
 from bayesfric.base.written import write_beside
 from bayesfric.fit.result import Result
@@ -36,8 +36,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = {
     "viscous": ("motor.viscous", "motor.viscous_positive"),
     "load loss": ("motor.load", "motor.load_drive"),
 }
-# Draws kept of a joint whose pages are not made; lines of the table, and letters of a column.
-_DRAWS, _LINES, _WIDTH = 300, 28, 22
+# Draws kept of a joint whose pages are not made, and lines of the table with what is said.
+_DRAWS, _LINES = 300, 28
 _MOST_CAUSES = 3  # that a line tells of bodies
 
 
@@ -137,16 +137,19 @@ class FittedArm:
     ) -> FittedArm:
         """Join what fits say of the bodies by ``kept`` directions, and put it into joints."""
         rng, told = np.random.default_rng(seed), dict(joints)
-        fits = {name: one.result.fit for name, one in joints.items() if one.result}
-        found = together(doubt, fits, kept, rng)
-        for name, fit in fits.items():
-            one = joints[name]
+        fits = {
+            name: Felt(one.result.fit, one.result.summary.parameters, kept[name])
+            for name, one in joints.items()
+            if one.result
+        }
+        found = together(doubt, fits, rng)
+        for name, own in fits.items():
+            one, fit = joints[name], own.fit
             assert one.result is not None
-            rows, posterior, checked = one.result.summary.parameters, fit.posterior, None
+            rows, posterior, checked = own.rows, fit.posterior, None
             if name in found.agreed:
-                ways = kept[name], found.draws, rng
-                rows = retold(rows, fit, moved(fit, fit.wide.posterior, *ways))
-                posterior = moved(fit, posterior, *ways)
+                rows = retold(own, moved(own, fit.wide.posterior, found.draws, rng))
+                posterior = moved(own, posterior, found.draws, rng)
             if held_out := one.result.model.held_out:
                 predictions = predict_held_out(fit.target, posterior, held_out)
                 record = validation_record(replace(fit, held_out=predictions))
@@ -179,9 +182,7 @@ class FittedArm:
             "agreed": [*found.agreed],
             "physical": found.physical,
             "causes": found.causes(self.doubt),
-            "base_parameters": [
-                asdict(one) for one in base_parameters(self.bodies, self.doubt, found.draws, rng)
-            ],
+            "base_parameters": base_parameters(self.bodies, self.doubt, found.draws, rng),
         }
 
     @property
@@ -209,7 +210,10 @@ class FittedArm:
             "bayesfric": __version__,
             "urdf": str(self.urdf),
             "logs": [*map(str, self.logs)],
-            "bodies": self.found,
+            "bodies": {
+                **self.found,
+                "base_parameters": [asdict(one) for one in self.found["base_parameters"]],
+            },
             "joints": {name: one.as_json() for name, one in self.joints.items()},
         }
 
@@ -221,7 +225,8 @@ class FittedArm:
             if one.result is not None:
                 cells = [_cell(row) for row in one.cells.values()]
                 rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
-        table = [r[0].ljust(margin) + "".join(c.ljust(_WIDTH) for c in r[1:]) for r in rows]
+        wide = 2 + max(len(cell) for row in rows for cell in row[1:])
+        table = [r[0].ljust(margin) + "".join(c.ljust(wide) for c in r[1:]) for r in rows]
         said = self.said
         room = max(_LINES - len(table), 1)
         if len(said) > room:

@@ -9,6 +9,7 @@ length of a log, and all that a joint's fit has, its noise, its room for the mod
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +20,7 @@ from scipy.stats import chi2
 from bayesfric.arm.arm_log import signals
 from bayesfric.arm.bodies import Doubt
 from bayesfric.arm.inertia import drawn_possible
+from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
 from bayesfric.recordings.arrays import Array
@@ -51,11 +53,10 @@ class Said:
     pull: Array
 
     @classmethod
-    def by(cls, fit: Fit, kept: Array) -> Said:
-        """Take the standard normal prior off a fit's posterior of the directions ``kept``."""
+    def by(cls, draws: Array, kept: Array) -> Said:
+        """Take the standard normal prior off draws ``(n, k)`` of the directions ``kept``."""
         if not kept.shape[1]:
             return cls.nothing(len(kept))
-        draws = felt(fit.wide.posterior, kept)
         precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
         size, ways = np.linalg.eigh(precision - np.eye(len(precision)))
         told = ways[:, size > 0.0]  # elsewhere sampling and model error left the prior as it was
@@ -90,10 +91,21 @@ class Said:
         return float(chi2.sf(far @ np.linalg.solve(scatter, far), size.size))
 
 
-def felt(posterior: Posterior, kept: Array) -> Array:
-    """Draws of a joint's directions, ``(n, k)``."""
-    names = signals(kept.shape[1])
-    return posterior.flat()[:, [posterior.names.index(f"load.{name}") for name in names]]
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """A joint's fit, its rows of a summary, and the directions ``(n_causes, k)`` that it feels."""
+
+    fit: Fit
+    rows: Mapping[str, PosteriorRow]
+    kept: Array
+
+    def draws(self, flat: Array) -> Array:
+        """Take the directions ``(n, k)`` out of draws, corrected as they are reported."""
+        wide, found = self.fit.wide.posterior, []
+        for name in (f"load.{one}" for one in signals(self.kept.shape[1])):
+            k, told = wide.names.index(name), self.rows[name].told
+            found.append(flat[:, k] + told.value - np.median(wide[name]))
+        return np.stack(found, axis=1) if found else np.zeros((len(flat), 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +147,7 @@ class Together:
         return found
 
 
-def together(
-    doubt: Doubt, fits: Mapping[str, Fit], kept: Mapping[str, Array], rng: np.random.Generator
-) -> Together:
+def together(doubt: Doubt, fits: Mapping[str, Felt], rng: np.random.Generator) -> Together:
     """Join what fits say of the bodies.
 
     A joint that contradicts the others is left out, the one that does so most first: each motor's
@@ -147,12 +157,15 @@ def together(
     ----------
     doubt
         What is known of the bodies beforehand.
-    fits, kept
-        By joint: its fit, and the directions ``(n_causes, k)`` that are in it.
+    fits
+        By joint.
     rng
         Random numbers.
     """
-    said = {name: Said.by(fit, kept[name]) for name, fit in fits.items()}
+    said = {
+        name: Said.by(one.draws(one.fit.wide.posterior.flat()), one.kept)
+        for name, one in fits.items()
+    }
     nothing, agreed = Said.nothing(len(doubt.causes)), [*said]
 
     def far(name: str) -> float:
@@ -171,17 +184,15 @@ def together(
     return Together(draws, every.p(), physical, apart, tuple(agreed))
 
 
-def moved(
-    fit: Fit, posterior: Posterior, kept: Array, z: Array, rng: np.random.Generator
-) -> Posterior:
+def moved(joint: Felt, posterior: Posterior, z: Array, rng: np.random.Generator) -> Posterior:
     """Move draws of a joint to bodies ``z`` ``(n, n_causes)``, the rest along with these."""
-    target, flat = fit.target, posterior.flat(_DRAWS)
-    own = felt(replace(posterior, draws=flat[None, None]), kept)
+    target, flat = joint.fit.target, posterior.flat(_DRAWS)
+    own = joint.draws(flat)
     v = target.unbounded(flat)
     fine = np.isfinite(v).all(axis=1)
     v, own = v[fine], own[fine]
     slopes = np.linalg.lstsq(own - own.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
-    wanted = z[rng.integers(len(z), size=len(v))] @ kept
+    wanted = z[rng.integers(len(z), size=len(v))] @ joint.kept
     found = target.from_unbounded(v + (wanted - own) @ slopes)
     found = found[np.isfinite(found).all(axis=1)]  # bounds cut what goes beyond
     diagnostics = replace(posterior.diagnostics, acceptance=np.ones((1, 1)))
@@ -189,14 +200,12 @@ def moved(
     return replace(posterior, draws=found[None, None], log_density=unknown, diagnostics=diagnostics)
 
 
-def retold(
-    rows: Mapping[str, PosteriorRow], fit: Fit, posterior: Posterior
-) -> dict[str, PosteriorRow]:
+def retold(joint: Felt, posterior: Posterior) -> dict[str, PosteriorRow]:
     """Change numbers as reported by what all joints change of the draws of one."""
-    before, after, found = fit.wide.posterior, posterior.flat(), {}
+    fit, before, after, found = joint.fit, joint.fit.wide.posterior, posterior.flat(), {}
     priors = dict(zip(posterior.names, posterior.priors, strict=True))
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
-    for name, row in rows.items():
+    for name, row in joint.rows.items():
         if name not in possible or row.reported is None:
             found[name] = row
             continue
@@ -208,12 +217,15 @@ def retold(
             for end, a, b in zip(told.interval, was["interval"], now["interval"], strict=True)
         )
         value = min(max(told.value + now["median"] - was["median"], low), high)
-        lean = leaning(after[:, k], priors[name].limits, possible[name])
-        here = row.model_copy(update=lean)
+        update = leaning(after[:, k], priors[name].limits, possible[name])
+        sd = told.sd * now["sd"] / was["sd"]
+        if row.verdict == "weak" and sd < WIDE * (row.prior_sd or math.inf):
+            update["verdict"] = "data"  # of all joints, and the URDF
+        here = row.model_copy(update=update)
         leans = here.at_bound is not None and (here.verdict == "data" or told_by_data(here))
         one = concluded(
-            Spread(value, low, high, told.sd * now["sd"] / was["sd"]),
-            verdict=row.verdict,
+            Spread(value, low, high, sd),
+            verdict=here.verdict,
             own_prior=told.status == "prior",
             converged=told.how.converged,
             limit=here.at_bound if leans else None,

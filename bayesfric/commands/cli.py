@@ -379,7 +379,7 @@ def arm(
         if advise:
             motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
             more |= {"exciting.csv": motion.as_csv(), "exciting.yaml": motion.as_joint_trajectory()}
-            told.append(f"next motion: {motion.narrower:.2g} times narrower than one at random")
+            told.append(motion.text(wanted))
         page = found.write(folder, full=full, more=more)
     _print(found.as_json(), as_json, [*told, "", f"Written: {page}"])
     if not found.reliable:

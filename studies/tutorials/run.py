@@ -1,6 +1,6 @@
 """Run the tutorials, and keep their outputs in them.
 
-``python studies/tutorials/run.py`` runs all five, ``run.py first_joint a_fleet`` some of them;
+``python studies/tutorials/run.py`` runs all six, ``run.py first_joint a_fleet`` some of them;
 ``--check`` runs without keeping anything. Wants ``pip install '.[tutorials]'``.
 """
 
@@ -24,6 +24,7 @@ NAMES = (
     "which_friction_model",
     "to_mujoco_and_a_controller",
     "a_fleet",
+    "a_whole_arm",
 )
 SECONDS = 600  # that a cell may take
 COLOURS = 48  # of a picture, which is what makes it small

@@ -14,6 +14,7 @@ LINKS = {
     "lower": (3.0, (-0.01, 0.0, 0.15), 0.05),
     "tool": (1.0, (0.0, 0.03, 0.1), 0.005),
 }
+GRAVITY = (0.0, 0.0, -9.80665)  # MuJoCo's own is 9.81
 SHOULDER, ELBOW, SLIDE = "shoulder_joint", "elbow_joint", "slide_joint"
 
 
@@ -50,9 +51,13 @@ def urdf(factors: Mapping[str, float] = MappingProxyType({}), *, slides: bool = 
     )
 
 
-def rigid_torque(text: str, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """Inverse dynamics by MuJoCo, ``(n, n_joints)`` as what goes in."""
+def rigid_torque(
+    text: str, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, gravity: tuple | None = None
+) -> np.ndarray:
+    """Inverse dynamics by MuJoCo, ``(n, n_joints)`` as what goes in; or another gravity."""
     model = mujoco.MjModel.from_xml_string(text)
+    if gravity is not None:
+        model.opt.gravity[:] = gravity
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data = mujoco.MjData(model)
     out = np.empty_like(q)
@@ -82,7 +87,7 @@ def log(
     """Record the arm of a URDF with friction, white encoder and torque noise."""
     noise = np.random.default_rng(seed)
     time, q, qd, qdd = motion(seconds)
-    carried = rigid_torque(text, q, qd, qdd)
+    carried = rigid_torque(text, q, qd, qdd, GRAVITY)
     columns = {"time [s]": time}
     for k, (name, own) in enumerate(truth.items()):
         lost = own["motor.coulomb"] + own["motor.load"] * np.abs(carried[:, k])

@@ -32,7 +32,8 @@ TRUTH = {
 
 @pytest.fixture
 def here(tmp_path, monkeypatch, capfd):
-    """A folder with a URDF and a log, and the command."""
+    """A folder with a URDF and a log, and the command, which tries few motions."""
+    monkeypatch.setattr("bayesfric.arm.exciting._TRIES", 100)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(bench.urdf())
     return Bench(tmp_path, monkeypatch, capfd)
@@ -81,8 +82,11 @@ def test_what_one_joint_lacks_does_not_spoil_another(here):
     quick = f"{text}\ngear_ratio = 50\n[fit.self_check]\nrecordings = 0\n"
     (here.folder / "arm.toml").write_text(quick)
     given = ("arm.urdf", "log.csv", "-o", "out", "--config", "arm.toml", "--seed", "1")
-    ended = here.run("arm", *given)
+    more = ("--export", "--advise", "--wanted", f"{ELBOW}.viscous", "--seconds", "5")
+    ended = here.run("arm", *given, *more)
     assert ended.code == 0, ended
+    made = {path.name for path in (here.folder / "out").iterdir()}
+    assert {"identified-arm.urdf", "robot.xml", "feedforward.py", "exciting.csv"} <= made
     assert len(ended.out.splitlines()) <= 30
     told = json.loads((here.folder / "out" / "arm.json").read_text())["joints"]
     assert "effort" in told[SHOULDER]["why"]

@@ -73,6 +73,26 @@ def a_fleet(text):
     assert low < true < high < every
 
 
+def a_whole_arm(text):
+    held, of = numbers("# of # true values in their 90 % interval", text)
+    assert of == 12
+    assert held >= 9
+    held, of = numbers("# of # sums within 1.645 sd", text)
+    assert held >= 0.6 * of
+    # of the first sum, which gravity takes, the URDF is well off
+    first = r"mz of upper_arm \+0.4 mass of forearm in kg m\n"
+    urdf, found, _, true = numbers(rf"{first} +URDF #, found # ± #, true #", text)
+    assert abs(found - true) < 0.1 * abs(urdf - true)
+    assert numbers("next motion: # times narrower than one at random", text)[0] > 1.0
+    plain = numbers("PD alone +# mrad rms", text)[0]
+    bodies = numbers("and the URDF's bodies +# mrad rms", text)[0]
+    whole = numbers("and feedforward.py +# mrad rms", text)[0]
+    assert 10.0 * whole < bodies < plain
+    assert numbers("PD alone in robot.xml +# mrad rms", text)[0] == pytest.approx(plain, rel=0.2)
+    low, high, below, above = numbers(r"motor.load +log \[#, #\], next \[#, #\]", text)
+    assert above - below < 0.6 * (high - low)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_committed_outputs_say_what_the_words_say(name):
     notebook = json.loads((FOLDER / f"{name}.ipynb").read_text(encoding="utf-8"))
@@ -87,7 +107,7 @@ def test_committed_outputs_say_what_the_words_say(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_it_runs_and_says_it_again(name, monkeypatch):
-    for module in ("nbclient", "ipykernel", "mujoco", "distributed"):
+    for module in ("nbclient", "ipykernel", "mujoco", "distributed", "idyntree", "rosbags"):
         pytest.importorskip(module, reason="wants bayesfric[tutorials]")
     monkeypatch.syspath_prepend(str(FOLDER))
     monkeypatch.delitem(sys.modules, "run", raising=False)

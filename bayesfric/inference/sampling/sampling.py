@@ -53,6 +53,9 @@ _LEAST_BLOCKS = 3
 # What one more block may teach the proposal, in units of log density, where it has learned enough:
 # two densities so far apart share at least four fifths of their mass (Pinsker).
 _LEARNED = 0.08
+# Blocks after which what is not done learns once more, from all of them, in whose tails a proposal
+# from warm-up is too thin; then twice as many.
+_RELEARNED = 6
 # Share of the steps that go where the walkers are, for what no proposal has learned.
 _OTHERWISE = 0.2
 _UNSETTLED = (
@@ -128,7 +131,8 @@ def sample(
     Warm-up from over-dispersed starts mixes differential evolution with an independence move
     whose proposal, a mixture of normals, learns from it, until the ensembles agree
     roughly and nothing climbs or spreads any more. Then the proposal is fitted once
-    more and frozen. Only steps after that count.
+    more and frozen. Only steps after that count; where they do not do, all of them are warm-up
+    for another proposal.
 
     Parameters
     ----------
@@ -183,14 +187,20 @@ def sample(
         # Where the posterior really lies, a likelihood can be prepared best.
         states = half.reshape(-1, d)
         target = target.prepared(states[:: max(1, len(states) // 500)])
-        frozen = IndependenceMove(_fitted(target, half, last=True))
-        moves = [(frozen, 1.0 - _OTHERWISE)]
-        moves += _searching(target, settings, frozen.proposal, _OTHERWISE)
-        main = _Ensembles(target, moves, warm.positions(), random, checkpoint)
-        before = target.not_finite
-        look = _walk(main, settings, settings.max_steps - warm.steps, progress)
+        learned, last, warmup, most = half, warm, warm.steps, _RELEARNED * _block(target, settings)
+        while True:
+            frozen = IndependenceMove(_fitted(target, learned, last=True))
+            moves = [(frozen, 1.0 - _OTHERWISE)]
+            moves += _searching(target, settings, frozen.proposal, _OTHERWISE)
+            main = _Ensembles(target, moves, last.positions(), random, checkpoint)
+            before, left = target.not_finite, settings.max_steps - warmup
+            # where there is time for twice as many steps as are thrown away
+            look = _walk(main, settings, most if 3 * most <= left else left, progress)
+            if look.done or look.hopeless or main.steps >= left:
+                break
+            learned, last, warmup, most = main.chain(), main, warmup + main.steps, 2 * most
 
-    return _concluded(main, look, settings, warm.steps, began, settled=settled, before=before)
+    return _concluded(main, look, settings, warmup, began, settled=settled, before=before)
 
 
 def _concluded(
@@ -296,6 +306,7 @@ class _Look:
     ess: Array
     needed: Array
     hopeless: bool
+    done: bool
 
     @property
     def status(self) -> Status:
@@ -328,7 +339,7 @@ def _walk(main: _Ensembles, settings: Sampling, most: int, progress: Shown) -> _
         seen.append((main.steps, enough))
         lost = not done and hopeless(seen, most)
         if done or lost or main.steps >= most:
-            return _Look(rhats, tau, ess, needed, lost)
+            return _Look(rhats, tau, ess, needed, lost, done)
 
 
 class _Ensembles:
