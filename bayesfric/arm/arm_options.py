@@ -77,7 +77,8 @@ class ArmOptions(Options):
         description="What joints have besides, or instead, as an element of a mechanism.",
     )
     terms: Literal["auto", "as written"] = Field(
-        "auto", description="auto puts in what else explains a joint's torque."
+        "as written",
+        description="auto puts in what else explains a joint's torque; minutes more a joint.",
     )
     processing: Processing = Field(
         Processing(), description="As [processing] of a configuration, for all joints."

@@ -13,6 +13,8 @@ import numpy as np
 import pandas as pd
 
 import bayesfric as bf
+from bayesfric.arm.base_parameters import combinations
+from bayesfric.arm.fitted_arm import FittedArm
 from bayesfric.base.progress import Spent
 from bayesfric.inference.predictive import Prediction, predict_held_out
 
@@ -74,6 +76,46 @@ def least_squares(fitted: bf.Arm) -> dict[str, float]:
     }
 
 
+def on_base_parameters(fitted: FittedArm) -> dict[str, dict[str, dict[str, float]]]:
+    """Predict by least squares on base parameters and each joint's friction, all joints at once.
+
+    Ordinary, and weighted by the variance that each joint leaves (Gautier 1997); bands for white
+    noise.
+    """
+    joints = list(fitted.joints)
+    _, sums = combinations(fitted.bodies, np.random.default_rng(1))
+
+    def laid(part):
+        """Give outputs and columns by joint, those of friction beside zeros for other joints."""
+        observations = [part(fitted.joints[name].result.model) for name in joints]
+        motion = np.array([[getattr(o, x) for o in observations] for x in ("q", "qd", "qdd")])
+        ways = np.broadcast_to(np.linalg.pinv(sums), (len(joints), *sums.shape[::-1]))
+        columns = fitted.bodies.torques(motion, ways)
+        for j, o in enumerate(observations):
+            own = np.zeros((len(joints), 4, o.q.size))
+            own[j] = np.sign(o.qd), o.qd, o.qdd, np.ones_like(o.q)
+            yield (
+                o.filter.apply(np.concatenate([columns[j], own.reshape(-1, o.q.size)])).T,
+                o.measured,
+            )
+
+    seen = list(laid(lambda model: model.observations[0]))
+    new = list(laid(lambda model: model.held_out[0].observation))
+    result, sd = {name: {} for name in joints}, np.ones(len(joints))
+    for how in ("base parameters, ordinary", "base parameters, weighted"):
+        x = np.concatenate([x / s for (x, _), s in zip(seen, sd, strict=True)])
+        y = np.concatenate([y / s for (_, y), s in zip(seen, sd, strict=True)])
+        found, *_ = np.linalg.lstsq(x, y, rcond=None)
+        sd = np.array([np.std(y - x @ found) for x, y in seen])
+        for name, (x, y), s in zip(joints, new, sd, strict=True):
+            error = y - x @ found
+            result[name][how] = {
+                "rms": float(np.sqrt(np.mean(error**2))),
+                "coverage": float(np.mean(np.abs(error) < 1.645 * s)),
+            }
+    return result
+
+
 def quality(one: Prediction) -> dict[str, float]:
     """Root mean square of what is left, sd of the prediction, coverage of its 90 % bands."""
     return {
@@ -83,7 +125,7 @@ def quality(one: Prediction) -> dict[str, float]:
     }
 
 
-def compared(folder: Path, joints: list[str] | None = None) -> dict[str, dict]:
+def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, dict], FittedArm]:
     """Fit, and predict the other motion, both ways."""
     validation_log(folder / "validation.csv")
     arm = bf.Arm(DATA / "ur10.urdf")
@@ -95,27 +137,36 @@ def compared(folder: Path, joints: list[str] | None = None) -> dict[str, dict]:
     found = {}
     for name, one in fitted.joints.items():
         told = one.as_json()
-        told.pop("validation")
+        (part,) = told.pop("validation")["parts"].values()
         fit = one.result.fit
         wide = predict_held_out(fit.target, fit.wide.posterior, one.result.model.held_out)
         found[name] = {
             "arm": quality(fit.held_out[0]),
+            "arm, together": {
+                "rms": part["residual_rms"],
+                "sd": part["predictive_sd"],
+                "coverage": part["coverage"]["0.9"]["share"],
+            },
             "arm, with room for the model's error": quality(wide[0]),
             "least squares": least_squares(one),
             **told,
         }
     print("\n".join(fitted.text()), file=sys.stderr)
-    return found
+    return found, fitted
 
 
 def main() -> None:
     spent = Spent()
     with tempfile.TemporaryDirectory() as folder:
-        found = compared(Path(folder))
+        found, fitted = compared(Path(folder))
+    seconds = round(spent.cpu_seconds, 1)
+    for name, told in on_base_parameters(fitted).items():
+        found[name] |= told
     for k, told in enumerate(found.values()):
         gain = DRIVE_GAINS[k]
         told["published"] = {key: round(gain * x[k], 3) for key, x in PUBLISHED.items()}
-    result = {"seed": SEED, "cpu_seconds": round(spent.cpu_seconds, 1), "joints": found}
+    bodies = fitted.as_json()["bodies"]
+    result = {"seed": SEED, "cpu_seconds": seconds, "bodies": bodies, "joints": found}
     text = json.dumps(result, indent=1, ensure_ascii=False)
     (HERE / "result.json").write_text(f"{text}\n", encoding="utf-8")
 

@@ -195,5 +195,5 @@ def test_one_motion_of_a_measured_ur10_predicts_another(tmp_path):
     from tests.conftest import REPOSITORY, imported
 
     study = imported(REPOSITORY / "studies" / "ur10-arm" / "run.py")
-    found = study.compared(tmp_path, joints=["elbow_joint"])["elbow_joint"]
+    found = study.compared(tmp_path, joints=["elbow_joint"])[0]["elbow_joint"]
     assert found["arm"]["rms"] < found["least squares"]["rms"]
