@@ -83,7 +83,7 @@ def a_whole_arm(text):
     first = r"mz of upper_arm \+0.4 mass of forearm in kg m\n"
     urdf, found, _, true = numbers(rf"{first} +URDF #, found # ± #, true #", text)
     assert abs(found - true) < 0.1 * abs(urdf - true)
-    assert numbers("next motion: # times narrower than one at random", text)[0] > 1.0
+    assert numbers("than now, # times narrower than a motion at random", text)[0] > 1.0
     plain = numbers("PD alone +# mrad rms", text)[0]
     bodies = numbers("and the URDF's bodies +# mrad rms", text)[0]
     whole = numbers("and feedforward.py +# mrad rms", text)[0]
