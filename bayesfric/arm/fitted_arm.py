@@ -181,6 +181,7 @@ class FittedArm:
             "p": found.p,
             "agreed": [*found.agreed],
             "physical": found.physical,
+            "width": found.width,
             "causes": found.causes(self.doubt),
             "base_parameters": base_parameters(self.bodies, self.doubt, found.draws, rng),
         }
@@ -196,6 +197,8 @@ class FittedArm:
             if abs(c["value"]) > 2.0 * c["sd"]
         ]
         word = "contradict the URDF" if told["p"] < UNLIKELY else "beside the URDF"
+        if told["width"] > 1.0:
+            word += f", {told['width']:.2g} times as far as it was said to be off"
         return [*([f"bodies {word} ({p_text(told['p'])}): {listed(far)}"] if far else []), *lines]
 
     @property

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesfric.arm.arm_log import signals
@@ -33,6 +34,8 @@ from bayesfric.results.reported import Spread, concluded
 _DRAWS = 4000
 # Share of the prior's variance that data must take off before a direction is judged by it.
 _TELLING = 0.05
+# Information that is none, and how far bodies may be off at most, of what was said.
+_NOTHING, _WIDEST = 1e-9, 30.0
 # Below this chance joints are said to disagree, and bodies to be otherwise than in the URDF.
 UNLIKELY = 0.01
 
@@ -72,9 +75,26 @@ class Said:
     def __add__(self, other: Said) -> Said:
         return Said(self.information + other.information, self.pull + other.pull)
 
+    @property
+    def width(self) -> float:
+        """How many times as far off as was said bodies most likely are, at least as far.
+
+        The standard deviation of ``z`` under which the data are likeliest.
+        """
+        size, ways = np.linalg.eigh(self.information)
+        size, ways = size[size > _NOTHING], ways[:, size > _NOTHING]
+        squares, noise = (ways.T @ self.pull / size) ** 2, 1.0 / size
+
+        def unlikely(log_width: float) -> float:
+            variance = noise + math.exp(2.0 * log_width)
+            return float(np.sum(np.log(variance) + squares / variance))
+
+        found = minimize_scalar(unlikely, bounds=(0.0, math.log(_WIDEST)), method="bounded")
+        return math.exp(found.x) if size.size and found.fun < unlikely(0.0) else 1.0
+
     def posterior(self) -> tuple[Array, Array]:
-        """Mean and covariance of ``z``, with its standard normal prior."""
-        covariance = np.linalg.inv(np.eye(len(self.pull)) + self.information)
+        """Mean and covariance of ``z``, with a normal prior of its :attr:`width`."""
+        covariance = np.linalg.inv(np.eye(len(self.pull)) / self.width**2 + self.information)
         return np.asarray(covariance @ self.pull), np.asarray(covariance)
 
     def p(self, mean: Array | None = None, covariance: Array | None = None) -> float:
@@ -121,6 +141,8 @@ class Together:
         Chance of data as far from the URDF.
     physical
         Share of the Gaussian's draws that are bodies that can be.
+    width
+        How many times as far off as was said bodies are taken to be.
     apart
         Chance, by joint, of data as far from what the others that agree say.
     agreed
@@ -130,6 +152,7 @@ class Together:
     draws: Array
     p: float
     physical: float
+    width: float
     apart: Mapping[str, float]
     agreed: tuple[str, ...]
 
@@ -181,7 +204,7 @@ def together(doubt: Doubt, fits: Mapping[str, Felt], rng: np.random.Generator) -
     draws, physical = drawn_possible(
         doubt.nominal, doubt.spread, *every.posterior(), doubt.inside, rng
     )
-    return Together(draws, every.p(), physical, apart, tuple(agreed))
+    return Together(draws, every.p(), physical, every.width, apart, tuple(agreed))
 
 
 def moved(joint: Felt, posterior: Posterior, z: Array, rng: np.random.Generator) -> Posterior:

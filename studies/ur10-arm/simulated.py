@@ -116,7 +116,7 @@ def share(rows: list[dict], how: str) -> dict[str, float]:
     widths = [row[how]["interval"][1] - row[how]["interval"][0] for row in rows]
     return {
         "identified": len(told),
-        "inside": round(float(np.mean([row[how]["inside"] for row in told])), 3),
+        "inside": round(float(np.mean([row[how]["inside"] for row in told])), 3) if told else None,
         "inside_all": round(float(np.mean([row[how]["inside"] for row in rows])), 3),
         "mean_log_width": round(float(np.mean(np.log(widths))), 3),
     }
@@ -141,7 +141,11 @@ def main() -> None:
                 "cpu_seconds": round(spent.cpu_seconds),
             }
             print(json.dumps(result), flush=True)
-    text = json.dumps({**result, "of": arms, "rows": rows}, indent=1, ensure_ascii=False)
+    for key in ("parameter", "joint"):
+        for name in dict.fromkeys(row[key] for row in rows):
+            some = [row for row in rows if row[key] == name]
+            result[name] = {how: share(some, how) for how in ("alone", "together")}
+    text = json.dumps({**result, "of": arms}, indent=1, ensure_ascii=False)
     (HERE / f"simulated-{sd:g}.json").write_text(f"{text}\n", encoding="utf-8")
 
 

@@ -91,10 +91,20 @@ def test_what_joints_say_adds_up_to_the_regression_on_all_of_them():
         rows.append(x @ kept.T)
         data.append(y)
     every, y = np.concatenate(rows), np.concatenate(data)
-    precision = np.eye(causes) + every.T @ every / sd**2
+    precision = np.eye(causes) / said.width**2 + every.T @ every / sd**2
     mean, covariance = said.posterior()
     np.testing.assert_allclose(covariance, np.linalg.inv(precision), atol=1e-8)
     np.testing.assert_allclose(mean, np.linalg.solve(precision, every.T @ y / sd**2), atol=1e-8)
+
+
+def test_the_width_is_that_under_which_data_are_likeliest():
+    """Of forty causes each known alone: their root mean square, with a relative sd of 1/9."""
+    rng = np.random.default_rng(6)
+    for width in (0.3, 3.0):
+        z = width * rng.normal(size=40)
+        found = Said(1e6 * np.eye(40), 1e6 * z).width
+        assert found == pytest.approx(max(np.sqrt(np.mean(z**2)), 1.0), rel=1e-4)
+    assert Said.nothing(4).width == 1.0
 
 
 def test_a_chance_is_uniform_under_the_belief_it_is_of():
