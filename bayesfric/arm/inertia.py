@@ -47,6 +47,26 @@ def possible(parameters: Array) -> NDArray[np.bool_]:
     return np.asarray((trace >= 0.0) & (least >= -_ROUNDING * np.abs(trace)))
 
 
+def completed(parameters: Array, nominal: Array) -> Array:
+    """Bring what parameters are otherwise than ``nominal`` to second order, ``(..., 10 n)`` both.
+
+    A body moved by ``d`` has second moments that are larger by ``m d d'``, which a Gaussian over
+    parameters leaves out. It moves no torque that counts, but no body is without it.
+    """
+    each = parameters.reshape(*parameters.shape[:-1], -1, OF_ONE).copy()
+    was = nominal.reshape(-1, OF_ONE)
+    mass = each[..., 0]
+    scale = np.divide(mass, was[:, 0], out=np.zeros_like(mass), where=was[:, 0] > 0.0)
+    moved = each[..., 1:4] - scale[..., None] * was[:, 1:4]
+    second = moved[..., :, None] * moved[..., None, :]
+    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    above = inertia[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    each[..., 4:] += np.divide(
+        above, mass[..., None], out=np.zeros_like(above), where=mass[..., None] > 0.0
+    )
+    return np.asarray(each.reshape(parameters.shape))
+
+
 def drawn_possible(
     nominal: Array,
     spread: Array,
@@ -56,6 +76,8 @@ def drawn_possible(
     rng: np.random.Generator,
 ) -> tuple[Array, float]:
     """Draw ``z``, of a Gaussian cut to where all bodies of ``nominal + spread @ z`` can be.
+
+    They are :func:`completed` first.
 
     By elliptical slice sampling [1]_, from ``start``, where they can.
 
@@ -81,10 +103,11 @@ def drawn_possible(
     ----------
     .. [1] I. Murray, R. P. Adams and D. J. C. MacKay, "Elliptical slice sampling", AISTATS 2010.
     """
-    asked = possible(nominal + spread @ start)
+    asked = possible(completed(nominal + spread @ start, nominal))
 
     def inside(z: Array) -> NDArray[np.bool_]:
-        return np.asarray(possible(nominal + z @ spread.T)[..., asked].all(axis=-1))
+        found = possible(completed(nominal + z @ spread.T, nominal))
+        return np.asarray(found[..., asked].all(axis=-1))
 
     root = np.linalg.cholesky(covariance)
 

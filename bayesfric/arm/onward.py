@@ -16,6 +16,7 @@ from bayesfric.arm.arm_files import (
 )
 from bayesfric.arm.exciting import Excited, exciting, limits_of
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
+from bayesfric.arm.inertia import completed
 from bayesfric.base.progress import Shown, silent
 from bayesfric.base.version import __version__
 from bayesfric.estimates.information import long_run_variance
@@ -47,10 +48,11 @@ def _rows(one: FittedJoint, key: str) -> Iterator[PosteriorRow]:
 def identified(arm: FittedArm) -> Identified:
     """Gather what files are written of: values as reported, bodies at the mean of what they may be.
 
-    A mean of bodies that can be is one that can be.
+    A mean of bodies that can be is one that can be, completed.
     """
     doubt, remarks = arm.doubt, [f"Made by bayesfric {__version__} of {arm.urdf.name}."]
-    bodies = doubt.nominal + doubt.spread @ arm.together.draws.mean(axis=0)
+    mean = doubt.nominal + doubt.spread @ arm.together.draws.mean(axis=0)
+    bodies = completed(mean, doubt.nominal)
     for name, one in arm.joints.items():
         told = []
         for key in NUMBERS:

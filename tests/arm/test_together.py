@@ -7,7 +7,13 @@ from bayesfric.arm.arm import Arm
 from bayesfric.arm.arm_options import Payload, Uncertainty
 from bayesfric.arm.base_parameters import base_parameters, combinations
 from bayesfric.arm.bodies import Bodies
-from bayesfric.arm.inertia import drawn_possible, possible, pseudo_inertias, second_moments
+from bayesfric.arm.inertia import (
+    completed,
+    drawn_possible,
+    possible,
+    pseudo_inertias,
+    second_moments,
+)
 from bayesfric.arm.onward import files_of, next_motion
 from bayesfric.arm.together import Said
 
@@ -34,6 +40,17 @@ def test_pseudo_inertia_is_the_second_moment_of_mass():
     np.testing.assert_allclose(second_moments(inertia), found[:3, :3])
 
 
+def test_a_body_that_is_heavier_and_moved_is_completed_to_what_it_is():
+    """Of its mass and first moment, and its inertia to first order."""
+    rng = np.random.default_rng(7)
+    mass, at, moved = rng.uniform(0.1, 1.0, 7), rng.normal(size=(7, 3)), np.array([0.3, -0.2, 0.1])
+    nominal, exact = of_points(mass, at), of_points(1.2 * mass, at + moved)
+    small = 1e-6
+    slope = (of_points(1.2 * mass, at + small * moved) - of_points(1.2 * mass, at)) / small
+    linear = 1.2 * nominal + slope
+    np.testing.assert_allclose(completed(linear, nominal), exact, atol=1e-4)
+
+
 def test_bodies_that_can_be_are_those_of_points_and_no_others():
     rng = np.random.default_rng(2)
     mass, at = rng.uniform(0.1, 1.0, 7), rng.normal(size=(7, 3))
@@ -49,15 +66,15 @@ def test_bodies_that_can_be_are_those_of_points_and_no_others():
 
 
 def test_draws_of_bodies_are_those_that_rejection_leaves():
-    """A Gaussian over mass and first moment of one body: means within four standard errors."""
+    """A Gaussian over mass and two second moments: means within four standard errors."""
     rng = np.random.default_rng(3)
     nominal = of_points(np.full(6, 0.5), 0.2 * np.array([*np.eye(3), *-np.eye(3)]))
-    spread = np.eye(10)[:, :4] * [1.0, 0.4, 0.4, 0.4]
+    spread = np.eye(10)[:, [0, 1, 4, 7]] * [1.0, 0.4, 0.1, 0.1]
     mean, covariance = np.array([-1.0, 0.8, 0.0, 0.0]), np.diag([1.0, 0.5, 1.0, 1.0])
     found, share = drawn_possible(nominal, spread, mean, covariance, np.zeros(4), rng)
     tried = rng.multivariate_normal(mean, covariance, 100_000)
-    kept = tried[possible(nominal + tried @ spread.T)[:, 0]]
-    assert possible(nominal + found @ spread.T).all()
+    kept = tried[possible(completed(nominal + tried @ spread.T, nominal))[:, 0]]
+    assert possible(completed(nominal + found @ spread.T, nominal)).all()
     expected = len(kept) / len(tried)
     assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 400)
     errors = kept.std(axis=0) / np.sqrt(len(found))
@@ -140,7 +157,8 @@ def test_both_joints_of_an_arm_agree_and_tell_more_than_one(arm):
         assert widths[0] <= 1.05 * widths[1]
         for parameter, value in truth.items():
             assert one.rows[parameter].value == pytest.approx(value, rel=0.5)
-    assert possible(arm.doubt.nominal + arm.together.draws @ arm.doubt.spread.T).all()
+    drawn = arm.doubt.nominal + arm.together.draws @ arm.doubt.spread.T
+    assert possible(completed(drawn, arm.doubt.nominal)).all()
 
 
 def test_a_joint_whose_drive_gain_is_wrong_is_not_believed_about_bodies(tmp_path):
@@ -168,7 +186,7 @@ def test_files_and_the_next_motion_are_those_of_what_was_found(arm, monkeypatch)
     path.write_text(files[path.name])
     written = Bodies(path, arm.bodies.gravity).doubt(Uncertainty(), Payload()).nominal
     expected = arm.doubt.nominal + arm.doubt.spread @ arm.together.draws.mean(axis=0)
-    np.testing.assert_allclose(written, expected, atol=1e-9)
+    np.testing.assert_allclose(written, completed(expected, arm.doubt.nominal), atol=1e-9)
     motion = next_motion(arm, [f"{ELBOW}.load"], seconds=8.0, seed=1)
     visited, q = arm.visited, motion.motion[0]
     assert (q.min(axis=1) >= visited[:, 0] - 1e-9).all()
