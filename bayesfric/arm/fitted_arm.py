@@ -197,7 +197,7 @@ class FittedArm:
             if abs(c["value"]) > 2.0 * c["sd"]
         ]
         word = "contradict the URDF" if told["p"] < UNLIKELY else "beside the URDF"
-        if told["width"] > 1.0:
+        if told["p"] < UNLIKELY:
             word += f", {told['width']:.2g} times as far as it was said to be off"
         return [*([f"bodies {word} ({p_text(told['p'])}): {listed(far)}"] if far else []), *lines]
 
