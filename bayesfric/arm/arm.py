@@ -79,7 +79,7 @@ class Arm:
 
     def fit(
         self,
-        log: Path | str,
+        log: Path | str | Sequence[Path | str],
         *,
         predict: Path | str | None = None,
         seed: int | None = None,
@@ -90,7 +90,7 @@ class Arm:
         Parameters
         ----------
         log
-            What the readers know, with the positions of all joints.
+            What the readers know, with the positions of all joints; or several, alike in columns.
         predict
             A log of another motion, of the same columns, whose torque is predicted and not fitted.
         seed
@@ -103,7 +103,9 @@ class Arm:
         BadInput
             If the log cannot be read beside the URDF, or no joint can be fitted.
         """
-        path, options, joints = Path(log), self.options, self.bodies.joints
+        options, joints = self.options, self.bodies.joints
+        paths = [Path(one) for one in ([log] if isinstance(log, Path | str) else log)]
+        path, count = paths[0], len(paths)
         layout = Layout(options.recording, {})
         if "position" not in options.recording:
             found = layout_of(path, joints, options.recording.get("table"))
@@ -112,12 +114,17 @@ class Arm:
                 what = f"does not tell all units: {toml_value(layout.recording)}"
                 mend = "write them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
                 raise BadInput(str(path), what, mend)
-        paths = [path] if predict is None else [path, Path(predict)]
+        paths += [] if predict is None else [Path(predict)]
         with progress_shown(progress) as tell:
             tell(Progress("motion"))
             names = [one.stem for one in paths]
             if len(set(names)) < len(names):
-                names = ["fitted", "predicted"]
+                names = [f"{name}-{k}" for k, name in enumerate(names, start=1)]
+            for name in options.payload.logs or ():
+                if name not in names:
+                    raise BadInput(
+                        "payload.logs", f"no log is called {name!r}", nearest(name, names)
+                    )
             logs = [
                 ArmLog(one, called, options, layout, joints)
                 for one, called in zip(paths, names, strict=True)
@@ -134,7 +141,8 @@ class Arm:
             fitted = {}
             for name, effort in efforts.items():
                 tell(Progress(name))
-                fitted[name] = self._fitted(joints[name], effort, logs, felt[name], seed, tell)
+                told = joints[name], effort, logs, felt[name], names[count:]
+                fitted[name] = self._fitted(*told, seed, tell)
         if all(one.result is None for one in fitted.values()):
             why = "; ".join(f"{name}: {one.why}" for name, one in fitted.items())
             raise BadInput(str(path), f"no joint is fitted ({why})", "see to one")
@@ -151,26 +159,31 @@ class Arm:
         """Ask the bodies for the torque of each joint, in each log."""
         bodies, order = self.bodies, list(self.bodies.joints)
         doubt = bodies.doubt(self.options.urdf, self.options.payload)
-        motion = np.concatenate([log.motion for log in logs], axis=2)
-        count = logs[0].motion.shape[2]
-        some = np.unique(np.linspace(0, motion.shape[2] - 1, _LOOKED_AT).astype(int))
-        own, motion = some[some < count], motion[:, :, some]
-        every = np.column_stack([doubt.nominal, doubt.spread])
-        columns = bodies.torques(motion, np.repeat(every[None], len(order), axis=0))
-        kept = []
+        on = self.options.payload.logs
+        every = [doubt.columns(loaded=on is None or log.name in on) for log in logs]
+        counts = [log.motion.shape[2] for log in logs]
+        some = [
+            np.unique(np.linspace(0, n - 1, 1 + _LOOKED_AT * n // sum(counts)).astype(int))
+            for n in counts
+        ]
+        parts = [
+            bodies.torques(log.motion[:, :, at], np.repeat(one[None], len(order), axis=0))
+            for log, at, one in zip(logs, some, every, strict=True)
+        ]
+        columns, own, count, kept = np.concatenate(parts, axis=2), some[0], counts[0], []
         for j, name in enumerate(order):
             small, effort = np.inf, efforts.get(name)
             if isinstance(effort, Measurement):
-                _, qd, qdd = motion[:, j, : own.size]
-                seen = columns[j][:, : own.size]
+                _, qd, qdd = logs[0].motion[:, j, own]
+                seen = parts[0][j]
                 small = resolution(effort.torque[own], qd, qdd, seen) * np.sqrt(own.size / count)
             kept.append(directions(columns[j, 1:], small))
         most = max(one.shape[1] for one in kept)
-        parameters = np.zeros((len(order), doubt.nominal.size, 1 + most))
-        parameters[:, :, 0] = doubt.nominal
+        ways = np.zeros((len(order), every[0].shape[1], 1 + most))
+        ways[:, 0, 0] = 1.0
         for j, one in enumerate(kept):
-            parameters[j, :, 1 : 1 + one.shape[1]] = doubt.spread @ one
-        torques = [bodies.torques(log.motion, parameters) for log in logs]
+            ways[j, 1:, 1 : 1 + one.shape[1]] = one
+        torques = [bodies.torques(log.motion, x @ ways) for log, x in zip(logs, every, strict=True)]
         return {
             name: _Felt(one, [t[j, : 1 + one.shape[1]] for t in torques])
             for j, (name, one) in enumerate(zip(order, kept, strict=True))
@@ -182,6 +195,7 @@ class Arm:
         effort: Measurement | BadInput,
         logs: Sequence[ArmLog],
         felt: _Felt,
+        held_out: Sequence[str],
         seed: int | None,
         tell: Shown,
     ) -> FittedJoint:
@@ -195,12 +209,14 @@ class Arm:
         }
         told = replace(told, remarks=tuple(remarks(joint, effort, urdf)), urdf=sizes)
         try:
-            result = self._model(joint, logs, felt).fit(seed=seed, progress=tell)
+            result = self._model(joint, logs, felt, held_out).fit(seed=seed, progress=tell)
         except BadInput as error:
             return replace(told, why=str(error))
         return replace(told, result=result)
 
-    def _model(self, joint: UrdfJoint, logs: Sequence[ArmLog], felt: _Felt) -> Model:
+    def _model(
+        self, joint: UrdfJoint, logs: Sequence[ArmLog], felt: _Felt, held_out: Sequence[str]
+    ) -> Model:
         """Make the model of one joint: an element, its load the torque of the bodies."""
         own, options = self._own(joint.name), self.options
         recordings = [log.recording(joint, t) for log, t in zip(logs, felt.torques, strict=True)]
@@ -210,7 +226,6 @@ class Arm:
         if own.rotor_inertia and own.gear_ratio:
             inertia = own.rotor_inertia * own.gear_ratio**2
             priors["motor.inertia"] = {**normal, "loc": inertia, "scale": _ROTOR * inertia}
-        held_out = {"recordings": [one.source.name for one in recordings[1:]]}
         document = {
             "mechanism": {
                 "terms": options.terms,
@@ -222,7 +237,7 @@ class Arm:
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],
             "priors": {**priors, **own.priors},
             "processing": options.processing,
-            **({"validation": held_out} if len(logs) > 1 else {}),
+            **({"validation": {"recordings": [*held_out]}} if held_out else {}),
             **options.fit,
         }
         document["sampling"] = {"min_ess": _ENOUGH, **options.fit.get("sampling", {})}

@@ -91,6 +91,8 @@ class ArmLog:
 
     Attributes
     ----------
+    name
+        What it is called.
     table
         The log, read.
     sources
@@ -110,7 +112,7 @@ class ArmLog:
         self, path: Path, called: str, options: ArmOptions, layout: Layout, joints: Joints
     ) -> None:
         given = options.processing
-        self.path, self._given = path, given
+        self.path, self.name, self._given = path, called, given
         self.sources: dict[str, Source] = {}
         motions: list[Measurement | float] = []
         for number, (name, joint) in enumerate(joints.items(), start=1):

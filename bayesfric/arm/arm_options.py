@@ -22,6 +22,9 @@ class Payload(Options):
     link: str | None = Field(
         None, description="Link that carries it; the last of the longest chain if left out."
     )
+    logs: tuple[str, ...] | None = Field(
+        None, description="Logs that it is on for, files without their ending; all if left out."
+    )
     mass: Kilograms = Field(0.0, description="Known mass, kg.")
     centre: Vector = Field((0.0, 0.0, 0.0), description="Its centre in the link's frame, m.")
     mass_sd: Kilograms = Field(1.0, description="Standard deviation of that mass, kg.")

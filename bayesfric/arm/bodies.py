@@ -60,6 +60,15 @@ class Doubt:
     spread: Array  # (10 n_links, n_causes)
     causes: Sequence[tuple[str, float, str]]
     inside: Array  # (n_causes,) a z of which a payload is a body that can be
+    payload: Array  # (10 n_links,) what of the nominal is bolted on, as the last causes are
+
+    def columns(self, *, loaded: bool) -> Array:
+        """Nominal and spread, ``(10 n_links, 1 + n_causes)``, with what is bolted on or without."""
+        found = np.column_stack([self.nominal, self.spread])
+        if not loaded:
+            found[:, 0] -= self.payload
+            found[:, -_OF_ONE:] = 0.0
+        return found
 
 
 class Bodies:
@@ -165,9 +174,12 @@ class Bodies:
             start = float(axes[0] == axes[1])
             size = reach * payload.centre_sd
             add(f"second moment {name}, {axes}", size, "kg m²", k, moment, start)
-        nominal = self._nominal.copy()
-        nominal[k] += payload.mass * _point(at)
-        return Doubt(nominal.ravel(), np.stack(spread, axis=1), causes, np.array(inside))
+        bolted = np.zeros_like(self._nominal)
+        bolted[k] = payload.mass * _point(at)
+        return Doubt(
+            (self._nominal + bolted).ravel(), np.stack(spread, axis=1), causes, np.array(inside),
+            bolted.ravel(),
+        )  # fmt: skip
 
     def torques(self, motion: Array, parameters: Array) -> Array:
         """Torques of the joints for inertial parameters, ``(n_joints, k, n)``, N m or N.

@@ -123,7 +123,7 @@ class FittedArm:
     joints: Mapping[str, FittedJoint]
     doubt: Doubt
     together: Together
-    visited: Array  # (n_joints, 2) lowest and highest positions of the log, rad or m
+    visited: Array  # (n_joints, 2) lowest and highest positions of the logs, rad or m
 
     @classmethod
     def joined(
@@ -161,7 +161,7 @@ class FittedArm:
                 apart=found.apart[name],
                 agrees=name in found.agreed,
             )
-        q = logs[0].motion[0]
+        q = np.concatenate([log.motion[0] for log in logs], axis=1)
         visited = np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
         return cls(bodies, tuple(log.path for log in logs), told, doubt, found, visited)
 

@@ -338,7 +338,10 @@ def compare(
 @app.command()
 def arm(
     urdf: Annotated[Path, typer.Argument(metavar="ROBOT.urdf", help="of the arm, with inertials")],
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="positions and efforts of its joints")],
+    log: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG", help="positions and efforts of its joints; or more"),
+    ],
     output: Annotated[
         Path | None, Option("-o", "--output", help="folder to make; LOG-arm if left out")
     ] = None,
@@ -367,7 +370,7 @@ def arm(
     from bayesfric.arm.onward import files_of, next_motion
     from bayesfric.base.written import check_free
 
-    folder = output or Path(f"{log.stem}-arm")
+    folder = output or Path(f"{log[0].stem}-arm")
     check_free(folder, force=None)
     with _progress() as progress:
         made = Arm(urdf, {} if config is None else config)

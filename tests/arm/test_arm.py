@@ -69,6 +69,23 @@ def test_a_body_that_is_far_off_contradicts_the_urdf(here):
     assert max(found["causes"][:3], key=lambda cause: cause["value"])["value"] > 0.0
 
 
+def test_a_payload_that_is_on_for_one_of_two_logs_is_weighed(here):
+    """Two kilograms beside a tool that weighs one; the mass within three of its sds."""
+    for name, factor in (("bare", 1.0), ("loaded", 3.0)):
+        frame = bench.log(bench.urdf({"tool": factor}), TRUTH, seconds=10.0)
+        frame.to_csv(here.folder / f"{name}.csv", index=False)
+    logs = [here.folder / "bare.csv", here.folder / "loaded.csv"]
+    known = {"urdf": {"factor": 0.01, "centre": "1 mm"}}
+    payload = {"logs": ["loaded"], "mass_sd": "2 kg"}
+    found = Arm(here.folder / "arm.urdf", {**QUICK, **known, "payload": payload}).fit(logs, seed=1)
+    assert set(found.together.agreed) == set(TRUTH)
+    told = next(c for c in found.found["causes"] if c["name"] == "payload of tool")
+    assert told["sd"] < 0.3
+    assert abs(told["value"] - 2.0) < 3.0 * told["sd"]
+    with pytest.raises(BadInput, match=r"payload\.logs"):
+        Arm(here.folder / "arm.urdf", {"payload": {"logs": ["load"]}}).fit(logs)
+
+
 def test_what_one_joint_lacks_does_not_spoil_another(here):
     """The command, from init to the page: the shoulder's effort is a constant."""
 
