@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -236,16 +235,10 @@ class FittedArm:
             said = [*said[: room - 1], f"and {len(said) - room + 1} lines more in arm.html"]
         return [line.rstrip() for line in (*table, *said)]
 
-    def write(
-        self,
-        folder: Path | str,
-        *,
-        full: bool = False,
-        more: Mapping[str, str] = MappingProxyType({}),
-    ) -> Path:
+    def write(self, folder: Path | str, *, full: bool = False) -> Path:
         """Write a run directory a joint, ``arm.json`` and the page ``arm.html``, which is returned.
 
-        With ``full`` each joint has its figures, tables and page, too; ``more`` are further files.
+        With ``full`` each joint has its figures, tables and page, too.
         """
         folder = Path(folder)
         for one in self.joints.values():
@@ -256,7 +249,7 @@ class FittedArm:
             "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,
             version=__version__,
         )  # fmt: skip
-        files = {"arm.json": f"{told}\n", "arm.html": page, **more}
+        files = {"arm.json": f"{told}\n", "arm.html": page}
         write_beside({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
 

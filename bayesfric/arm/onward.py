@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -69,21 +70,19 @@ def identified(arm: FittedArm) -> Identified:
     return Identified(joints, links, remarks)
 
 
-def files_of(arm: FittedArm, *, mjcf: bool = True) -> dict[str, str]:
+def files_of(arm: FittedArm) -> dict[str, str]:
     """Write a fitted arm for simulators and controllers.
 
     Parameters
     ----------
     arm
         What came of it.
-    mjcf
-        Whether for MuJoCo, too, which must be there then.
 
     Returns
     -------
     dict of str
-        Content by name: the URDF, ``robot.xml`` for MuJoCo, ``ros2_control.yaml`` and
-        ``feedforward.py``.
+        Content by name: the URDF, ``ros2_control.yaml``, ``feedforward.py``, and ``robot.xml``
+        where MuJoCo is installed, which makes it.
     """
     known, name, gravity = identified(arm), f"identified-{arm.urdf.name}", arm.bodies.gravity
     files = {
@@ -91,7 +90,7 @@ def files_of(arm: FittedArm, *, mjcf: bool = True) -> dict[str, str]:
         "ros2_control.yaml": written_ros2_control(known),
         "feedforward.py": written_python(known, name, gravity=gravity),
     }
-    if mjcf:
+    if find_spec("mujoco"):
         typical = {joint: one.urdf["torque_rms"] for joint, one in arm.joints.items() if one.urdf}
         files["robot.xml"] = written_mjcf(arm.urdf, known, typical=typical, gravity=gravity)
     return files

@@ -368,22 +368,22 @@ def arm(
     """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.onward import files_of, next_motion
-    from bayesfric.base.written import check_free
+    from bayesfric.base.written import check_free, write_beside
 
     folder = output or Path(f"{log[0].stem}-arm")
     check_free(folder, force=None)
     with _progress() as progress:
         made = Arm(urdf, {} if config is None else config)
         found = made.fit(log, predict=predict, seed=seed, progress=progress)
-        more: dict[str, str] = {}
+        # what is asked for besides may be refused, and the fit is kept
+        page, told = found.write(folder, full=full), found.text()
         if to_files:
-            more |= files_of(found)
-        told = found.text()
+            write_beside({folder / name: text for name, text in files_of(found).items()})
         if advise:
             motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
-            more |= {"exciting.csv": motion.as_csv(), "exciting.yaml": motion.as_joint_trajectory()}
+            made_of = {"csv": motion.as_csv(), "yaml": motion.as_joint_trajectory()}
+            write_beside({folder / f"exciting.{end}": text for end, text in made_of.items()})
             told.append(motion.text(wanted))
-        page = found.write(folder, full=full, more=more)
     _print(found.as_json(), as_json, [*told, "", f"Written: {page}"])
     if not found.reliable:
         raise typer.Exit(NOT_CONVERGED)
