@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
-from bayesfric.arm.bodies import Bodies, UrdfJoint, directions, resolution
+from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint, directions, resolution
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, progress_shown
@@ -137,7 +137,8 @@ class Arm:
                     except BadInput as error:
                         efforts[name] = error
             tell(Progress("torque of the bodies"))
-            felt = self._felt(logs, efforts)
+            doubt = self.bodies.doubt(options.urdf, options.payload)
+            felt = self._felt(doubt, logs, efforts)
             fitted = {}
             for name, effort in efforts.items():
                 tell(Progress(name))
@@ -146,7 +147,6 @@ class Arm:
         if all(one.result is None for one in fitted.values()):
             why = "; ".join(f"{name}: {one.why}" for name, one in fitted.items())
             raise BadInput(str(path), f"no joint is fitted ({why})", "see to one")
-        doubt = self.bodies.doubt(self.options.urdf, self.options.payload)
         kept = {name: felt[name].kept for name in fitted}
         return FittedArm.joined(self.bodies, logs, fitted, doubt, kept, seed)
 
@@ -154,16 +154,18 @@ class Arm:
         return self.options.joints.get(name, JointOptions())
 
     def _felt(
-        self, logs: Sequence[ArmLog], efforts: Mapping[str, Measurement | BadInput]
+        self,
+        doubt: Doubt,
+        logs: Sequence[ArmLog],
+        efforts: Mapping[str, Measurement | BadInput],
     ) -> dict[str, _Felt]:
         """Ask the bodies for the torque of each joint, in each log."""
         bodies, order = self.bodies, list(self.bodies.joints)
-        doubt = bodies.doubt(self.options.urdf, self.options.payload)
         on = self.options.payload.logs
         every = [doubt.columns(loaded=on is None or log.name in on) for log in logs]
         counts = [log.motion.shape[2] for log in logs]
         some = [
-            np.unique(np.linspace(0, n - 1, 1 + _LOOKED_AT * n // sum(counts)).astype(int))
+            np.unique(np.linspace(0, n - 1, max(_LOOKED_AT * n // sum(counts), 1)).astype(int))
             for n in counts
         ]
         parts = [

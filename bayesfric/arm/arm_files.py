@@ -19,25 +19,21 @@ from xml.etree.ElementTree import Comment, Element, SubElement, fromstring, tost
 import numpy as np
 
 from bayesfric.arm.arm_options import Vector
+from bayesfric.arm.bodies import parsed_urdf, urdf_text
+from bayesfric.arm.inertia import inertia_of, tensor
+from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_text
 from bayesfric.base.templates import environment
 from bayesfric.recordings.arrays import Array
 
-_LARGEST = 10_000_000
 _GRAVITY: Vector = (0.0, 0.0, -9.80665)
 # A link of less mass, kg, is a frame. One that moves has to have some in MuJoCo: kg, and kg m².
 _FRAME, _LEAST = 1e-9, (1e-9, 1e-12)
 # Rounding of an inertia that is moved to the centre of mass, relative to what it was.
 _ROUNDED = 1e-9
-# What a URDF has no place for, with units of joints that turn and that slide.
-_BESIDE = {
-    "armature": ("armature", " kg m²", " kg"),
-    "load": ("friction per load", "", ""),
-    "offset": ("offset", " N m", " N"),
-}
-_KEYS = ("coulomb", "viscous", "load", "armature", "offset")
-_OF_ROS = {key: "load_loss" if key == "load" else key for key in _KEYS}
+# What a URDF has a place for, and what keys are called in parameters of ROS.
+_DYNAMICS = {"viscous": "damping", "coulomb": "friction"}
+_OF_ROS = {key: "load_loss" if key == "load" else key for key in NUMBERS}
 # Where MuJoCo has compiled what stands in an attribute. A joint is one degree of freedom.
 _COMPILED = {
     "body": {"pos": "body_pos", "quat": "body_quat"},
@@ -78,14 +74,9 @@ def written_urdf(path: Path, arm: Identified) -> str:
     ValueError
         If no rigid body has the numbers of a link.
     """
-    text = read_text(path, "name the robot's .urdf file", largest=_LARGEST)
+    text = urdf_text(path)
     kept = ElementTree.TreeBuilder(insert_comments=True, insert_pis=True)
-    parser = ElementTree.XMLParser(target=kept)
-    try:
-        parser.feed(text)
-        root: Element = parser.close()
-    except ElementTree.ParseError as error:
-        raise BadInput(str(path), f"is no URDF ({error})", "give what xacro makes") from None
+    root = parsed_urdf(path, text, ElementTree.XMLParser(target=kept))
     for joint in root.findall("joint"):
         _write_joint(joint, arm.joints.get(joint.get("name", ""), {}))
     for link in root.findall("link"):
@@ -100,23 +91,23 @@ def written_urdf(path: Path, arm: Identified) -> str:
 
 def _write_joint(joint: Element, own: Mapping[str, float]) -> None:
     """Set the friction of a joint, and say what else it has."""
-    for key, attribute in (("viscous", "damping"), ("coulomb", "friction")):
+    for key, attribute in _DYNAMICS.items():
         if key in own:
             _child(joint, "dynamics").set(attribute, _number(own[key]))
     linear = joint.get("type") == "prismatic"
-    told = [f"{word} {_number(own[k])}{u[linear]}" for k, (word, *u) in _BESIDE.items() if k in own]
+    told = [
+        f"{one.word} {_number(own[key])} {one.units[linear]}".rstrip()
+        for key, one in NUMBERS.items()
+        if key in own and key not in _DYNAMICS
+    ]
     if told:
         _append(joint, Comment(f" {', '.join(told)} "))
 
 
 def _write_body(link: Element, body: Array) -> None:
     """Set the inertial of a link: about its centre of mass, along the axes of the link."""
-    mass, centre, above = body[0], body[1:4] / body[0], np.triu_indices(3)
-    about = np.zeros((3, 3))
-    about[above] = body[4:]
-    about += np.triu(about, 1).T
-    size = np.trace(about)
-    about -= mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    mass, centre, size = body[0], body[1:4] / body[0], body[[4, 7, 9]].sum()
+    about = tensor(body[4:] - mass * inertia_of(np.outer(centre, centre)))
     a, b, c = np.linalg.eigvalsh(about)
     # where two are as large as the third, none is negative
     if mass < 0.0 or not a + b - c >= -_ROUNDED * size:
@@ -127,7 +118,7 @@ def _write_body(link: Element, body: Array) -> None:
     origin.set("xyz", _number(*centre))
     origin.set("rpy", "0 0 0")
     _child(inertial, "mass").set("value", _number(mass))
-    for i, j in zip(*above, strict=True):
+    for i, j in zip(*np.triu_indices(3), strict=True):
         inertia.set(f"i{'xyz'[i]}{'xyz'[j]}", _number(about[i, j]))
 
 

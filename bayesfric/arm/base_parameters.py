@@ -56,8 +56,8 @@ class BaseParameter:
         return " ".join((self.name, *parts)).replace(" 1 ", " ")
 
 
-def combinations(bodies: Bodies, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Find the base parameters of an arm.
+def combinations(bodies: Bodies) -> tuple[Array, Array]:
+    """Find the base parameters of an arm, whatever its motion.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def combinations(bodies: Bodies, rng: np.random.Generator) -> tuple[Array, Array
         ``(r, 10 n_links)``: what each is the sum of, with a factor of one for its first.
     """
     count, n = len(bodies.joints), OF_ONE * len(bodies.links)
-    motion = rng.uniform(-2.0, 2.0, (3, count, _MOMENTS))
+    motion = np.random.default_rng(0).uniform(-2.0, 2.0, (3, count, _MOMENTS))
     every = np.broadcast_to(np.eye(n), (count, n, n))
     columns = np.moveaxis(bodies.torques(motion, every), 1, 2).reshape(-1, n)
     triangle = np.linalg.qr(columns).R
@@ -83,15 +83,13 @@ def combinations(bodies: Bodies, rng: np.random.Generator) -> tuple[Array, Array
     return np.array(first), np.where(np.abs(sums) > 1e3 * _ROUNDING, sums, 0.0)
 
 
-def base_parameters(
-    bodies: Bodies, doubt: Doubt, draws: Array, rng: np.random.Generator
-) -> Sequence[BaseParameter]:
+def base_parameters(bodies: Bodies, doubt: Doubt, draws: Array) -> Sequence[BaseParameter]:
     """Say what ``draws`` ``(n, n_causes)`` of a doubt's causes make of the base parameters.
 
     Those first of which the data say most beside the URDF.
     """
     names = [f"{one} of {link}" for link in bodies.links for one in _OF_LINK]
-    first, sums = combinations(bodies, rng)
+    first, sums = combinations(bodies)
     urdf, ways = sums @ doubt.nominal, sums @ doubt.spread
     value, sd = urdf + ways @ draws.mean(axis=0), (draws @ ways.T).std(axis=0)
     prior = np.sqrt(np.sum(ways**2, axis=1))

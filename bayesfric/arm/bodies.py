@@ -15,8 +15,8 @@ import math
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
 from bayesfric.arm.inertia import OF_ONE as _OF_ONE
-from bayesfric.arm.inertia import tensor
+from bayesfric.arm.inertia import inertia_of, tensor
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.opened import read_text
 from bayesfric.estimates.information import long_run_variance
@@ -47,6 +47,8 @@ class UrdfJoint:
     motion: Motion
     range: float  # between its limits, rad or m; infinite without
     mimics: tuple[str, float, float] | None  # whose position, times what, plus what
+    endless: bool = False  # whether it turns on and on
+    limit: Mapping[str, str] = field(default_factory=dict)  # as it is written
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +172,7 @@ class Bodies:
             add(f"moment {name}, {axis}", reach, "kg m", k, _moved(at, way))
         for x, axes in enumerate(("xx", "xy", "xz", "yy", "yz", "zz")):
             moment = np.zeros(_OF_ONE)
-            moment[4:] = _inertia(tensor(np.eye(6)[x]))
+            moment[4:] = inertia_of(tensor(np.eye(6)[x]))
             start = float(axes[0] == axes[1])
             size = reach * payload.centre_sd
             add(f"second moment {name}, {axes}", size, "kg m²", k, moment, start)
@@ -240,38 +242,54 @@ def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array)
 
 def _point(at: Array) -> Array:
     """Inertial parameters of a kilogram at a place of the link's frame."""
-    return np.array([1.0, *at, *_inertia(np.outer(at, at))])
+    return np.array([1.0, *at, *inertia_of(np.outer(at, at))])
 
 
 def _moved(at: Array, way: Array) -> Array:
     """Change of inertial parameters a kilogram as a body's centre moves from ``at``, per m."""
-    return np.array([0.0, *way, *_inertia(np.outer(at, way) + np.outer(way, at))])
+    return np.array([0.0, *way, *inertia_of(np.outer(at, way) + np.outer(way, at))])
 
 
-def _inertia(second: Array) -> Array:
-    """Give the inertia ``(6,)`` of second moments of mass ``(3, 3)``."""
-    return np.asarray((np.trace(second) * np.eye(3) - second)[np.triu_indices(3)])
+def urdf_text(path: Path) -> str:
+    """Read the text of a URDF; ``BadInput`` if it cannot be read."""
+    return read_text(path, "name the robot's .urdf file", largest=_LARGEST)
+
+
+def parsed_urdf(
+    path: Path, text: str, parser: ElementTree.XMLParser | None = None
+) -> ElementTree.Element:
+    """Parse the text of a URDF; ``BadInput`` if it is no XML."""
+    try:
+        return ElementTree.fromstring(text, parser)
+    except ElementTree.ParseError as error:
+        raise _no_urdf(path, error) from None
+
+
+def _no_urdf(path: Path, error: Exception) -> BadInput:
+    return BadInput(str(path), f"is no URDF ({error})", "give what xacro makes")
 
 
 def _joints(path: Path) -> dict[str, UrdfJoint]:
     """Read what iDynTree does not tell of the joints that move."""
-    text = read_text(path, "name the robot's .urdf file", largest=_LARGEST)
     found = {}
-    try:
-        for joint in ElementTree.fromstring(text).findall("joint"):
-            name, kind = joint.get("name", ""), joint.get("type", "")
-            limit, mimic = (getattr(joint.find(one), "attrib", {}) for one in ("limit", "mimic"))
+    for joint in parsed_urdf(path, urdf_text(path)).findall("joint"):
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        limit, mimic = (getattr(joint.find(one), "attrib", {}) for one in ("limit", "mimic"))
+        if kind not in _MOTIONS:
+            continue
+        try:
             width = float(limit.get("upper", 0)) - float(limit.get("lower", 0))
-            if kind in _MOTIONS:
-                times, plus = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
-                found[name] = UrdfJoint(
-                    name,
-                    _MOTIONS[kind],
-                    width if width > 0.0 and kind != "continuous" else np.inf,
-                    (mimic.get("joint", ""), times, plus) if mimic else None,
-                )
-    except (ElementTree.ParseError, ValueError) as error:
-        raise BadInput(str(path), f"is no URDF ({error})", "give what xacro makes") from None
+            times, plus = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
+        except ValueError as error:
+            raise _no_urdf(path, error) from None
+        found[name] = UrdfJoint(
+            name,
+            _MOTIONS[kind],
+            width if width > 0.0 and kind != "continuous" else np.inf,
+            (mimic.get("joint", ""), times, plus) if mimic else None,
+            kind == "continuous",
+            limit,
+        )
     if not found:
         raise BadInput(str(path), "has no joint that moves", "give the URDF of an arm")
     return found

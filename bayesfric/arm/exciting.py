@@ -20,20 +20,20 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 
 from bayesfric.arm.bodies import Bodies, Doubt
+from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array
 
-# Numbers of a joint that can be asked for, and those beside which they are found.
-TERMS = ("armature", "coulomb", "viscous", "load")
-_OWN = (*TERMS, "offset")
+# Numbers of a joint, and those that can be asked for.
+_OWN = tuple(NUMBERS)
+TERMS = tuple(key for key, one in NUMBERS.items() if one.title)
 # Points a second of the arrays, and of what a controller interpolates; of these the fastest wave
 # has at least so many that a spline is that wave.
 _FINE, _PLAYED, _RESOLVED = 100, 20, 10
@@ -139,10 +139,10 @@ class Excited:
         return "\n".join(lines) + "\n"
 
 
-def limits_of(
-    bodies: Bodies, *, acceleration: Array | None = None, visited: Array | None = None
-) -> Limits:
-    """Read limits of position, speed and torque from a URDF.
+def limits_of(bodies: Bodies, *, visited: Array | None = None) -> Limits:
+    """Take limits of position, speed and torque from a URDF.
+
+    That of acceleration is what reaches the speed limit in half a second.
 
     **Nothing here knows where the arm hits itself, a table or a wall**: iDynTree has no collision
     check. With ``visited`` each joint stays where it has been, which is much safer but no warrant:
@@ -152,8 +152,6 @@ def limits_of(
     ----------
     bodies
         Of the URDF.
-    acceleration
-        ``(n_joints,)`` rad/s² or m/s²; by default what reaches the speed limit in half a second.
     visited
         ``(n_joints, 2)`` lowest and highest positions of a log, between which to stay. Without,
         joints that turn without end get ±π.
@@ -163,26 +161,21 @@ def limits_of(
     BadInput
         If a limit is no number.
     """
-    root = ElementTree.parse(bodies.path).getroot()  # which Bodies could read
-    found = {joint.get("name", ""): joint for joint in root.findall("joint")}
-    rows = []
-    for name in bodies.joints:
-        given = getattr(found[name].find("limit"), "attrib", {})
-        keys = ("lower", "upper", "velocity", "effort")
+    rows, keys = [], ("lower", "upper", "velocity", "effort")
+    for name, joint in bodies.joints.items():
         try:
-            row = [float(given.get(key, 0.0)) for key in keys]
+            row = [float(joint.limit.get(key, 0.0)) for key in keys]
         except ValueError as error:
             what = f"a limit of {name!r} is no number ({error})"
             raise BadInput(str(bodies.path), what, f"write {', '.join(keys)}") from None
-        endless = found[name].get("type") == "continuous"
-        if endless or row[0] >= row[1]:  # the latter is how none is written
-            end = math.pi if endless and visited is None else math.inf
+        if joint.endless or row[0] >= row[1]:  # the latter is how none is written
+            end = math.pi if joint.endless and visited is None else math.inf
             row[:2] = -end, end
         rows.append(row)
     low, high, speed, torque = np.array(rows).T
     if visited is not None:
         low, high = np.maximum(low, visited[:, 0]), np.minimum(high, visited[:, 1])
-    return Limits(low, high, speed, 2.0 * speed if acceleration is None else acceleration, torque)
+    return Limits(low, high, speed, 2.0 * speed, torque)
 
 
 def exciting(
@@ -316,8 +309,7 @@ class _Search:
             what = "leave no joint whose noise is known room to move"
             raise BadInput("limits", what, "give wider ones")
         self._bodies, self._limits, self._seconds = bodies, limits, seconds
-        every = np.column_stack([doubt.nominal, doubt.spread])
-        self._parameters = np.repeat(every[None], len(order), axis=0)
+        self._parameters = np.repeat(doubt.columns(loaded=True)[None], len(order), axis=0)
         self._values = np.array([[friction.get(n, {}).get(t, 0.0) for t in _OWN] for n in order])
         sd = _WIDE * np.abs(self._values)
         told = np.divide(1.0, sd**2, out=np.zeros_like(sd), where=sd > 0.0)

@@ -15,6 +15,7 @@ import numpy as np
 from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.base_parameters import base_parameters
 from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
+from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.arm.together import UNLIKELY, Felt, Together, moved, retold, together
 from bayesfric.base.version import __version__
 from bayesfric.base.written import write_beside
@@ -29,12 +30,7 @@ from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.words import listed
 
 # Columns of the table, and which parameter is in them: the first that the joint has.
-COLUMNS: Mapping[str, tuple[str, ...]] = {
-    "armature": ("motor.inertia",),
-    "Coulomb": ("motor.coulomb", "motor.coulomb_positive"),
-    "viscous": ("motor.viscous", "motor.viscous_positive"),
-    "load loss": ("motor.load", "motor.load_drive"),
-}
+COLUMNS = {one.title: one.parameters for one in NUMBERS.values() if one.title}
 # Draws kept of a joint whose pages are not made, and lines of the table with what is said.
 _DRAWS, _LINES = 300, 28
 _MOST_CAUSES = 3  # that a line tells of bodies
@@ -52,7 +48,7 @@ class FittedJoint:
     # torque_rms of the bodies on this motion, N m or N, and doubt_rms of what that may be off by
     urdf: Mapping[str, float] = field(default_factory=dict)
     # by all joints: numbers, and how well what was not fitted is predicted; chance of data as far
-    # from what the others say of the bodies
+    # from what the others say of the bodies, and whether it agrees with them
     rows: Mapping[str, PosteriorRow] = field(default_factory=dict)
     validation: Validation | None = None
     apart: float = 1.0
@@ -146,9 +142,9 @@ class FittedArm:
             one, fit = joints[name], own.fit
             assert one.result is not None
             rows, posterior, checked = own.rows, fit.posterior, None
-            if name in found.agreed:
-                rows = retold(own, moved(own, fit.wide.posterior, found.draws, rng))
-                posterior = moved(own, posterior, found.draws, rng)
+            if name in found.agreed and own.sound:
+                posterior = moved(own, found.draws, rng)
+                rows = retold(own, posterior)
             if held_out := one.result.model.held_out:
                 predictions = predict_held_out(fit.target, posterior, held_out)
                 record = validation_record(replace(fit, held_out=predictions))
@@ -175,14 +171,14 @@ class FittedArm:
 
         ``p`` of data as far from the URDF, ``causes`` of that and ``base_parameters``.
         """
-        found, rng = self.together, np.random.default_rng(0)
+        found = self.together
         return {
             "p": found.p,
             "agreed": [*found.agreed],
             "physical": found.physical,
             "width": found.width,
             "causes": found.causes(self.doubt),
-            "base_parameters": base_parameters(self.bodies, self.doubt, found.draws, rng),
+            "base_parameters": base_parameters(self.bodies, self.doubt, found.draws),
         }
 
     @property
@@ -190,14 +186,17 @@ class FittedArm:
         """What is to be said besides the table, a line each."""
         lines = [f"{name}: {line}" for name, one in self.joints.items() for line in one.lines]
         told = self.found
+        if not told["agreed"]:
+            return lines
         far = [
             f"{c['name']} {c['value']:+.2g} ± {c['sd']:.2g} {c['unit']}".rstrip()
             for c in told["causes"][:_MOST_CAUSES]
             if abs(c["value"]) > 2.0 * c["sd"]
         ]
-        word = "contradict the URDF" if told["p"] < UNLIKELY else "beside the URDF"
+        word = "beside the URDF"
         if told["p"] < UNLIKELY:
-            word += f", {told['width']:.2g} times as far as it was said to be off"
+            far_off = f"{told['width']:.2g} times as far as it was said to be off"
+            word = f"contradict the URDF, {far_off}"
         return [*([f"bodies {word} ({p_text(told['p'])}): {listed(far)}"] if far else []), *lines]
 
     @property

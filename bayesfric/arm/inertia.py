@@ -24,6 +24,13 @@ def second_moments(inertia: Array) -> Array:
     return np.asarray(0.5 * trace * np.eye(3) - inertia)
 
 
+def inertia_of(second: Array) -> Array:
+    """Give the inertia ``(..., 6)`` of second moments of mass ``(..., 3, 3)``, about the same."""
+    trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
+    rows, columns = np.triu_indices(3)
+    return np.asarray((trace * np.eye(3) - second)[..., rows, columns])
+
+
 def tensor(six: Array) -> Array:
     """Lay out ``(..., 6)``, xx, xy, xz, yy, yz, zz, as symmetric matrices ``(..., 3, 3)``."""
     return np.asarray(six[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])
@@ -58,11 +65,9 @@ def completed(parameters: Array, nominal: Array) -> Array:
     mass = each[..., 0]
     scale = np.divide(mass, was[:, 0], out=np.zeros_like(mass), where=was[:, 0] > 0.0)
     moved = each[..., 1:4] - scale[..., None] * was[:, 1:4]
-    second = moved[..., :, None] * moved[..., None, :]
-    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
-    above = inertia[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    more = inertia_of(moved[..., :, None] * moved[..., None, :])
     each[..., 4:] += np.divide(
-        above, mass[..., None], out=np.zeros_like(above), where=mass[..., None] > 0.0
+        more, mass[..., None], out=np.zeros_like(more), where=mass[..., None] > 0.0
     )
     return np.asarray(each.reshape(parameters.shape))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 
@@ -17,7 +17,8 @@ from bayesfric.arm.arm_files import (
 )
 from bayesfric.arm.exciting import Excited, exciting, limits_of
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
-from bayesfric.arm.inertia import completed
+from bayesfric.arm.inertia import OF_ONE, completed
+from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.progress import Shown, silent
 from bayesfric.base.version import __version__
 from bayesfric.estimates.information import long_run_variance
@@ -25,15 +26,6 @@ from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.words import listed
-
-# Numbers that files have, and the parameters whose mean each is.
-NUMBERS: Mapping[str, tuple[str, ...]] = {
-    "armature": ("motor.inertia",),
-    "coulomb": ("motor.coulomb", "motor.coulomb_positive", "motor.coulomb_negative"),
-    "viscous": ("motor.viscous", "motor.viscous_positive", "motor.viscous_negative"),
-    "load": ("motor.load", "motor.load_drive", "motor.load_back"),
-    "offset": ("offset",),
-}
 
 
 def numbers_of(one: FittedJoint) -> dict[str, float]:
@@ -43,17 +35,20 @@ def numbers_of(one: FittedJoint) -> dict[str, float]:
 
 
 def _rows(one: FittedJoint, key: str) -> Iterator[PosteriorRow]:
-    return (one.rows[name] for name in NUMBERS[key] if name in one.rows)
+    return (one.rows[name] for name in NUMBERS[key].parameters if name in one.rows)
 
 
 def identified(arm: FittedArm) -> Identified:
     """Gather what files are written of: values as reported, bodies at the mean of what they may be.
 
-    A mean of bodies that can be is one that can be, completed.
+    A mean of bodies that can be is one that can be, completed. Of which no joint says anything they
+    are the URDF's.
     """
     doubt, remarks = arm.doubt, [f"Made by bayesfric {__version__} of {arm.urdf.name}."]
-    mean = doubt.nominal + doubt.spread @ arm.together.draws.mean(axis=0)
-    bodies = completed(mean, doubt.nominal)
+    bodies = doubt.nominal
+    if arm.together.agreed:
+        mean = doubt.nominal + doubt.spread @ arm.together.draws.mean(axis=0)
+        bodies = completed(mean, doubt.nominal)
     for name, one in arm.joints.items():
         told = []
         for key in NUMBERS:
@@ -65,7 +60,7 @@ def identified(arm: FittedArm) -> Identified:
         remarks.append(f"{name}: {'; '.join(told) or 'not fitted'}")
         if one.result is not None and (taken := one.result.summary.taken):
             remarks.append(f"{name}: not written here: {listed([t.kind for t in taken])}")
-    links = dict(zip(arm.bodies.links, bodies.reshape(-1, 10), strict=True))
+    links = dict(zip(arm.bodies.links, bodies.reshape(-1, OF_ONE), strict=True))
     joints = {name: numbers_of(one) for name, one in arm.joints.items()}
     return Identified(joints, links, remarks)
 

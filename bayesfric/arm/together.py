@@ -4,7 +4,10 @@ Given the bodies, joints are independent but for what their residuals share (whi
 measures). So the posterior of all is the prior of the bodies times what each joint's own fit says
 beside that prior. Of a joint's fit the directions that it feels of the bodies are taken for
 Gaussian; its own parameters move along with them as its draws do. So cost does not depend on the
-length of a log, and all that a joint's fit has, its noise, its room for the model's error, stays.
+length of a log, and all that a joint's fit has, its noise and its corrections, stays.
+
+A joint whose model lacks something says of bodies what its draws with room for that leave; but its
+own numbers stay: that room is of many kinds of what may be missing, and does not move along.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -75,7 +79,7 @@ class Said:
     def __add__(self, other: Said) -> Said:
         return Said(self.information + other.information, self.pull + other.pull)
 
-    @property
+    @cached_property
     def width(self) -> float:
         """How many times as far off as was said bodies most likely are, at least as far.
 
@@ -118,6 +122,11 @@ class Felt:
     fit: Fit
     rows: Mapping[str, PosteriorRow]
     kept: Array
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing was found that its model lacks."""
+        return self.fit.wide is self.fit
 
     def draws(self, flat: Array) -> Array:
         """Take the directions ``(n, k)`` out of draws, corrected as they are reported."""
@@ -207,9 +216,10 @@ def together(doubt: Doubt, fits: Mapping[str, Felt], rng: np.random.Generator) -
     return Together(draws, every.p(), physical, every.width, apart, tuple(agreed))
 
 
-def moved(joint: Felt, posterior: Posterior, z: Array, rng: np.random.Generator) -> Posterior:
-    """Move draws of a joint to bodies ``z`` ``(n, n_causes)``, the rest along with these."""
-    target, flat = joint.fit.target, posterior.flat(_DRAWS)
+def moved(joint: Felt, z: Array, rng: np.random.Generator) -> Posterior:
+    """Move draws of a sound joint to bodies ``z`` ``(n, n_causes)``, the rest along with these."""
+    target, posterior = joint.fit.target, joint.fit.posterior
+    flat = posterior.flat(_DRAWS)
     own = joint.draws(flat)
     v = target.unbounded(flat)
     fine = np.isfinite(v).all(axis=1)
@@ -224,8 +234,8 @@ def moved(joint: Felt, posterior: Posterior, z: Array, rng: np.random.Generator)
 
 
 def retold(joint: Felt, posterior: Posterior) -> dict[str, PosteriorRow]:
-    """Change numbers as reported by what all joints change of the draws of one."""
-    fit, before, after, found = joint.fit, joint.fit.wide.posterior, posterior.flat(), {}
+    """Change numbers as reported by what all joints change of the draws of a sound one."""
+    fit, before, after, found = joint.fit, joint.fit.posterior, posterior.flat(), {}
     priors = dict(zip(posterior.names, posterior.priors, strict=True))
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     for name, row in joint.rows.items():

@@ -381,8 +381,8 @@ def arm(
             write_beside({folder / name: text for name, text in files_of(found).items()})
         if advise:
             motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
-            made_of = {"csv": motion.as_csv(), "yaml": motion.as_joint_trajectory()}
-            write_beside({folder / f"exciting.{end}": text for end, text in made_of.items()})
+            csv, yaml = folder / "exciting.csv", folder / "exciting.yaml"
+            write_beside({csv: motion.as_csv(), yaml: motion.as_joint_trajectory()})
             told.append(motion.text(wanted))
     _print(found.as_json(), as_json, [*told, "", f"Written: {page}"])
     if not found.reliable:

@@ -83,7 +83,7 @@ def on_base_parameters(fitted: FittedArm) -> dict[str, dict[str, dict[str, float
     noise.
     """
     joints = list(fitted.joints)
-    _, sums = combinations(fitted.bodies, np.random.default_rng(1))
+    _, sums = combinations(fitted.bodies)
 
     def laid(part):
         """Give outputs and columns by joint, those of friction beside zeros for other joints."""

@@ -279,7 +279,6 @@ def test_what_cannot_be_is_refused(arm, change, more, told):
 
 
 def test_a_limit_is_a_number(tmp_path):
-    bodies = arm_of(tmp_path, bench.urdf())
-    bodies.path.write_text(bench.urdf().replace('velocity="9"', 'velocity="fast"', 1))
+    bodies = arm_of(tmp_path, bench.urdf().replace('velocity="9"', 'velocity="fast"', 1))
     with pytest.raises(BadInput, match=rf"{bench.SHOULDER}.*velocity"):
         limits_of(bodies)

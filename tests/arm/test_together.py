@@ -150,15 +150,25 @@ def arm(tmp_path_factory):
 def test_both_joints_of_an_arm_agree_and_tell_more_than_one(arm):
     assert set(arm.together.agreed) == set(TRUTH)
     assert arm.found["p"] > 0.01
-    for name, truth in TRUTH.items():
+    for name in TRUTH:
         one = arm.joints[name]
         alone = one.result.summary.parameters
         widths = [np.ptp(rows["motor.inertia"].reported.interval) for rows in (one.rows, alone)]
         assert widths[0] <= 1.05 * widths[1]
-        for parameter, value in truth.items():
-            assert one.rows[parameter].value == pytest.approx(value, rel=0.5)
     drawn = arm.doubt.nominal + arm.together.draws @ arm.doubt.spread.T
     assert possible(completed(drawn, arm.doubt.nominal)).all()
+
+
+def test_intervals_hold_the_truth_beside_bodies_that_are_a_tenth_off(arm):
+    """Fewer than five of eight 90 % intervals hold it once in 200 times, were they independent."""
+    inside = []
+    for name, truth in TRUTH.items():
+        for parameter, value in truth.items():
+            told = arm.joints[name].rows[parameter].reported
+            low, high = told.interval
+            inside.append(low <= value <= high)
+            assert told.value == pytest.approx(value, rel=0.5), parameter
+    assert sum(inside) >= 5
 
 
 def test_a_joint_whose_drive_gain_is_wrong_is_not_believed_about_bodies(tmp_path):
@@ -204,7 +214,7 @@ def test_base_parameters_of_a_pendulum_of_two_links(tmp_path):
     path.write_text(bench.urdf())
     bodies = Bodies(path, (0.0, 0.0, -9.80665))
     rng = np.random.default_rng(1)
-    first, sums = combinations(bodies, rng)
+    first, sums = combinations(bodies)
     assert len(first) == 6
     every = np.broadcast_to(np.eye(sums.shape[1]), (2, sums.shape[1], sums.shape[1]))
     motion = rng.normal(size=(3, 2, 50))
@@ -213,7 +223,7 @@ def test_base_parameters_of_a_pendulum_of_two_links(tmp_path):
         columns, np.einsum("jkn,kp->jpn", columns[:, first], sums), atol=1e-9
     )
     doubt = bodies.doubt(Uncertainty(), Payload())
-    told = base_parameters(bodies, doubt, np.zeros((2, len(doubt.causes))), rng)
+    told = base_parameters(bodies, doubt, np.zeros((2, len(doubt.causes))))
     values = dict(zip(bodies.links, doubt.nominal.reshape(-1, 10), strict=True))
     for one in told:
         assert (one.sd, one.value) == (0.0, pytest.approx(one.urdf))

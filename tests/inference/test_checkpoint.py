@@ -97,6 +97,25 @@ def test_interrupted_after_every_block(whole, tmp_path, block):
     )
 
 
+def test_interrupted_where_the_proposal_has_learned_again(tmp_path, monkeypatch):
+    """After every block of a run whose steps are warm-up twice."""
+    monkeypatch.setattr(sampling, "_RELEARNED", 1)
+    fitted, original = [], sampling._fitted
+    monkeypatch.setattr(
+        sampling, "_fitted", lambda *a, last: (fitted.append(last), original(*a, last=last))[1]
+    )
+    seen = []
+    whole, _ = run(None, progress=seen.append)
+    assert sum(fitted) > 1
+    assert whole.diagnostics.warmup + whole.diagnostics.steps == SETTINGS.max_steps
+    for block in range(1, len(seen) + 1):
+        folder = tmp_path / f"{block}"
+        folder.mkdir()
+        with pytest.raises(Stop):
+            run(folder, progress=stopping_after(block))
+        same(run(folder)[0], whole)
+
+
 @pytest.mark.parametrize("apart", [pytest.param(1, marks=pytest.mark.slow), 17, 41])
 def test_asked_to_stop_in_the_middle_of_blocks(whole, tmp_path, apart):
     """However often the request comes."""
