@@ -20,6 +20,7 @@ from bayesfric.inference.predictive import Prediction, predict_held_out
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "ur10-arm"
+LOG = DATA / "ur10_exciting_trajectory.db3"
 SEED = 1
 # N m/A, and friction in A that the authors published (Petrone et al., IEEE TII 2025): viscous,
 # and half of the height of the step at standstill.
@@ -116,6 +117,38 @@ def on_base_parameters(fitted: FittedArm) -> dict[str, dict[str, dict[str, float
     return result
 
 
+def by_one_joint() -> dict[str, dict[str, list[float]]]:
+    """Ask each joint by itself what is bolted to the last link: value and sd, kg and kg m."""
+    found, joints = {}, list(bf.Arm(DATA / "ur10.urdf").bodies.joints)
+    for name in joints:
+        off = {one: {"fit": one == name} for one in joints}
+        one = bf.Arm(DATA / "ur10.urdf", {"joints": off}).fit(LOG, seed=SEED)
+        found[name] = {
+            cause["name"]: [cause["value"], cause["sd"]]
+            for cause in one.found["causes"]
+            if cause["name"].startswith(("payload", "moment"))
+        }
+    return found
+
+
+def correlations(fitted: FittedArm) -> list[list[float]]:
+    """Correlate what noise leaves unforetold between joints, at outputs that both have."""
+    left = []
+    for one in fitted.joints.values():
+        fit, (o, *_) = one.result.fit, one.result.model.observations
+        target, median = fit.target, fit.posterior.median[None]
+        (torque,) = target.likelihood.predict(target.chain_values(median))
+        scales = target.noise.scales(median[:, len(target.free) :])[0]
+        (unforetold,) = target.likelihood.innovations([o.measured - torque[0]], scales)
+        left.append((o.filter.starts, unforetold))
+    found = np.eye(len(left))
+    for i, (at, x) in enumerate(left):
+        for j, (beside, y) in enumerate(left[:i]):
+            _, here, there = np.intersect1d(at, beside, return_indices=True)
+            found[i, j] = found[j, i] = np.corrcoef(x[here], y[there])[0, 1]
+    return np.round(found, 2).tolist()
+
+
 def quality(one: Prediction) -> dict[str, float]:
     """Root mean square of what is left, sd of the prediction, coverage of its 90 % bands."""
     return {
@@ -132,8 +165,7 @@ def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, d
     if joints:
         off = {name: {"fit": name in joints} for name in arm.bodies.joints}
         arm = bf.Arm(DATA / "ur10.urdf", {"joints": off})
-    log = DATA / "ur10_exciting_trajectory.db3"
-    fitted = arm.fit(log, predict=folder / "validation.csv", seed=SEED)
+    fitted = arm.fit(LOG, predict=folder / "validation.csv", seed=SEED)
     found = {}
     for name, one in fitted.joints.items():
         told = one.as_json()
@@ -166,7 +198,14 @@ def main() -> None:
         gain = DRIVE_GAINS[k]
         told["published"] = {key: round(gain * x[k], 3) for key, x in PUBLISHED.items()}
     bodies = fitted.as_json()["bodies"]
-    result = {"seed": SEED, "cpu_seconds": seconds, "bodies": bodies, "joints": found}
+    result = {
+        "seed": SEED,
+        "cpu_seconds": seconds,
+        "bodies": bodies,
+        "bolted_on_by_one_joint": by_one_joint(),
+        "correlations": correlations(fitted),
+        "joints": found,
+    }
     text = json.dumps(result, indent=1, ensure_ascii=False)
     (HERE / "result.json").write_text(f"{text}\n", encoding="utf-8")
 
