@@ -22,11 +22,12 @@ from bayesfric.base.written import write_beside
 from bayesfric.fit.result import Result
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.numbers import TEXT, finer, p_text, text_rounded
+from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.rendering import render
 from bayesfric.report.summary.record import Validation
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.summary.validation_part import validation_record
+from bayesfric.report.terminal import line_of_number
 from bayesfric.report.words import listed
 
 # Columns of the table, and which parameter is in them: the first that the joint has.
@@ -220,14 +221,13 @@ class FittedArm:
 
     def text(self) -> list[str]:
         """Lay the table out for a terminal, with what is to be said of the joints below it."""
-        margin = max(map(len, self.joints)) + 2
         rows: list[tuple[str, ...]] = [("", *COLUMNS)]
         for name, one in self.joints.items():
             if one.result is not None:
                 cells = [_cell(row) for row in one.cells.values()]
                 rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
-        wide = 2 + max(len(cell) for row in rows for cell in row[1:])
-        table = [r[0].ljust(margin) + "".join(c.ljust(wide) for c in r[1:]) for r in rows]
+        wide = [2 + max(map(len, column)) for column in zip(*rows, strict=True)]
+        table = ["".join(c.ljust(w) for c, w in zip(r, wide, strict=True)) for r in rows]
         said = self.said
         room = max(_LINES - len(table), 1)
         if len(said) > room:
@@ -257,7 +257,5 @@ def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Write a number with its status, and its interval with the unit."""
     if row is None or row.reported is None:
         return TEXT.none, ""
-    told, (low, high) = row.reported, row.reported.interval
-    width = finer(told.value, low, high, told.sd) or None
-    ends = TEXT.interval(low, high, width) if width else ""
-    return f"{text_rounded(told.value, width)} {told.status}", f"{ends} {row.unit}".strip()
+    told = line_of_number("", row.reported, row.unit, row.level)
+    return f"{told.value} {told.beside}".strip(), f"{told.interval} {told.unit}".strip()

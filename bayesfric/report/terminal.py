@@ -83,7 +83,8 @@ def brief(summary: Readable, alerts: Sequence[Alert] | None = None) -> Brief:
         taken=tuple(f"Added: {line_of(one.kind, one.model_dump())}" for one in read.taken),
         level=f"{100.0 * read.level:g} % interval",
         lines=tuple(
-            _line(name, rows[name], read.rows[name].unit, read.level) for name in shown[:ROWS]
+            line_of_number(name, rows[name], read.rows[name].unit, read.level)
+            for name in shown[:ROWS]
         ),
         more=max(len(shown) - ROWS, 0),
         unidentified=tuple(n for n in read.joint if n in rows and n not in {*shown, *lost}),
@@ -132,7 +133,8 @@ def _shares(one: Reported) -> list[float]:
     return [one.sd / abs(value), *sorted(end / value for end in one.interval)]
 
 
-def _line(name: str, one: Reported, unit: str, level: float) -> Line:
+def line_of_number(name: str, one: Reported, unit: str, level: float) -> Line:
+    """Word a number as it is printed: value and interval, or the end that is known."""
     beside = _BESIDE.get(one.status, one.status)
     if one.bound is not None:
         side = "at most" if one.at_most else "at least"
