@@ -365,9 +365,12 @@ class Regression:
         # what is there for a moment only is no larger for that; and what more is lost is of the
         # size of what the model loses
         size = np.abs(self.data.others).max(axis=0)
-        losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
+        losses = np.array(
+            [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
+        )
         most = np.where(losses, self.scales.lost, self.scales.torque)
         size = np.divide(most, size, out=np.zeros_like(size), where=size > 0.0)
+        columns, alike = self.data.others * size, losses[:, None] == losses
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
         unit, whole = (np.linalg.norm(x, axis=0) for x in (rest, d.others * size))
         seen = unit > TESTABLE * whole
@@ -385,10 +388,11 @@ class Regression:
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
         return Missing(
             observations=tuple(self.observations),
-            columns=self.data.others * size,
+            columns=columns,
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
             gram=rest.T @ rest,
             scores=rest.T @ left - mean * unit,
+            together=(columns / most).T @ (columns / most) / len(columns) * alike,
             power=power,
             spread=np.hypot(np.maximum(sd, 1.0), HALF * bias),
             free=free,

@@ -29,8 +29,8 @@ from bayesfric.recordings.observation import Observation
 
 Index = NDArray[np.intp]
 
-# Scales of a candidate, as shares of the torque's rms.
-_GRID = np.geomspace(3e-5, 0.5, 24)
+# Scales of a candidate, as shares of the torque's rms: smallest, largest, and how many.
+_SMALLEST, _LARGEST, _SCALES = 3e-5, 0.5, 24
 # Scale of the half-Cauchy of the scale that all others are around.
 _TYPICAL = 0.003
 # Chance that something is missing, before the recording is asked; where it is less afterwards, the
@@ -61,6 +61,9 @@ class Missing:
     gram, scores, power
         ``(m, m)``, ``(m,)`` and a number: products of what is left of columns and residual beside
         the model's own, whitened; scores of a right model are taken off.
+    together
+        ``(m, m)`` mean products of columns as shares of what they are a share of; of one that is
+        friction with one that is not they are nothing.
     spread
         ``(m,)`` sd of a right model's scores, in those of white noise; at least one.
     free
@@ -72,9 +75,15 @@ class Missing:
     kinds: dict[str, tuple[tuple[int, ...], ...]]
     gram: Array
     scores: Array
+    together: Array
     power: float
     spread: Array
     free: int
+
+
+def _grid() -> Array:
+    """Give the scales ``(n,)`` that a candidate's size may have."""
+    return np.geomspace(_SMALLEST, _LARGEST, _SCALES)
 
 
 def chance_missing(missing: Missing) -> float:
@@ -100,13 +109,13 @@ def chance_missing(missing: Missing) -> float:
     """
     variance = missing.power / missing.free
     scores = missing.scores / missing.spread
-    kinds = []
+    grid, kinds = _grid(), []
     for shapes in missing.kinds.values():
         told = []
         for own in shapes:
             power, vectors = np.linalg.eigh(missing.gram[np.ix_(own, own)])
             turned = vectors.T @ scores[list(own)]
-            size = _GRID[:, None] ** 2
+            size = grid[:, None] ** 2
             total = variance + size * np.clip(power, 0.0, None)
             gain = (turned**2 * size / total).sum(axis=1) / missing.power
             log_gain = -0.5 * missing.free * np.log(np.maximum(1.0 - gain, 1e-12))
@@ -136,8 +145,9 @@ class _Kind:
 
 
 @njit(cache=True)
-def _evidence(gram, scores, columns, places, active, sd, variance):  # type: ignore[no-untyped-def]
-    """Log evidence ``(shapes, scales)`` of a kind's shapes at each scale, beside what is taken.
+def _evidence(grid, told, pull, columns, places, active, sd):  # type: ignore[no-untyped-def]
+    """Log evidence ``(shapes, scales)`` of a kind's shapes at each scale of ``grid``, beside what
+    is taken.
 
     ``columns`` are the kind's, ``places`` ``(shapes, width)`` where each shape's stand among them;
     ``active`` is what is taken, of sds ``sd``.
@@ -145,21 +155,21 @@ def _evidence(gram, scores, columns, places, active, sd, variance):  # type: ign
     m, a = columns.size, active.size
     precision, cross = np.empty((m, m + 1)), np.empty((a, m + 1))
     for i in range(m):
-        precision[i, m] = scores[columns[i]] / variance
+        precision[i, m] = pull[columns[i]]
         for j in range(m):
-            precision[i, j] = gram[columns[i], columns[j]] / variance
+            precision[i, j] = told[columns[i], columns[j]]
     if a:
         inner = np.empty((a, a))
         for i in range(a):
-            cross[i, m] = sd[i] * scores[active[i]] / variance
+            cross[i, m] = sd[i] * pull[active[i]]
             for j in range(m):
-                cross[i, j] = sd[i] * gram[active[i], columns[j]] / variance
+                cross[i, j] = sd[i] * told[active[i], columns[j]]
             for j in range(a):
-                inner[i, j] = sd[i] * gram[active[i], active[j]] * sd[j] / variance
+                inner[i, j] = sd[i] * told[active[i], active[j]] * sd[j]
             inner[i, i] += 1.0
         precision -= np.ascontiguousarray(cross[:, :m].T) @ np.linalg.solve(inner, cross)
     shapes, width = places.shape
-    out, own = np.zeros((shapes, _GRID.size)), np.empty((width, width))
+    out, own = np.zeros((shapes, grid.size)), np.empty((width, width))
     for s in range(shapes):
         for i in range(width):
             for j in range(width):
@@ -169,8 +179,8 @@ def _evidence(gram, scores, columns, places, active, sd, variance):  # type: ign
             turned = 0.0
             for j in range(width):
                 turned += vectors[j, i] * precision[places[s, j], m]
-            for k in range(_GRID.size):
-                size = _GRID[k] ** 2
+            for k in range(grid.size):
+                size = grid[k] ** 2
                 total = 1.0 + size * max(power[i], 0.0)
                 out[s, k] += 0.5 * (size * turned**2 / total - math.log(total))
     return out
@@ -187,14 +197,19 @@ class Sizes:
 
     def __init__(self, missing: Missing) -> None:
         zero, shapes = missing.scores.size, missing.kinds.values()
+        self.grid = _grid()
         width = max(len(own) for each in shapes for own in each)
         self.gram, self.scores = np.pad(missing.gram, (0, 1)), np.pad(missing.scores, (0, 1))
-        self.diagonal = np.diagonal(self.gram)
+        self.together = np.pad(missing.together, (0, 1)) / _LARGEST**2
         self.power, self.free = missing.power, missing.free
         self.kinds = [_Kind.of(each, width, zero) for each in shapes]
         self.taken = np.array([kind.shapes[0] for kind in self.kinds])
         self.scale = np.zeros(len(self.kinds), dtype=np.intp)
-        self.variance = missing.power / missing.free
+        self._heard(missing.power / missing.free)
+
+    def _heard(self, variance: float) -> None:
+        """Take the noise to be so large."""
+        self.variance, self.told = variance, self.gram / variance + self.together
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Draw sizes of all candidates together.
@@ -209,10 +224,11 @@ class Sizes:
         ndarray
             ``(n, m)`` factors of the columns; zero of shapes that are not taken.
         """
-        ratio = _GRID[:, None] / _GRID
+        grid = self.grid
+        ratio = grid[:, None] / grid
         around = np.log(ratio) - np.log1p(ratio**2)  # half Cauchy, a logarithm's
         around -= logsumexp(around, axis=0)  # (scale, typical scale)
-        x = _GRID / _TYPICAL
+        x = grid / _TYPICAL
         prior, typical = np.log(x / (1.0 + x * x)), 0
         # several kinds together may look like one, and no step leads back: the best goes first
         for _ in range(_FIRST):
@@ -220,7 +236,7 @@ class Sizes:
             best = int(np.argmax([one.max() - one[:, 0].max() for one in asked]))
             self._take(best, int(np.argmax(asked[best])))
             mean, _, active = self._given()
-            self.variance = self._rest(active, mean) / self.free
+            self._heard(self._rest(active, mean) / self.free)
         sizes = np.zeros((_SWEEPS, _EACH, self.scores.size))
         for sweep in sizes:
             for g in range(len(self.kinds)):
@@ -228,34 +244,33 @@ class Sizes:
             typical = _drawn(prior + around[self.scale].sum(axis=0), rng)
             mean, root, active = self._given()
             drawn = mean[:, None] + root @ rng.standard_normal((active.size, _EACH))
-            self.variance = self._rest(active, drawn[:, 0]) / float(rng.chisquare(self.free))
+            self._heard(self._rest(active, drawn[:, 0]) / float(rng.chisquare(self.free)))
             sweep[:, active] = drawn.T
         return sizes[_BURN:, :, :-1].reshape(-1, self.scores.size - 1)
 
     def _take(self, g: int, place: int) -> None:
-        shape, self.scale[g] = divmod(place, _GRID.size)
+        shape, self.scale[g] = divmod(place, self.grid.size)
         self.taken[g] = self.kinds[g].shapes[shape]
 
     def _asked(self, g: int) -> Array:
         """Give the log evidence of a kind's shapes at each scale, beside all the others."""
         kind, (active, sd) = self.kinds[g], self._active(without=g)
-        noise = float(self.variance)
-        found = _evidence(self.gram, self.scores, kind.columns, kind.places, active, sd, noise)
-        return np.asarray(found)
+        pull, own = self.scores / self.variance, (kind.columns, kind.places)
+        return np.asarray(_evidence(self.grid, self.told, pull, *own, active, sd))
 
     def _active(self, without: int | None = None) -> tuple[Index, Array]:
         """Give the numbers of columns that are taken, and their sds; those that matter to one."""
-        sd = np.repeat(_GRID[self.scale], self.taken.shape[1]).reshape(self.taken.shape)
-        power = sd**2 * self.diagonal[self.taken]
+        sd = np.repeat(self.grid[self.scale], self.taken.shape[1]).reshape(self.taken.shape)
+        power = sd**2 * np.diagonal(self.told)[self.taken]
         if without is None:
             return self.taken[power > 0.0], sd[power > 0.0]
         power[without] = 0.0
-        matter = power > _IDLE * self.variance
+        matter = power > _IDLE
         return self.taken[matter], sd[matter]
 
     def _inner(self, active: Index, sd: Array) -> Array:
         """Give the precision of sizes over their sds, ``(active, active)``."""
-        inner = sd[:, None] * self.gram[active[:, None], active] * (sd / self.variance)
+        inner = sd[:, None] * self.told[active[:, None], active] * sd
         inner[np.diag_indices(active.size)] += 1.0
         return np.asarray(inner)
 

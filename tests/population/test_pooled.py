@@ -77,7 +77,8 @@ def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
     """As of a fit: what is marginalised is a note, and only a doubt makes a number doubtful."""
     kinds = {"stribeck": ((0,),)}
     nothing = np.zeros((1, 0))
-    missing = Missing((), nothing, kinds, nothing.T @ nothing, np.zeros(0), 1.0, np.zeros(0), 1)
+    none = nothing.T @ nothing
+    missing = Missing((), nothing, kinds, none, np.zeros(0), none, 1.0, np.zeros(0), 1)
     lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
     monkeypatch.setattr(Problem, "explain", lambda *_, **__: explained)
