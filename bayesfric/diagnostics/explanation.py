@@ -31,7 +31,7 @@ from bayesfric.recordings.processing import Processing
 if TYPE_CHECKING:
     import pandas as pd
 
-Reason = Literal["few", "simulation"]
+Reason = Literal["few", "still"]
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Explanation:
     missing
         All candidates, to be marginalised as model discrepancy.
     reason
-        Why it was not asked: there are too ``few`` outputs, or a ``simulation`` of twins is
-        impossible; else ``None``.
+        Why it was not asked: there are too ``few`` outputs, or most twins stand ``still``; else
+        ``None``.
     share
         Of the samples that were asked, the share of all; below one for long recordings.
     """
@@ -157,7 +157,7 @@ def explain(
             # what moves a number by so many sds of an excerpt's is more of the whole's
             steps = [_sharpened(step, share**-0.5) for step in asked.steps()]
     except NoTwin:
-        return Explanation(reason="simulation")
+        return Explanation(reason="still")
     return Explanation(
         tuple(finding(chain, step) for step in steps if step.sure),
         asked.kinds,

@@ -49,7 +49,7 @@ from bayesfric.diagnostics.statistics import (
     testable,
     without,
 )
-from bayesfric.diagnostics.twins import NoTwin, modelled_driver, twins
+from bayesfric.diagnostics.twins import NoTwin, twins
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.derived import derive
@@ -67,10 +67,6 @@ _TOLD = 0.999
 _WIDEST = 0.1
 # Share of the twins that must have come out.
 _ENOUGH = 0.5
-# Twins that tell which torque drives the rest.
-_PROBES = 3
-# Share of the residual that the encoder makes, from which the recorded torque drives twins.
-_BY_ENCODER = 0.5
 # Most that is taken out while noise is chosen, and what each costs there: twice the log of how
 # many candidates there are.
 _PICKS, _DEAR = 8, 10.0
@@ -184,7 +180,7 @@ class Regression:
     Raises
     ------
     NoTwin
-        If the joint has no inertia, or fewer than half of the twins can be simulated.
+        If the filters leave fewer than half of the twins.
     """
 
     chain: Joint
@@ -202,13 +198,11 @@ class Regression:
     _placed_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
-        streams = np.random.SeedSequence(self.seed).spawn(4)
-        draws, probes, others, noise = streams
+        draws, others, noise = np.random.SeedSequence(self.seed).spawn(3)
         self.scales = scales_of(self.chain, self.values, self.observations)
         self.data = self._columns(self.values, self.observations)
         self._groups = testable(self.data)
         vectors = self._near(np.random.default_rng(draws))
-        self.modelled = self._modelled(probes)
         made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
         self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
         self.twins = [twin for _, twin in made]
@@ -258,15 +252,6 @@ class Regression:
         lower = np.array([p.lower for p in self.chain.parameters])
         return np.asarray(np.maximum(self.values + (drawn @ vectors[:, told].T) * size, lower))
 
-    def _modelled(self, stream: np.random.SeedSequence) -> bool:
-        """Whether the model's torque is less noisy than the recorded one, and so drives twins."""
-        some = np.tile(self.values, (_PROBES, 1))
-        self.modelled = False
-        made = self._twins(some, stream)
-        own = [mean_square(self._own(v, seen).rest([])) for v, seen in made]
-        mine = mean_square(self.data.rest([]))
-        return bool(own) and float(np.mean(own)) <= _BY_ENCODER * mine
-
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
@@ -275,9 +260,8 @@ class Regression:
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
         ):
-            driver = modelled_driver(self.chain, self.values, r, o) if self.modelled else None
             seeds = one.spawn(len(vectors))
-            parts.append(twins(self.chain, vectors, r, o, self.processing, seeds, driver))
+            parts.append(twins(self.chain, vectors, r, o, self.processing, seeds))
         for values, seen in zip(vectors, zip(*parts, strict=True), strict=True):
             made = [o for o in seen if o is not None]
             least = len(self.chain.names) + LEAST_OUTPUTS

@@ -21,14 +21,13 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.local_units import units_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
-from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 # Longest step, in units of the parameters, along which quantities are taken to be linear.
 _SMALL = 1e-3
 
-Reason = Literal["likelihood", "rest", "sampling", "still", "simulation", "few"]
+Reason = Literal["likelihood", "rest", "sampling", "still", "few"]
 
 
 class SelfCheckOptions(Options):
@@ -77,10 +76,8 @@ class Checked:
         That it took.
     reason
         Why it could not be made, else ``None``: the ``likelihood`` is not of the torque, samples at
-        ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most simulated joints
-        stood ``still``, the ``simulation`` is impossible, or there are too ``few`` outputs.
-    said
-        Words for a ``simulation`` that is impossible.
+        ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most twins stood
+        ``still``, or there are too ``few`` outputs.
     share
         Of the recordings' samples that twins have: below one they are of excerpts.
     """
@@ -90,7 +87,6 @@ class Checked:
     seconds: float
     cpu_seconds: float
     reason: Reason | None = None
-    said: str = ""
     share: float = 1.0
 
 
@@ -99,20 +95,17 @@ def self_check(
     posterior: Posterior,
     observations: Sequence[Observation],
     explained: Explanation,
-    period: float,
 ) -> Checked:
     """Fit the twins of recordings from where their truth is: a parametric bootstrap of the bias.
 
     Parameters
     ----------
     target, posterior
-        What was sampled; the median is where a simulation is tried if there are no twins.
+        What was sampled.
     observations
         Of the fitted recordings.
     explained
         Holds the twins, or says why there are none.
-    period
-        From one raw sample to the next, s.
 
     Returns
     -------
@@ -131,16 +124,12 @@ def self_check(
     """
     begun, worked = time.perf_counter(), time.process_time()
     reason: Reason | None = explained.reason
-    said = ""
     if not isinstance(target.likelihood, TorqueLikelihood):
         reason = "likelihood"
     elif any(o.rest is not None for o in observations):
         reason = "rest"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
-    elif reason == "simulation":
-        said = _obstacle(target, posterior.median, period)
-        reason = reason if said else "still"
     twins = () if reason else explained.twins
     # a prior that is cut takes a quadrature
     sds = np.array([prior.sd() for prior in target.priors[: len(target.free)]])
@@ -158,7 +147,6 @@ def self_check(
         time.perf_counter() - begun,
         time.process_time() - worked,
         reason,
-        said,
         explained.share,
     )
 
@@ -198,13 +186,3 @@ def _fit(
     nearby = np.concatenate([at.moved(truth[:k], part * step), truth[k:]])
     left = error - jacobian @ step
     return QuickFit(nearby, part, float(np.mean(left**2)))
-
-
-def _obstacle(target: Target, parameters: Array, period: float) -> str:
-    """Say why a joint cannot be simulated; nothing where it can."""
-    values = target.chain_values(parameters[None])[0]
-    try:
-        simulate(target.likelihood.chain, values, np.zeros(2), period)
-    except ValueError as error:
-        return str(error)
-    return ""

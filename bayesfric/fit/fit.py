@@ -96,7 +96,7 @@ def _examine(
     checked: Checked | None = None
     if problem.config.tables.self_check.recordings != 0:
         seen = problem.observations
-        checked = self_check(target, found.posterior, seen, explained, recordings[0].period)
+        checked = self_check(target, found.posterior, seen, explained)
     progress(Progress("identifiability"))
     identified: Identification | None = None
     with suppress(BadInput):  # a simulation that fails there takes no result away

@@ -146,8 +146,7 @@ class _Kind:
 
 @njit(cache=True)
 def _evidence(grid, told, pull, columns, places, active, sd):  # type: ignore[no-untyped-def]
-    """Log evidence ``(shapes, scales)`` of a kind's shapes at each scale of ``grid``, beside what
-    is taken.
+    """Log evidence ``(shapes, scales)`` of a kind's shapes at each scale, beside what is taken.
 
     ``columns`` are the kind's, ``places`` ``(shapes, width)`` where each shape's stand among them;
     ``active`` is what is taken, of sds ``sd``.

@@ -72,12 +72,10 @@ def test_the_same_seed_gives_the_same_answer(right):
     assert asked(5) != asked(6)
 
 
-def test_a_joint_without_inertia_is_not_asked():
+def test_a_joint_without_inertia_lacks_it():
     motor = bf.Element("motor", coulomb="symmetric", viscous=True, ratio=50.0)
     bare = Model(bf.Joint([motor], bf.Load(first_moment=True)), recording())
-    found = bare.explain()
-    assert found.reason == "simulation"
-    assert not found.asked
+    assert bare.explain().findings[0].kind == "inertia"
 
 
 def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
@@ -101,7 +99,7 @@ def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
 def test_an_excerpt_too_short_for_the_filters_is_not_asked(right, monkeypatch):
     """As of thousands of short recordings, of which each has its share."""
     monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", 200)
-    assert right.explain().reason == "simulation"
+    assert right.explain().reason == "still"
 
 
 def test_few_outputs_are_not_asked():

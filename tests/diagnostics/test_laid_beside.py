@@ -43,11 +43,9 @@ def pair():
 def made(pair, monkeypatch, twins=None, number=6, known=("motor.viscous",), values=AT):
     """A regression whose twins are recordings of the same motion, without a simulation."""
 
-    def simulated(chain, vectors, r, o, processing, seeds, driver):  # noqa: ARG001
+    def simulated(chain, vectors, r, o, processing, seeds):  # noqa: ARG001
         for k, _ in enumerate(seeds):
-            yield (
-                replace(o, measured=o.measured + 0.01 * k) if twins is None else twins(k, o, driver)
-            )
+            yield replace(o, measured=o.measured + 0.01 * k) if twins is None else twins(k, o)
 
     monkeypatch.setattr(regression, "twins", simulated)
     observations, recordings = zip(*pair, strict=True)
@@ -132,26 +130,6 @@ def test_twins_are_of_parameters_that_the_recordings_hold_possible(pair, monkeyp
     assert (r._near(np.random.default_rng(1)) >= low).all()
 
 
-@pytest.mark.parametrize(("ratio", "modelled"), [(0.45, True), (0.55, False)])
-def test_the_model_drives_twins_where_it_is_less_noisy_than_the_torque(
-    pair, monkeypatch, ratio, modelled
-):
-    """That is where the encoder makes less than half of the residual; else the recorded torque."""
-    drivers = []
-
-    def twin(k, o, driver):
-        drivers.append(driver)
-        exact = o.filter.apply(inverse_torque(AXIS, AT, o.q, o.qd, o.qdd))
-        # twins differ, and it is their mean that counts
-        times = np.sqrt(ratio * (1.0 + 0.5 * (k - 1)) if len(drivers) <= 6 else ratio)
-        return replace(o, measured=exact + times * (o.measured - exact))
-
-    r = made(pair, monkeypatch, twin)
-    assert r.modelled == modelled
-    assert all(x is None for x in drivers[:6])  # three probes of two recordings
-    assert all((x is not None) == modelled for x in drivers[6:])
-
-
 def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch):
     def few(o, n):
         taken = replace(o.filter, starts=o.filter.starts[:n], gains=o.filter.gains[:n])
@@ -161,7 +139,7 @@ def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch
     least = 5 + LEAST_OUTPUTS
 
     def losing(lost):
-        def twin(k, o, driver):  # noqa: ARG001
+        def twin(k, o):
             first = o.name == "one"
             if k < lost and first:
                 return None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.twins import NoTwin, settled_as, spring_of, twins
+from bayesfric.diagnostics.twins import settled_as, twins
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.observation import observe
@@ -75,15 +75,13 @@ def test_each_segment_is_replayed_from_its_own_state(made):
     assert np.std(seen.q - observation.q) < 0.02 * np.std(observation.q)
 
 
-def test_a_gain_of_the_drive_scales_spring_and_torque_alike():
+def test_a_gain_of_the_drive_divides_the_torque():
     made = model(joint=axis(gain=True))
     values = np.array([[{**TRUTH, "drive.gain": g}[n] for n in made.chain.names] for g in (1, 2)])
-    values[1] *= np.where(np.isin(made.chain.names, ("drive.gain",)), 1.0, 2.0)
     # of the same random numbers
     (one,), (other,) = replayed(made, values[:1]), replayed(made, values[1:])
-    # twice everything with twice the gain is the same motion under the same measured torque
-    assert np.std(one.q - other.q) < 1e-3 * np.std(one.q)
-    np.testing.assert_allclose(one.torque, other.torque, atol=1e-3 * np.std(one.torque))
+    np.testing.assert_array_equal(one.q, other.q)
+    np.testing.assert_allclose(one.torque, 2.0 * other.torque, atol=1e-9 * np.std(one.torque))
 
 
 def test_a_measured_velocity_is_replayed_too(made):
@@ -97,27 +95,24 @@ def test_a_measured_velocity_is_replayed_too(made):
     assert np.std(seen.qd - seen_so.qd) < 0.1 * np.std(seen_so.qd)
 
 
-def test_a_closed_loop_that_would_run_away_alone_is_followed():
-    """An upright load falls, under a recorded torque alone, whichever way rounding sends it."""
-    upright = axis()
+def test_a_joint_of_little_inertia_and_much_friction_has_its_motion():
+    """A geared wrist: simulated under any torque that is a little off it jerks and sticks."""
+    light = axis()
     t = np.arange(5000) / 500.0
-    q = np.pi + 0.3 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 1.9 * t)
+    q = 0.3 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 1.9 * t)
     qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    torque = inverse_torque(upright, VALUES, q, qd, qdd)
-    balanced = Model(upright, bf.Recording.from_arrays(t, q, torque, side="joint"))
-    for seen in replayed(balanced, draws_about(VALUES, 0.05)):
-        assert np.std(seen.q - balanced.observations[0].q) < 0.03
+    values = VALUES * np.where([n == "motor.inertia" for n in light.names], 1e-3, 1.0)
+    torque = inverse_torque(light, values, q, qd, qdd)
+    torque += 0.1 * np.std(torque) * np.random.default_rng(1).standard_normal(t.size)
+    wrist = Model(light, bf.Recording.from_arrays(t, q, torque, side="joint"))
+    recorded = wrist.observations[0]
+    for seen in replayed(wrist, draws_about(values, 0.05)):
+        assert np.std(seen.q - recorded.q) < 0.01 * np.std(recorded.q)
+        assert np.std(seen.qdd) == pytest.approx(np.std(recorded.qdd), rel=0.01)
 
 
-def test_a_joint_without_inertia_has_no_replay(made):
-    observation = made.observations[0]
-    values = np.where([n == "motor.inertia" for n in made.chain.names], 0.0, VALUES)
-    with pytest.raises(NoTwin, match="no inertia"):
-        spring_of(made.chain, values, observation)
-
-
-def test_impossible_parameters_have_no_replay_and_spoil_no_other(made):
+def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
     values = draws_about(VALUES)
-    values[1, made.chain.names.index("motor.viscous")] = -1.0
+    values[1, made.chain.names.index("motor.viscous")] = np.nan
     found = replayed(made, values)
     assert [seen is None for seen in found] == [False, True, False, False]

@@ -205,7 +205,7 @@ class RegressionPart(Part):
 
     twins: int = 0
     asked: int = 0
-    reason: Literal["few", "simulation"] | None = None
+    reason: Literal["few", "still"] | None = None
     share: float = 1.0
 
 
@@ -235,8 +235,7 @@ class SelfCheck(Part):
 
     asked: int
     made: int
-    reason: Literal["likelihood", "rest", "sampling", "still", "simulation", "few"] | None = None
-    said: str = ""
+    reason: Literal["likelihood", "rest", "sampling", "still", "few"] | None = None
     rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
     unexplained: NotNegative | None = None
     seconds: NotNegative

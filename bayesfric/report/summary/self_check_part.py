@@ -41,7 +41,7 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
     told: dict[str, Any] = {"asked": TWINS, "made": made}
     told |= {"seconds": round(checked.seconds, 3), "cpu_seconds": round(checked.cpu_seconds, 3)}
     if checked.reason is not None:
-        return SelfCheck(**told, reason=checked.reason, said=checked.said)
+        return SelfCheck(**told, reason=checked.reason)
     unexplained = np.array([one.unexplained for one in checked.fits])
     support = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     rows = {}
