@@ -161,8 +161,7 @@ class Arm:
     ) -> dict[str, _Felt]:
         """Ask the bodies for the torque of each joint, in each log."""
         bodies, order = self.bodies, list(self.bodies.joints)
-        on = self.options.payload.logs
-        every = [doubt.columns(loaded=on is None or log.name in on) for log in logs]
+        every = [doubt.columns(loaded=log.loaded) for log in logs]
         counts = [log.motion.shape[2] for log in logs]
         some = [
             np.unique(np.linspace(0, n - 1, max(_LOOKED_AT * n // sum(counts), 1)).astype(int))

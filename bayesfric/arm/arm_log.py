@@ -97,6 +97,10 @@ class ArmLog:
         The log, read.
     sources
         What the columns mean, by joint, of those that are in the log.
+    loaded
+        Whether the payload is on.
+    time
+        ``(n,)`` s.
     motion
         ``(3, n_joints, n)`` position, speed and acceleration of all joints in the URDF's order,
         low-passed as wide as any joint's fit may be: what that lets pass each fit takes off the
@@ -113,6 +117,8 @@ class ArmLog:
     ) -> None:
         given = options.processing
         self.path, self.name, self._given = path, called, given
+        on = options.payload.logs
+        self.loaded = on is None or called in on
         self.sources: dict[str, Source] = {}
         motions: list[Measurement | float] = []
         for number, (name, joint) in enumerate(joints.items(), start=1):
@@ -135,10 +141,10 @@ class ArmLog:
         moving = [one for one in motions if isinstance(one, Measurement)]
         if not moving:
             raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
-        self._grid, fs = moving[0].time, 1.0 / moving[0].period
+        self.time, fs = moving[0].time, 1.0 / moving[0].period
         cutoff = lowpass_above(fs, fs) if given.lowpass is None else given.lowpass
         reach = reach_of(given.differentiation, cutoff, fs)
-        self.motion = np.zeros((3, len(motions), self._grid.size))
+        self.motion = np.zeros((3, len(motions), self.time.size))
         for k, one in enumerate(motions):
             if isinstance(one, Measurement):
                 q, qd = filtered_motion(one, cutoff, given.order, reach)
@@ -156,6 +162,11 @@ class ArmLog:
         """
         return self._read(self._columns(self.sources[joint.name], {}), joint)
 
+    def effort(self, joint: UrdfJoint) -> Array:
+        """Give what :meth:`measured` reads at the times of :attr:`motion`, ``(n,)`` N m or N."""
+        one = self.measured(joint)
+        return np.interp(self.time, one.time, one.torque)
+
     def recording(self, joint: UrdfJoint, torques: Array) -> Recording:
         """Put beside a joint's columns the torque of the URDF's bodies and what that may be off by.
 
@@ -166,7 +177,7 @@ class ArmLog:
         time = recorded_time(source, self.table, count)
         names = [URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
-        return self._columns(source, {n: np.interp(time, self._grid, x) for n, x in pairs})
+        return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
 
     def _moved(self, joint: UrdfJoint) -> Measurement | float:
         """Read the motion of a joint, or where it stands."""

@@ -15,7 +15,7 @@ import math
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -116,6 +116,7 @@ class Bodies:
         self.links = [model.getLinkName(k) for k in range(model.getNrOfLinks())]
         self.gravity, self._engine = gravity, idyntree.KinDynComputations()
         self._engine.loadRobotModel(model)
+        self._idyntree, self._model = idyntree, model.copy()
         found = idyntree.VectorDynSize()
         model.getInertialParameters(found)
         self._nominal = found.toNumPy().reshape(-1, _OF_ONE).copy()
@@ -197,6 +198,34 @@ class Bodies:
         for i, regressor in enumerate(self._regressors(motion)):
             out[i] = np.einsum("jp,jpk->jk", regressor, parameters)
         return np.moveaxis(out, 0, 2)
+
+    def dynamics(self, parameters: Array) -> Callable[[Array, Array], tuple[Array, Array]]:
+        """Give what forward dynamics are made of, for inertial parameters ``(10 n_links,)``.
+
+        Returns
+        -------
+        callable
+            Of position and speed ``(n_joints,)`` of :attr:`joints`: mass matrix ``(n_joints,
+            n_joints)``, and torque without acceleration ``(n_joints,)``.
+        """
+        vector, engine = self._idyntree.VectorDynSize, self._idyntree.KinDynComputations()
+        self._model.updateInertialParameters(vector.FromPython(parameters))
+        engine.loadRobotModel(self._model)  # which is a copy
+        count = self._model.getNrOfDOFs()
+        mass = self._idyntree.MatrixDynSize(6 + count, 6 + count)
+        bias = self._idyntree.FreeFloatingGeneralizedTorques(self._model)
+        base, still, gravity = np.eye(4), np.zeros(6), np.array(self.gravity)
+
+        def asked(q: Array, qd: Array) -> tuple[Array, Array]:
+            engine.setRobotState(
+                base, self._moves @ q + self._plus, still, self._moves @ qd, gravity
+            )
+            engine.getFreeFloatingMassMatrix(mass)
+            engine.generalizedBiasForces(bias)
+            inertia = self._moves.T @ mass.toNumPy()[6:, 6:] @ self._moves
+            return inertia, self._moves.T @ bias.jointTorques().toNumPy()
+
+        return asked
 
     def _regressors(self, motion: Array) -> Iterator[Array]:
         """Give the regressor of every moment, ``(n_joints, 10 n_links)``."""

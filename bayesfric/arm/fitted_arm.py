@@ -16,7 +16,7 @@ from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.base_parameters import base_parameters
 from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
 from bayesfric.arm.joint_numbers import NUMBERS
-from bayesfric.arm.together import UNLIKELY, Felt, Together, moved, retold, together
+from bayesfric.arm.together import UNLIKELY, Felt, Together, beside, moved, retold, together
 from bayesfric.base.version import __version__
 from bayesfric.base.written import write_beside
 from bayesfric.fit.result import Result
@@ -115,11 +115,11 @@ class FittedArm:
     """What came of an arm, by joint in the order of the URDF."""
 
     bodies: Bodies
-    logs: tuple[Path, ...]
+    logs: tuple[ArmLog, ...]
     joints: Mapping[str, FittedJoint]
     doubt: Doubt
+    felt: Mapping[str, Felt]
     together: Together
-    visited: Array  # (n_joints, 2) lowest and highest positions of the logs, rad or m
 
     @classmethod
     def joined(
@@ -157,14 +157,39 @@ class FittedArm:
                 apart=found.apart[name],
                 agrees=name in found.agreed,
             )
-        q = np.concatenate([log.motion[0] for log in logs], axis=1)
-        visited = np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
-        return cls(bodies, tuple(log.path for log in logs), told, doubt, found, visited)
+        return cls(bodies, (*logs,), told, doubt, fits, found)
 
     @property
     def urdf(self) -> Path:
         """The URDF."""
         return self.bodies.path
+
+    @property
+    def visited(self) -> Array:
+        """Lowest and highest positions in the logs, ``(n_joints, 2)`` rad or m."""
+        q = np.concatenate([log.motion[0] for log in self.logs], axis=1)
+        return np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
+
+    def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, dict[str, Array]]:
+        """Draw bodies and joints together, without room for what a model lacks.
+
+        Returns
+        -------
+        bodies : ndarray
+            ``(count, n_causes)``, as the URDF where no joint says anything of them.
+        joints : dict of ndarray
+            By joint parameters ``(count, n_parameters)``, in the order of its fit's chain.
+        """
+        found, values = self.together, {}
+        urdf = np.zeros((1, len(self.doubt.inside)))
+        z = rng.choice(found.draws if found.agreed else urdf, count)
+        for name, one in self.felt.items():
+            drawn = rng.choice(one.fit.posterior.flat(), count)
+            if name in found.agreed:  # what bounds cut of it stays where it was
+                along = beside(one, z, rng)
+                drawn = np.where(np.isfinite(along).all(axis=1)[:, None], along, drawn)
+            values[name] = one.fit.target.chain_values(drawn)
+        return z, values
 
     @cached_property
     def found(self) -> dict[str, Any]:
@@ -211,7 +236,7 @@ class FittedArm:
         return {
             "bayesfric": __version__,
             "urdf": str(self.urdf),
-            "logs": [*map(str, self.logs)],
+            "logs": [str(log.path) for log in self.logs],
             "bodies": {
                 **self.found,
                 "base_parameters": [asdict(one) for one in self.found["base_parameters"]],

@@ -216,18 +216,27 @@ def together(doubt: Doubt, fits: Mapping[str, Felt], rng: np.random.Generator) -
     return Together(draws, every.p(), physical, every.width, apart, tuple(agreed))
 
 
+def beside(joint: Felt, z: Array, rng: np.random.Generator) -> Array:
+    """Draw parameters ``(n, d)`` of a joint, moved to bodies ``z`` ``(n, n_causes)``.
+
+    NaN where bounds cut what they come to.
+    """
+    target = joint.fit.target
+    flat = joint.fit.posterior.flat(_DRAWS)
+    flat = flat[np.isfinite(target.unbounded(flat)).all(axis=1)]
+    own, v = joint.draws(flat), target.unbounded(flat)
+    slopes = np.linalg.lstsq(own - own.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
+    some = rng.permutation(np.arange(len(z)) % len(v))
+    found = target.from_unbounded(v[some] + (z @ joint.kept - own[some]) @ slopes)
+    found[~np.isfinite(found).all(axis=1)] = np.nan
+    return np.asarray(found)
+
+
 def moved(joint: Felt, z: Array, rng: np.random.Generator) -> Posterior:
     """Move draws of a sound joint to bodies ``z`` ``(n, n_causes)``, the rest along with these."""
-    target, posterior = joint.fit.target, joint.fit.posterior
-    flat = posterior.flat(_DRAWS)
-    own = joint.draws(flat)
-    v = target.unbounded(flat)
-    fine = np.isfinite(v).all(axis=1)
-    v, own = v[fine], own[fine]
-    slopes = np.linalg.lstsq(own - own.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
-    wanted = z[rng.integers(len(z), size=len(v))] @ joint.kept
-    found = target.from_unbounded(v + (wanted - own) @ slopes)
-    found = found[np.isfinite(found).all(axis=1)]  # bounds cut what goes beyond
+    posterior = joint.fit.posterior
+    found = beside(joint, z[rng.integers(len(z), size=_DRAWS)], rng)
+    found = found[np.isfinite(found).all(axis=1)]
     diagnostics = replace(posterior.diagnostics, acceptance=np.ones((1, 1)))
     unknown = np.full((1, 1, len(found)), np.nan)
     return replace(posterior, draws=found[None, None], log_density=unknown, diagnostics=diagnostics)

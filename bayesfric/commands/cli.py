@@ -355,6 +355,10 @@ def arm(
     to_files: Annotated[
         bool, Option("--export", help="URDF, MJCF, ros2_control and Python with what was found")
     ] = False,
+    roll_out: Annotated[
+        float | None,
+        Option("--rollout", metavar="SECONDS", help="play the efforts, anew so often, as CSV"),
+    ] = None,
     advise: Annotated[
         bool, Option("--advise", help="the motion that tells most next, as CSV and JointTrajectory")
     ] = False,
@@ -367,6 +371,7 @@ def arm(
 ) -> None:
     """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
     from bayesfric.arm.arm import Arm
+    from bayesfric.arm.arm_rollout import rollout as play
     from bayesfric.arm.onward import files_of, next_motion
     from bayesfric.base.written import check_free, write_beside
 
@@ -379,6 +384,10 @@ def arm(
         page, told = found.write(folder, full=full), found.text()
         if to_files:
             write_beside({folder / name: text for name, text in files_of(found).items()})
+        if roll_out is not None:
+            played = play(found, seconds=roll_out, seed=seed, tell=progress)
+            write_beside({folder / "rollout.csv": played.as_csv()})
+            told.append(played.text())
         if advise:
             motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
             csv, yaml = folder / "exciting.csv", folder / "exciting.yaml"

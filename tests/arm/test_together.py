@@ -138,15 +138,6 @@ def test_a_chance_is_uniform_under_the_belief_it_is_of():
     assert off < 1.95 / np.sqrt(n)
 
 
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("arm")
-    (folder / "arm.urdf").write_text(bench.urdf())
-    factors = {"upper": 1.1, "lower": 0.92, "tool": 1.08}
-    bench.log(bench.urdf(factors), TRUTH).to_csv(folder / "log.csv", index=False)
-    return Arm(folder / "arm.urdf", QUICK).fit(folder / "log.csv", seed=1)
-
-
 def test_both_joints_of_an_arm_agree_and_tell_more_than_one(arm):
     assert set(arm.together.agreed) == set(TRUTH)
     assert arm.found["p"] > 0.01
