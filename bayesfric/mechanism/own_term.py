@@ -202,24 +202,6 @@ def along(
     return np.asarray(_along(address, position, speed, np.sign(speed), time))
 
 
-@lru_cache(maxsize=16)
-def written_out(function: Callable[[float, float, float, float, float], float]) -> Any:
-    """Compile a column of a module of ours once and for all: it is kept on disk.
-
-    Parameters
-    ----------
-    function
-        Of position, speed, direction and time of the element, and of what shapes the column.
-
-    Returns
-    -------
-    Any
-        Numba's ``cfunc``. A function of a :class:`State`, in contrast, is compiled by every process
-        anew.
-    """
-    return cfunc(_SIGNATURE, cache=True)(function)
-
-
 class _Motion(NamedTuple):
     """The part of a :class:`State` that a carried term may depend on.
 
@@ -239,7 +221,7 @@ def compiled(column: Column, *, shaped: bool) -> Any:
     Parameters
     ----------
     column
-        Of a :class:`State`; one of :func:`written_out` stays as it is.
+        Of a :class:`State`.
     shaped
         Whether it takes the value of a parameter that shapes it, besides.
 
@@ -253,8 +235,6 @@ def compiled(column: Column, *, shaped: bool) -> Any:
     TypeError
         If it cannot be compiled, as where it depends on more than these.
     """
-    if hasattr(column, "address"):  # see written_out
-        return column
     inner: Any = njit(column)
 
     def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:
