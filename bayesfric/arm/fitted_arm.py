@@ -187,7 +187,7 @@ class FittedArm:
             drawn = rng.choice(one.fit.posterior.flat(), count)
             if name in found.agreed:  # what bounds cut of it stays where it was
                 along = beside(one, z, rng)
-                drawn = np.where(np.isfinite(along).all(axis=1)[:, None], along, drawn)
+                drawn = np.where(np.isfinite(along).all(axis=1, keepdims=True), along, drawn)
             values[name] = one.fit.target.chain_values(drawn)
         return z, values
 
