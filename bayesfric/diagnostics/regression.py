@@ -354,7 +354,7 @@ class Regression:
         )
         most = np.where(losses, self.scales.lost, self.scales.torque)
         size = np.divide(most, size, out=np.zeros_like(size), where=size > 0.0)
-        columns, alike = self.data.others * size, losses[:, None] == losses
+        columns = self.data.others * size
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
         unit, whole = (np.linalg.norm(x, axis=0) for x in (rest, d.others * size))
         seen = unit > TESTABLE * whole
@@ -376,7 +376,7 @@ class Regression:
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
             gram=rest.T @ rest,
             scores=rest.T @ left - mean * unit,
-            together=(columns / most).T @ (columns / most) / len(columns) * alike,
+            rough=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
             power=power,
             spread=np.hypot(np.maximum(sd, 1.0), HALF * bias),
             free=free,

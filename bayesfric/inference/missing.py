@@ -8,6 +8,11 @@ like it [1]_; and with some probability none is there at all. Given the scales, 
 integrated out; scales and shapes are on a grid and drawn by Gibbs sampling from one Gram matrix,
 whatever the length of the recordings.
 
+No column is quite the shape that it stands for. A size is normal, too, with the standard deviation
+at which what its column is off by, a fifth of it, is as large as the noise. So candidates that this
+motion hardly tells apart do not cancel each other in sizes that only exact shapes would need: else
+a model that nothing on the list makes right has room for several times all its friction.
+
 References
 ----------
 .. [1] C. M. Carvalho, N. G. Polson, J. G. Scott, "The horseshoe estimator for sparse signals",
@@ -31,6 +36,8 @@ Index = NDArray[np.intp]
 
 # Scales of a candidate, as shares of the torque's rms: smallest, largest, and how many.
 _SMALLEST, _LARGEST, _SCALES = 3e-5, 0.5, 24
+# How far a column may be from the shape that it stands for, as a share of itself.
+_ROUGH = 0.2
 # Scale of the half-Cauchy of the scale that all others are around.
 _TYPICAL = 0.003
 # Chance that something is missing, before the recording is asked; where it is less afterwards, the
@@ -61,9 +68,8 @@ class Missing:
     gram, scores, power
         ``(m, m)``, ``(m,)`` and a number: products of what is left of columns and residual beside
         the model's own, whitened; scores of a right model are taken off.
-    together
-        ``(m, m)`` mean products of columns as shares of what they are a share of; of one that is
-        friction with one that is not they are nothing.
+    rough
+        ``(m,)`` mean squares of columns, over the noise's in that of its innovations.
     spread
         ``(m,)`` sd of a right model's scores, in those of white noise; at least one.
     free
@@ -75,7 +81,7 @@ class Missing:
     kinds: dict[str, tuple[tuple[int, ...], ...]]
     gram: Array
     scores: Array
-    together: Array
+    rough: Array
     power: float
     spread: Array
     free: int
@@ -199,7 +205,7 @@ class Sizes:
         self.grid = _grid()
         width = max(len(own) for each in shapes for own in each)
         self.gram, self.scores = np.pad(missing.gram, (0, 1)), np.pad(missing.scores, (0, 1))
-        self.together = np.pad(missing.together, (0, 1)) / _LARGEST**2
+        self.seen = self.gram + _ROUGH**2 * np.diag(np.pad(missing.rough, (0, 1)))
         self.power, self.free = missing.power, missing.free
         self.kinds = [_Kind.of(each, width, zero) for each in shapes]
         self.taken = np.array([kind.shapes[0] for kind in self.kinds])
@@ -208,7 +214,7 @@ class Sizes:
 
     def _heard(self, variance: float) -> None:
         """Take the noise to be so large."""
-        self.variance, self.told = variance, self.gram / variance + self.together
+        self.variance, self.told = variance, self.seen / variance
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Draw sizes of all candidates together.

@@ -36,7 +36,8 @@ SEED = 4100
 TRIED: dict[str, tuple[tuple[Any, ...], str, tuple[float, ...]]] = {
     "share taken": ((discrepancy,), "_TAKEN", (0.25, 0.5, 0.75, 1.0)),
     "typical size": ((missing,), "_TYPICAL", (0.001, 0.003, 0.01)),
-    "largest scale": ((missing,), "_LARGEST", (0.05, 0.1, 0.2, 0.5)),
+    "largest scale": ((missing,), "_LARGEST", (0.1, 0.5)),
+    "error of shapes": ((missing,), "_ROUGH", (0.0, 0.1, 0.2, 0.3)),
     "chance": ((discrepancy, missing), "CHANCE", (0.03, 0.1, 0.3)),
 }
 

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 import bayesfric as bf
+from bayesfric.arm.arm_rollout import rollout
 from bayesfric.arm.base_parameters import combinations
 from bayesfric.arm.fitted_arm import FittedArm
 from bayesfric.base.progress import Spent
@@ -192,6 +193,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         found, fitted = compared(Path(folder))
     seconds = round(spent.cpu_seconds, 1)
+    played = rollout(fitted, seconds=0.5, seed=SEED)
     for name, told in on_base_parameters(fitted).items():
         found[name] |= told
     for k, told in enumerate(found.values()):
@@ -204,6 +206,12 @@ def main() -> None:
         "bodies": bodies,
         "bolted_on_by_one_joint": by_one_joint(),
         "correlations": correlations(fitted),
+        "roll_out": {
+            "seconds": played.seconds,
+            "log": played.log,
+            "rms": {name: round(x, 4) for name, x in played.rms.items()},
+            "held": {name: round(x, 3) for name, x in played.held.items()},
+        },
         "joints": found,
     }
     text = json.dumps(result, indent=1, ensure_ascii=False)

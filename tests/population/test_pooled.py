@@ -78,7 +78,7 @@ def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
     kinds = {"stribeck": ((0,),)}
     nothing = np.zeros((1, 0))
     none = nothing.T @ nothing
-    missing = Missing((), nothing, kinds, none, np.zeros(0), none, 1.0, np.zeros(0), 1)
+    missing = Missing((), nothing, kinds, none, np.zeros(0), np.zeros(0), 1.0, np.zeros(0), 1)
     lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
     monkeypatch.setattr(Problem, "explain", lambda *_, **__: explained)
