@@ -135,8 +135,8 @@ def played(
         for k, out in enumerate((q, qd, qdd)):
             out[a:b] = spline(place - phase, nu=k) / period**k
     now = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
-    stamps = o.stamps - phase * period
-    torque = inverse_torque(chain, now, q, qd, qdd, inputs=o.inputs, time=stamps)
+    # what a joint feels besides is sampled when its motion is
+    torque = inverse_torque(chain, now, q, qd, qdd, inputs=o.inputs, time=o.stamps)
     if chain.delay:
         late = float(chain.delays(values[None])[0])
         for a, b in recording.segments:

@@ -1,9 +1,10 @@
 """Do intervals hold the truth? Simulated UR10s, beside a URDF that is not quite right.
 
-``python studies/ur10-arm/simulated.py [N] [SD]`` makes N arms (12 if left out; half a minute of CPU
+``python studies/ur10-arm/simulated.py [N] [SD] [MEMORY]`` makes N arms (12 if left out; 40 s of CPU
 time each) of the URDF in ``../shared/data/ur10-arm``: MuJoCo's torques of bodies whose masses,
 inertias and centres differ from the URDF's by SD (0.1) and SD times 10 cm, friction, an encoder's
-steps and autocorrelated noise. It writes ``simulated-SD.json`` beside itself.
+steps and autocorrelated noise, by MEMORY (0.8) from one sample to the next. It writes
+``simulated-SD.json`` beside itself, or ``simulated-SD-MEMORY.json``.
 """
 
 import json
@@ -31,7 +32,7 @@ TYPICAL = {  # of shoulder, elbow and wrists, as published; halved to half again
     "motor.viscous": (14.0, 14.0, 8.0, 3.5, 2.6, 2.8),
     "motor.load": (0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
 }
-NOISE = (1.0, 1.0, 0.5, 0.2, 0.2, 0.2)  # N m, of a first-order autoregression of 0.8 at 125 Hz
+NOISE, MEMORY = (1.0, 1.0, 0.5, 0.2, 0.2, 0.2), 0.8  # N m; of a first-order autoregression
 STEP = 2.0 * np.pi / 2**19  # rad
 SECONDS, RATE, HARMONICS, BASE = 27.0, 125.0, 5, 0.08
 
@@ -70,7 +71,7 @@ def motion(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return time, q, qd, qdd
 
 
-def one_arm(folder: Path, seed: int, sd: float) -> tuple[list[dict], dict]:
+def one_arm(folder: Path, seed: int, sd: float, memory: float = MEMORY) -> tuple[list[dict], dict]:
     """Make and fit one arm; a row for each number of each joint, and what is said of bodies."""
     rng = np.random.default_rng(seed)
     arm = bf.Arm(URDF)
@@ -83,8 +84,8 @@ def one_arm(folder: Path, seed: int, sd: float) -> tuple[list[dict], dict]:
         own = {key: size[k] * rng.uniform(0.5, 1.5) for key, size in TYPICAL.items()}
         effort = carried[:, k] + own["motor.inertia"] * qdd[:, k] + own["motor.viscous"] * qd[:, k]
         lost = own["motor.coulomb"] + own["motor.load"] * np.abs(carried[:, k])
-        white = NOISE[k] * np.sqrt(1.0 - 0.8**2) * rng.normal(size=time.size)
-        effort += lost * np.sign(qd[:, k]) + lfilter([1.0], [1.0, -0.8], white)
+        white = NOISE[k] * np.sqrt(1.0 - memory**2) * rng.normal(size=time.size)
+        effort += lost * np.sign(qd[:, k]) + lfilter([1.0], [1.0, -memory], white)
         columns[f"position[{name}] [rad]"] = STEP * np.round(q[:, k] / STEP)
         columns[f"effort[{name}] [N m]"] = effort
         truth[name] = own
@@ -123,10 +124,11 @@ def share(rows: list[dict], how: str) -> dict[str, float]:
 def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 12
     sd = float(sys.argv[2]) if len(sys.argv) > 2 else 0.1
+    memory = float(sys.argv[3]) if len(sys.argv) > 3 else MEMORY
     rows, arms, spent = [], [], Spent()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST, FIRST + count):
-            found, arm = one_arm(Path(folder), seed, sd)
+            found, arm = one_arm(Path(folder), seed, sd, memory)
             rows, arms = rows + found, [*arms, arm]
             result = {
                 "arms": len(arms),
@@ -144,7 +146,8 @@ def main() -> None:
             some = [row for row in rows if row[key] == name]
             result[name] = {how: share(some, how) for how in ("alone", "together")}
     text = json.dumps({**result, "of": arms}, indent=1, ensure_ascii=False)
-    (HERE / f"simulated-{sd:g}.json").write_text(f"{text}\n", encoding="utf-8")
+    name = f"simulated-{sd:g}{'' if memory == MEMORY else f'-{memory:g}'}.json"
+    (HERE / name).write_text(f"{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import bayesfric as bf
 from bayesfric.diagnostics.twins import settled_as, twins
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.inputs import Signal
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.resolution import finest_step
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model
@@ -116,3 +117,16 @@ def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
     values[1, made.chain.names.index("motor.viscous")] = np.nan
     found = replayed(made, values)
     assert [seen is None for seen in found] == [False, True, False, False]
+
+
+def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
+    """A twin at other instants has what else the joint feels at these, and needs no loss for it."""
+    o, recording = made.observations[0], made.recordings[0]
+    load = Signal(o.stamps, 5.0 * np.sin(2 * np.pi * 3.0 * o.stamps))
+    recording = replace(recording, inputs=replace(recording.inputs, load_torque=load))
+    pushed = replace(o, inputs=recording.inputs)
+    for seen in replayed(made, np.tile(VALUES, (4, 1)), recording, pushed):
+        torque = inverse_torque(
+            made.chain, VALUES, seen.q, seen.qd, seen.qdd, inputs=seen.inputs, time=seen.stamps
+        )
+        assert np.std(seen.measured - seen.filter.apply(torque)) < 2e-3 * np.std(seen.measured)
