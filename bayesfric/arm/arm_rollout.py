@@ -12,9 +12,8 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -63,7 +62,8 @@ class ArmRollOut:
     @property
     def rms(self) -> dict[str, float]:
         """Root mean square, by joint, of how far the median is off."""
-        return dict(zip(self.joints, np.std(self.middle - self.measured, axis=1), strict=True))
+        off = np.sqrt(np.mean((self.middle - self.measured) ** 2, axis=1))
+        return dict(zip(self.joints, off, strict=True))
 
     @property
     def held(self) -> dict[str, float]:
@@ -126,27 +126,28 @@ def rollout(
     first, log = arm.logs[0], arm.logs[-1]
     step = float(np.median(np.diff(log.time)))
     if not step < seconds < np.inf:
-        raise BadInput("seconds", f"is {seconds:g}, a sample is {step:.3g} s", "take more")
+        what = f"is {seconds:g}, a sample is {step:.3g} s"
+        raise BadInput("seconds of a roll-out", what, "take more")
     fitted = {name: one for name, one in arm.joints.items() if one.result is not None}
     on = np.array([list(bodies.joints).index(name) for name in fitted])
     z, values = arm.drawn(draws, rng)
     friction = [_friction(one, values[name]) for name, one in fitted.items()]
     inertial = _inertial(arm, log, z)
-    left = _unexplained(arm, first, fitted, z, friction)
+    left = _unexplained(arm, first, fitted, on, z, friction)
     effort = np.stack([log.effort(bodies.joints[name]) for name in fitted])
-    ends = np.append(np.diff(log.time) > 1.5 * step, True)
-    begins = np.roll(ends, 1)
+    begins = np.append(True, np.diff(log.time) > 1.5 * step)
     since = log.time - np.maximum.accumulate(np.where(begins, log.time, -np.inf))
     begins |= np.append(False, np.diff(np.floor(since / seconds + 1e-6)) > 0)
-    played = np.empty((draws, len(fitted), log.time.size))
+    played, round_trip = np.empty((draws, len(fitted), log.time.size)), float(np.ptp(first.time))
     for k in range(draws):
         tell(Progress(f"roll-out {k + 1} of {draws}"))
-        shift = rng.uniform(0.0, np.ptp(first.time))
-        unexplained = [
-            np.interp(log.time + shift, at, x, period=float(np.ptp(first.time))) for at, x in left
-        ]
+        at = log.time + rng.uniform(0.0, round_trip)
+        unexplained = [np.interp(at, *one, period=round_trip) for one in left]
         own = {key: np.stack([one[key][k] for one in friction], axis=-1) for key in NUMBERS}
-        played[k] = play(bodies.dynamics(inertial[k]), own, log, effort - unexplained, on, begins)
+        driven = effort - unexplained
+        played[k] = play(
+            bodies.dynamics(inertial[k]), own, log.time, log.motion, driven, on, begins
+        )
     low, middle, high = np.quantile(played, _BAND, axis=0)
     measured = log.motion[0, on]
     units = tuple("m" if bodies.joints[n].motion == "linear" else "rad" for n in fitted)
@@ -183,6 +184,7 @@ def _unexplained(
     arm: FittedArm,
     log: ArmLog,
     fitted: Mapping[str, FittedJoint],
+    on: Index,
     z: Array,
     friction: Sequence[Mapping[str, Array]],
 ) -> list[tuple[Array, Array]]:
@@ -190,9 +192,9 @@ def _unexplained(
     mean = _inertial(arm, log, z.mean(axis=0, keepdims=True)).T
     carried = arm.bodies.torques(log.motion, np.repeat(mean[None], len(arm.bodies.joints), axis=0))
     found = []
-    for (name, one), own in zip(fitted.items(), friction, strict=True):
+    for one, j, own in zip(fitted.values(), on, friction, strict=True):
         assert one.result is not None
-        o, j = one.result.model.observations[0], list(arm.bodies.joints).index(name)
+        o = one.result.model.observations[0]
         load = np.interp(o.stamps, log.time, carried[j, 0])
         c = {key: x.mean(axis=0) for key, x in own.items()}
         way, drives = (o.qd < 0.0).astype(int), (load * o.qd < 0.0).astype(int)
@@ -204,9 +206,15 @@ def _unexplained(
 
 
 def play(
-    dynamics: Any, friction: Mapping[str, Array], log: Any, effort: Array, on: Index, begins: Flags
+    dynamics: Callable[[Array, Array], tuple[Array, Array]],
+    friction: Mapping[str, Array],
+    time: Array,
+    motion: Array,
+    effort: Array,
+    on: Index,
+    begins: Flags,
 ) -> Array:
-    """Move driven joints by their efforts, ``(n_on, n)``; gives their positions.
+    """Move driven joints by their efforts; gives their positions ``(n_on, n)``.
 
     Parameters
     ----------
@@ -214,25 +222,26 @@ def play(
         Of :meth:`~bayesfric.arm.bodies.Bodies.dynamics`.
     friction
         ``(2, n_on)`` by the key of a number, see :func:`_friction`.
-    log
-        Its ``time`` ``(n,)``, and ``motion`` ``(3, n_joints, n)`` as measured.
+    time, motion
+        ``(n,)`` s, and ``(3, n_joints, n)`` as measured.
     effort
-        N m or N.
+        ``(n_on, n)`` N m or N.
     on
         ``(n_on,)`` which joints are driven.
     begins
         ``(n,)`` where the arm is put into the measured state.
     """
-    q, qd, qdd = (x.T for x in log.motion)
-    others = np.setdiff1d(np.arange(q.shape[1]), on)
-    out, c = q[:, on].copy(), friction
+    q, qd, qdd = (x.T for x in motion)
+    others, each = np.setdiff1d(np.arange(q.shape[1]), on), np.arange(on.size)
+    own, held = np.ix_(on, on), np.ix_(on, others)
+    out, c, armature = q[:, on].copy(), friction, np.diag(friction["armature"][0])
     v, a = qd[0, on], qdd[0, on]
-    for i, step in enumerate(np.diff(log.time)):
+    for i, step in enumerate(np.diff(time)):
         if begins[i + 1]:
             continue
         if begins[i]:
-            v, a = qd[i, on].copy(), qdd[i, on].copy()
-        x, parts = out[i].copy(), int(np.ceil(step / _STEP - 1e-6))
+            v, a = qd[i, on], qdd[i, on]
+        x, parts = out[i], int(np.ceil(step / _STEP - 1e-6))
         h = step / parts
         for part in range(parts):
             # forces of the middle of the step, where the joint will be about
@@ -240,17 +249,16 @@ def play(
             here, speed, push = (s[i] + share * (s[i + 1] - s[i]) for s in (q, qd, qdd))
             here[on], speed[on] = x + 0.5 * h * v, v + 0.5 * h * a
             mass, bias = dynamics(here, speed)
-            still = bias[on] + mass[np.ix_(on, others)] @ push[others] + c["offset"][0]
-            carried = still - c["offset"][0] + mass[np.ix_(on, on)] @ a
+            still = bias[on] + mass[held] @ push[others]
+            carried = still + mass[own] @ a
             way, drives = (v < 0.0).astype(int), (carried * v < 0.0).astype(int)
-            each = np.arange(on.size)
-            rigid = mass[np.ix_(on, on)] + np.diag(c["armature"][0])
+            rigid = mass[own] + armature
             drag = 0.5 * h * np.diag(c["viscous"][way, each])  # of the mean speed
-            whole = rigid + drag
             driven = effort[:, i] + share * (effort[:, i + 1] - effort[:, i])
-            free = np.linalg.solve(whole, (rigid - drag) @ v + h * (driven - still))
+            impulse = (rigid - drag) @ v + h * (driven - still - c["offset"][0])
+            free = np.linalg.solve(rigid + drag, impulse)
             lost = c["coulomb"] + c["load"][drives, each] * np.abs(carried)
-            after = _rubbed(whole, free, h * lost, v.copy())
+            after = _rubbed(rigid + drag, free, h * lost, v.copy())
             x, a, v = x + 0.5 * h * (v + after), (after - v) / h, after
         out[i + 1] = x
     return np.asarray(out.T)

@@ -223,8 +223,9 @@ def beside(joint: Felt, z: Array, rng: np.random.Generator) -> Array:
     """
     target = joint.fit.target
     flat = joint.fit.posterior.flat(_DRAWS)
-    flat = flat[np.isfinite(target.unbounded(flat)).all(axis=1)]
-    own, v = joint.draws(flat), target.unbounded(flat)
+    v = target.unbounded(flat)
+    fine = np.isfinite(v).all(axis=1)
+    v, own = v[fine], joint.draws(flat[fine])
     slopes = np.linalg.lstsq(own - own.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
     some = rng.permutation(np.arange(len(z)) % len(v))
     found = target.from_unbounded(v[some] + (z @ joint.kept - own[some]) @ slopes)

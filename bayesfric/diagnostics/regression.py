@@ -255,7 +255,7 @@ class Regression:
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
-        """Simulate a twin at each vector, unless that fails or leaves too few outputs."""
+        """Make a twin at each vector, unless the filters leave too few outputs."""
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
@@ -349,9 +349,7 @@ class Regression:
         # what is there for a moment only is no larger for that; and what more is lost is of the
         # size of what the model loses
         size = np.abs(self.data.others).max(axis=0)
-        losses = np.array(
-            [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
-        )
+        losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
         most = np.where(losses, self.scales.lost, self.scales.torque)
         size = np.divide(most, size, out=np.zeros_like(size), where=size > 0.0)
         columns = self.data.others * size

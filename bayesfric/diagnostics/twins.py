@@ -1,4 +1,4 @@
-"""Twins: the recording once more, simulated, with its encoder, rate and filters, a known joint.
+"""Twins: the recording once more, with its encoder, rate and filters, of a known joint.
 
 Twins are what a recording looks like where the model is right: by them estimates are tried, and
 what a check finds in a recording is held against what it finds in them. A twin moves as the
@@ -48,7 +48,7 @@ def twins(
     processing: Processing,
     seeds: Sequence[np.random.SeedSequence],
 ) -> Iterator[Observation | None]:
-    """Simulate a recording at parameter vectors ``(n, n_parameters)``, and look at each alike.
+    """Repeat a recording at parameter vectors ``(n, n_parameters)``, and look at each alike.
 
     Parameters
     ----------

@@ -214,7 +214,7 @@ class Sizes:
 
     def _heard(self, variance: float) -> None:
         """Take the noise to be so large."""
-        self.variance, self.told = variance, self.seen / variance
+        self.variance, self.told, self.pull = variance, self.seen / variance, self.scores / variance
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Draw sizes of all candidates together.
@@ -260,8 +260,8 @@ class Sizes:
     def _asked(self, g: int) -> Array:
         """Give the log evidence of a kind's shapes at each scale, beside all the others."""
         kind, (active, sd) = self.kinds[g], self._active(without=g)
-        pull, own = self.scores / self.variance, (kind.columns, kind.places)
-        return np.asarray(_evidence(self.grid, self.told, pull, *own, active, sd))
+        own = kind.columns, kind.places
+        return np.asarray(_evidence(self.grid, self.told, self.pull, *own, active, sd))
 
     def _active(self, without: int | None = None) -> tuple[Index, Array]:
         """Give the numbers of columns that are taken, and their sds; those that matter to one."""
@@ -283,7 +283,7 @@ class Sizes:
         """Give mean ``(active,)`` and root ``(active, active)`` of sizes given their scales."""
         active, sd = self._active()
         root = sd[:, None] * np.linalg.inv(np.linalg.cholesky(self._inner(active, sd))).T
-        return root @ (root.T @ self.scores[active]) / self.variance, root, active
+        return root @ (root.T @ self.pull[active]), root, active
 
     def _rest(self, active: Index, size: Array) -> float:
         """Give the power that sizes leave of the residual."""

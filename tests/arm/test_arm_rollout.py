@@ -27,11 +27,10 @@ def friction(**more):
     return {key: np.tile(more.get(key, [0.0] * count), (2, 1)) for key in NUMBERS}
 
 
-def played(dynamics, numbers, motion, effort, begins=None):
+def played(dynamics, numbers, motion, effort):
     count = motion.shape[2]
-    log = SimpleNamespace(time=PERIOD * np.arange(count), motion=motion)
-    begins = np.arange(count) == 0 if begins is None else begins
-    return play(dynamics, numbers, log, effort, np.arange(len(effort)), begins)
+    time, on = PERIOD * np.arange(count), np.arange(len(effort))
+    return play(dynamics, numbers, time, motion, effort, on, time == 0.0)
 
 
 def test_coulomb_friction_stops_a_joint_and_holds_it():
@@ -132,6 +131,16 @@ def test_a_fitted_arm_moves_as_measured(arm):
     assert (found.low <= found.middle).all()
     assert (found.middle <= found.high).all()
     assert f"{ELBOW}" in found.text()
+
+
+def test_a_median_that_is_off_all_along_is_off_by_that():
+    """Root mean square, and not what is left beside a mean."""
+    on, off = np.zeros((1, 4)), np.full((1, 4), 0.3)
+    begins = np.array([True, False, False, False])
+    told = "log", 0.5, ("one",), ("rad",), np.arange(4.0), begins
+    found = arm_rollout.ArmRollOut(*told, on, off - 0.1, off, off + 0.1)
+    assert found.rms == {"one": pytest.approx(0.3)}
+    assert found.held == {"one": 0.0}
 
 
 def test_what_cannot_be_played_is_refused(arm):
