@@ -126,7 +126,7 @@ class Arm:
                         "payload.logs", f"no log is called {name!r}", nearest(name, names)
                     )
             logs = [
-                ArmLog(one, called, options, layout, joints)
+                ArmLog(one, called, options, layout, joints, options.samples // len(paths))
                 for one, called in zip(paths, names, strict=True)
             ]
             efforts: dict[str, Measurement | BadInput] = {}

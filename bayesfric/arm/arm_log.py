@@ -18,8 +18,8 @@ from bayesfric.recordings import channels
 from bayesfric.recordings.acting import filtered_motion
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, reach_of
-from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.read import read_recordings, recorded_time
+from bayesfric.recordings.measurement import Measurement, stretches
+from bayesfric.recordings.read import chosen_rows, read_recordings, recorded_time
 from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.resolution import lowpass_above
@@ -29,7 +29,7 @@ from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import OPEN
 
 URDF_TORQUE = "urdf_torque"
-_NO_TORQUE = "in place of a torque"
+_NO_TORQUE, _STAMPS = "in place of a torque", "time"
 Joints = Mapping[str, UrdfJoint]
 
 
@@ -95,6 +95,8 @@ class ArmLog:
         What it is called.
     table
         The log, read.
+    rows
+        How many it has; of them the table keeps those that are fitted.
     sources
         What the columns mean, by joint, of those that are in the log.
     loaded
@@ -113,7 +115,13 @@ class ArmLog:
     """
 
     def __init__(
-        self, path: Path, called: str, options: ArmOptions, layout: Layout, joints: Joints
+        self,
+        path: Path,
+        called: str,
+        options: ArmOptions,
+        layout: Layout,
+        joints: Joints,
+        most: int,
     ) -> None:
         given = options.processing
         self.path, self.name, self._given = path, called, given
@@ -134,9 +142,10 @@ class ArmLog:
             }
             document = {**layout.recording, "file": str(path), "name": called}
             source = _source(document, name, told)
-            if not self.sources:
+            first, self.sources[name] = not self.sources, source
+            if first:
                 self.table = read_table(path, source)
-            self.sources[name] = source
+                self._keep(most, source, self._position(joint).size)
             motions.append(self._moved(joint))
         moving = [one for one in motions if isinstance(one, Measurement)]
         if not moving:
@@ -151,6 +160,11 @@ class ArmLog:
                 self.motion[:, k] = q, qd, derivative(qd, one.segments, one.period, reach)
             else:
                 self.motion[0, k] = one
+
+    @property
+    def fitted(self) -> int:
+        """How many rows are fitted."""
+        return self._stamps.size
 
     def measured(self, joint: UrdfJoint) -> Measurement:
         """Read a joint with its effort.
@@ -173,20 +187,33 @@ class ArmLog:
         ``torques`` are ``(1 + k, n)`` at the times of :attr:`motion`.
         """
         source = self.sources[joint.name]
-        count = self.table.column(source.position.column).size
-        time = recorded_time(source, self.table, count)
         names = [URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
-        return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
+        return self._columns(source, {n: np.interp(self._stamps, self.time, x) for n, x in pairs})
 
-    def _moved(self, joint: UrdfJoint) -> Measurement | float:
-        """Read the motion of a joint, or where it stands."""
+    def _keep(self, most: int, source: Source, count: int) -> None:
+        """Keep so many of ``count`` rows at most, in stretches all over what is asked for."""
+        self.rows, self._stamps = count, recorded_time(source, self.table, count)
+        first, last = chosen_rows(source, self._stamps, self.table.where)
+        # a channel of stamps of its own has rows of its own
+        own = (getattr(getattr(source, key), "times", None) is not None for key in CHANNELS)
+        if last - first > most and not any(own):
+            # the first row is the one from which start and stop count
+            parts = [np.arange(a, b) + first for a, b in stretches(last - first, most)]
+            rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
+            self.table, self._stamps = self.table.at(rows, count), self._stamps[rows]
+
+    def _position(self, joint: UrdfJoint) -> Array:
         source, drive = self.sources[joint.name], channels.Drive(1.0, joint.motion, joint.motion)
         try:
-            position, _ = channels.joint_signal(source.position, "position", self.table, drive)
+            return channels.joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
             mend = f"{error.mend}; or say where it is held: joints.{joint.name}.held = 0.0"
             raise BadInput(error.where, f"joint {joint.name!r}: {error.what}", mend) from None
+
+    def _moved(self, joint: UrdfJoint) -> Measurement | float:
+        """Read the motion of a joint, or where it stands."""
+        source, position = self.sources[joint.name], self._position(joint)
         if np.ptp(position) == 0.0:
             return float(position[0])
         # what drives it may be missing, and says nothing of the motion
@@ -214,6 +241,9 @@ class ArmLog:
         if URDF_TORQUE in more:
             keys["load_torque"] = {"column": URDF_TORQUE, "unit": SI, "sign": -1}
             keys["others"] = [*map(_name, source.others), *(n for n in more if n != URDF_TORQUE)]
+        if source.time is None:
+            cells[_STAMPS], keys["rate"] = self._stamps, None
+            keys["time"] = {"column": _STAMPS, "unit": "s"}
         names = list(cells)
         table = Table(str(self.path), names, lambda i: cells[names[i]])
         return Recording(Columns.model_validate(keys), table=table)

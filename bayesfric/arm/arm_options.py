@@ -86,6 +86,12 @@ class ArmOptions(Options):
     processing: Processing = Field(
         Processing(), description="As [processing] of a configuration, for all joints."
     )
+    samples: int = Field(
+        50_000,
+        ge=1_000,
+        description="Samples of all logs that are fitted at most: of longer ones stretches all "
+        "over them. Time and memory grow with it.",
+    )
     fit: dict[str, Any] = Field(
         default_factory=dict,
         description="Other tables of a configuration: noise, sampling, self_check, likelihood.",

@@ -211,6 +211,9 @@ class FittedArm:
     def said(self) -> list[str]:
         """What is to be said besides the table, a line each."""
         lines = [f"{name}: {line}" for name, one in self.joints.items() for line in one.lines]
+        rows, fitted = (sum(getattr(log, k) for log in self.logs) for k in ("rows", "fitted"))
+        if fitted < rows:
+            lines.insert(0, f"{fitted} of {rows} samples were fitted, in stretches all over them")
         told = self.found
         if not told["agreed"]:
             return lines

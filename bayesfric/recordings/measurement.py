@@ -20,6 +20,14 @@ _STRETCHES, _STRETCH = 8, 1000
 Hold = Literal["zero", "linear", "cubic"]
 
 
+def stretches(count: int, most: int) -> Segments:
+    """Spread up to eight stretches evenly over ``count`` samples, ``most`` of them in all."""
+    many = min(_STRETCHES, max(1, most // _STRETCH))
+    length = most // many
+    begins = np.linspace(0, count - length, many).astype(np.int64).tolist()
+    return tuple((begin, begin + length) for begin in begins)
+
+
 @dataclass(frozen=True)
 class Lag:
     """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
@@ -81,16 +89,13 @@ class Measurement:
 
         Stumps of segments go, as in reading. The same where there are no more samples.
         """
-        count, stretches = self.time.size, min(_STRETCHES, max(1, most // _STRETCH))
-        if count <= most:
+        if self.time.size <= most:
             return self
-        length = most // stretches
-        begins = np.linspace(0, count - length, stretches).astype(np.int64)
         cut = [
-            np.arange(max(a, begin), min(b, begin + length))
-            for begin in begins.tolist()
+            np.arange(max(a, begin), min(b, end))
+            for begin, end in stretches(self.time.size, most)
             for a, b in self.segments
-            if a < begin + length and b > begin
+            if a < end and b > begin
         ]
         kept = [part for part in cut if part.size >= LEAST_SAMPLES] or cut
         ends = np.cumsum([0, *(part.size for part in kept)]).tolist()

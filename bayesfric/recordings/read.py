@@ -87,7 +87,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     position, step = channels.joint_signal(source.position, "position", table, drive)
     steps = [*table.notes, step]
     time = recorded_time(source, table, len(position))
-    chosen = slice(*_chosen(source, time, table.where))
+    chosen = slice(*chosen_rows(source, time, table.where))
     checks.check_size(position, where, "position")
     velocity = None
     if source.velocity is not None:
@@ -200,7 +200,8 @@ def recorded_time(source: Columns, table: Table, count: int) -> Array:
     return since
 
 
-def _chosen(source: Columns, time: Array, where: str) -> tuple[int, int]:
+def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
+    """Give the first row from ``start`` on and the one after ``stop``."""
     first = 0 if source.start is None else int(np.searchsorted(time, source.start, "left"))
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):

@@ -1,13 +1,14 @@
 """Do intervals hold the truth? Simulated UR10s, beside a URDF that is not quite right.
 
-``python studies/ur10-arm/simulated.py [N] [SD] [MEMORY]`` makes N arms (12 if left out; 40 s of CPU
-time each) of the URDF in ``../shared/data/ur10-arm``: MuJoCo's torques of bodies whose masses,
+``python studies/ur10-arm/simulated.py [N] [SD] [MEMORY] [SECONDS]`` makes N arms (12 if left out;
+40 s of CPU time each), which move for SECONDS (27), of the URDF in ``../shared/data/ur10-arm``: MuJoCo's torques of bodies whose masses,
 inertias and centres differ from the URDF's by SD (0.1) and SD times 10 cm, friction, an encoder's
 steps and autocorrelated noise, by MEMORY (0.8) from one sample to the next. It writes
-``simulated-SD.json`` beside itself, or ``simulated-SD-MEMORY.json``.
+``simulated-SD.json`` beside itself, or ``simulated-SD-MEMORY.json`` and so on.
 """
 
 import json
+import resource
 import sys
 import tempfile
 from pathlib import Path
@@ -57,9 +58,9 @@ def bodies(factors: dict[str, float], shifts: dict[str, np.ndarray]) -> str:
     return ElementTree.tostring(root, "unicode")
 
 
-def motion(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+def motion(rng: np.random.Generator, seconds: float) -> tuple[np.ndarray, ...]:
     """Time, and position, speed and acceleration ``(n, 6)`` of Fourier series."""
-    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+    time = np.arange(0.0, seconds, 1.0 / RATE)
     q = np.array([0.0, -1.2, 1.0, -0.5, 0.5, 0.0]) + np.zeros((time.size, 6))
     qd, qdd = np.zeros_like(q), np.zeros_like(q)
     for k in range(1, HARMONICS + 1):
@@ -71,13 +72,15 @@ def motion(rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     return time, q, qd, qdd
 
 
-def one_arm(folder: Path, seed: int, sd: float, memory: float = MEMORY) -> tuple[list[dict], dict]:
+def one_arm(
+    folder: Path, seed: int, sd: float, memory: float = MEMORY, seconds: float = SECONDS
+) -> tuple[list[dict], dict]:
     """Make and fit one arm; a row for each number of each joint, and what is said of bodies."""
     rng = np.random.default_rng(seed)
     arm = bf.Arm(URDF)
     factors = {name: float(max(rng.normal(1.0, sd), 0.2)) for name in arm.bodies.links}
     shifts = {name: 0.1 * sd * rng.normal(size=3) for name in arm.bodies.links}
-    time, q, qd, qdd = motion(rng)
+    time, q, qd, qdd = motion(rng, seconds)
     carried = rigid_torque(bodies(factors, shifts), q, qd, qdd, GRAVITY)
     truth, columns = {}, {"time [s]": time}
     for k, name in enumerate(arm.bodies.joints):
@@ -125,10 +128,11 @@ def main() -> None:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 12
     sd = float(sys.argv[2]) if len(sys.argv) > 2 else 0.1
     memory = float(sys.argv[3]) if len(sys.argv) > 3 else MEMORY
+    seconds = float(sys.argv[4]) if len(sys.argv) > 4 else SECONDS
     rows, arms, spent = [], [], Spent()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST, FIRST + count):
-            found, arm = one_arm(Path(folder), seed, sd, memory)
+            found, arm = one_arm(Path(folder), seed, sd, memory, seconds)
             rows, arms = rows + found, [*arms, arm]
             result = {
                 "arms": len(arms),
@@ -139,6 +143,7 @@ def main() -> None:
                 "joints_that_disagree": sum(len(a["findings"]) - len(a["agreed"]) for a in arms),
                 "arms_that_contradict_the_urdf": sum(a["p"] < 0.01 for a in arms),
                 "cpu_seconds": round(spent.cpu_seconds),
+                "peak_megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1000,
             }
             print(json.dumps(result), flush=True)
     for key in ("parameter", "joint"):
@@ -146,8 +151,9 @@ def main() -> None:
             some = [row for row in rows if row[key] == name]
             result[name] = {how: share(some, how) for how in ("alone", "together")}
     text = json.dumps({**result, "of": arms}, indent=1, ensure_ascii=False)
-    name = f"simulated-{sd:g}{'' if memory == MEMORY else f'-{memory:g}'}.json"
-    (HERE / name).write_text(f"{text}\n", encoding="utf-8")
+    more = [memory] * (memory != MEMORY or seconds != SECONDS) + [seconds] * (seconds != SECONDS)
+    name = "-".join(["simulated", *(f"{one:g}" for one in (sd, *more))])
+    (HERE / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -59,7 +59,9 @@ def test_a_payload_that_is_on_for_one_of_two_logs_is_weighed(here):
     logs = [here.folder / "bare.csv", here.folder / "loaded.csv"]
     known = {"urdf": {"factor": 0.01, "centre": "1 mm"}}
     payload = {"logs": ["loaded"], "mass_sd": "2 kg"}
-    found = Arm(here.folder / "arm.urdf", {**QUICK, **known, "payload": payload}).fit(logs, seed=1)
+    options = {**QUICK, **known, "payload": payload, "samples": 3000}
+    found = Arm(here.folder / "arm.urdf", options).fit(logs, seed=1)
+    assert [one.fitted for one in found.logs] == [1500, 1500]
     assert set(found.together.agreed) == set(TRUTH)
     told = next(c for c in found.found["causes"] if c["name"] == "payload of tool")
     assert told["sd"] < 0.3
@@ -150,13 +152,44 @@ def test_columns_go_by_patterns_and_currents_by_drive_gains(here):
     }
     arm = Arm(here.folder / "arm.urdf", options)
     layout = Layout(arm.options.recording, {})
-    made = ArmLog(here.folder / "log.csv", "log", arm.options, layout, arm.bodies.joints)
+    made = ArmLog(here.folder / "log.csv", "log", arm.options, layout, arm.bodies.joints, 600)
     expected = bench.log(bench.urdf(), TRUTH, seconds=3.0)[f"effort[{ELBOW}] [N m]"]
     found = made.measured(arm.bodies.joints[ELBOW]).torque
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     del options["joints"][ELBOW]
     with pytest.raises(BadInput, match=rf"joints\.{ELBOW}\.torque_constant"):
         Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv")
+
+
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("span", [{}, {"start": "5 s", "stop": "17 s"}])
+def test_of_a_long_log_stretches_are_fitted(here, timed, span):
+    recorded(here.folder)
+    clock = {"time": {"column": "time [s]", "unit": "s"}} if timed else {"rate": "200 Hz"}
+    columns = {
+        "position": ("position[{joint}] [rad]", "rad"),
+        "torque": ("effort[{joint}] [N m]", "N m"),
+    }
+    given = {key: {"column": name, "unit": unit} for key, (name, unit) in columns.items()}
+    arm = Arm(here.folder / "arm.urdf", {"recording": {**clock, **given, **span}})
+    told = here.folder / "log.csv", "log", arm.options, Layout(arm.options.recording, {})
+    joint = arm.bodies.joints[ELBOW]
+    whole, some = (ArmLog(*told, arm.bodies.joints, most) for most in (4000, 2000))
+    assert whole.fitted == whole.rows == some.rows == 4000
+    assert 2000 <= some.fitted <= 2001
+    # two of 1000 samples, at both ends of what is asked for
+    assert np.count_nonzero(np.diff(some.time) > 0.0051) == 1
+    assert (some.time[0], some.time[-1]) == pytest.approx((whole.time[0], whole.time[-1]))
+    at = np.searchsorted(whole.time, some.time - 1e-6)
+    for name in ("time", "position", "torque"):
+        found, expected = (getattr(one.measured(joint), name) for one in (some, whole))
+        np.testing.assert_allclose(found, expected[at], atol=1e-9)
+    # what is put beside the columns of a stretch stands where it was
+    carried = np.sin(whole.time)[None]
+    found = some.recording(joint, carried[:, at]).table.column("urdf_torque")
+    stamps = some.recording(joint, carried[:, at]).table.column("time" if not timed else "time [s]")
+    kept = stamps >= some.time[0]
+    np.testing.assert_allclose(found[kept], np.sin(stamps[kept]), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -101,11 +101,14 @@ class Table:
                 what = f"is {_shown(value)} in no row"
                 mend = f"it has {', '.join(shown)}{more}"
                 raise BadInput(f"{table.label(key)}, where", what, mend)
-            if table.kept is None:
-                table = replace(table, kept=found, rows=len(cells))
-            else:
-                table = replace(table, kept=table.kept[found])
+            table = table.at(found, len(cells))
         return table
+
+    def at(self, rows: NDArray[np.intp], count: int) -> Table:
+        """Keep some of its ``count`` rows, which every column that is read must have."""
+        if self.kept is None:
+            return replace(self, kept=rows, rows=count)
+        return replace(self, kept=self.kept[rows])
 
     def _cells(self, key: str | int) -> NDArray[Any]:
         """Take the raw cells of the rows used: (n,), unless it is no column of one value."""
