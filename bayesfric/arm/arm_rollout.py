@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -26,9 +27,9 @@ from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.report.words import listed
 
-# Longest step, s, by which a swing of a radian is 0.6 mrad off after a second; when the speeds at
-# its end are found, and how often that is tried.
-_STEP, _FOUND, _SWEEPS = 5e-3, 1e-10, 200
+# Longest step, s, by which a swing of a radian is 0.6 mrad off after a second; and where a joint
+# turns, as friction jumps there. When the speeds at its end are found, and how often that is tried.
+_STEP, _TURN, _FOUND, _SWEEPS = 5e-3, 1e-3, 1e-10, 200
 _BAND = (0.05, 0.5, 0.95)
 
 
@@ -63,13 +64,14 @@ class ArmRollOut:
     def rms(self) -> dict[str, float]:
         """Root mean square, by joint, of how far the median is off."""
         off = np.sqrt(np.mean((self.middle - self.measured) ** 2, axis=1))
-        return dict(zip(self.joints, off, strict=True))
+        return dict(zip(self.joints, off.tolist(), strict=True))
 
     @property
     def held(self) -> dict[str, float]:
         """Share of samples, by joint, that the 90 % bands hold; where it begins is not counted."""
         inside = (self.low <= self.measured) & (self.measured <= self.high)
-        return dict(zip(self.joints, inside[:, ~self.begins].mean(axis=1), strict=True))
+        held = inside[:, ~self.begins].mean(axis=1).tolist()
+        return dict(zip(self.joints, held, strict=True))
 
     def text(self) -> str:
         """Say both of each joint."""
@@ -80,6 +82,11 @@ class ArmRollOut:
             )
         ]
         return f"roll-out of {self.log}, anew every {self.seconds:g} s: {listed(each)}"
+
+    def as_json(self) -> dict[str, Any]:
+        """Give what :meth:`text` says."""
+        told = {"log": self.log, "seconds": self.seconds, "rms": self.rms, "held": self.held}
+        return {**told, "units": dict(zip(self.joints, self.units, strict=True))}
 
     def as_csv(self) -> str:
         """Write a row a sample: time, whether it begins anew, and all positions of each joint."""
@@ -144,7 +151,9 @@ def rollout(
         at = log.time + rng.uniform(0.0, round_trip)
         unexplained = [np.interp(at, *one, period=round_trip) for one in left]
         own = {key: np.stack([one[key][k] for one in friction], axis=-1) for key in NUMBERS}
-        driven = effort - unexplained
+        # when within a sample it was taken, and where it jumps, nobody tells
+        then = log.time + step * rng.uniform(-0.5, 0.5)
+        driven = [np.interp(then, log.time, one) for one in effort] - np.array(unexplained)
         played[k] = play(
             bodies.dynamics(inertial[k]), own, log.time, log.motion, driven, on, begins
         )
@@ -236,12 +245,14 @@ def play(
     own, held = np.ix_(on, on), np.ix_(on, others)
     out, c, armature = q[:, on].copy(), friction, np.diag(friction["armature"][0])
     v, a = qd[0, on], qdd[0, on]
+    turns = (qd[:-1, on] * qd[1:, on] < 0.0).any(axis=1)
+    most = np.ceil(np.diff(time) / np.where(turns, _TURN, _STEP) - 1e-6).astype(int)
     for i, step in enumerate(np.diff(time)):
         if begins[i + 1]:
             continue
         if begins[i]:
             v, a = qd[i, on], qdd[i, on]
-        x, parts = out[i], int(np.ceil(step / _STEP - 1e-6))
+        x, parts = out[i], most[i]
         h = step / parts
         for part in range(parts):
             # forces of the middle of the step, where the joint will be about

@@ -110,6 +110,15 @@ class Excited:
             f"{self.narrower:.2g} times narrower than a motion at random"
         )
 
+    def as_json(self) -> dict[str, Any]:
+        """Give what it is expected to bring; ``None`` where nothing is known."""
+        sds = {"sd_before": self.sd_before, "sd_after": self.sd_after}
+        told = {
+            key: {name: sd if math.isfinite(sd) else None for name, sd in one.items()}
+            for key, one in sds.items()
+        }
+        return {"seconds": float(self.time[-1]), **told, "narrower": self.narrower}
+
     def as_csv(self) -> str:
         """Write it as a log: time, then position, velocity, acceleration and effort by joint."""
         names, columns = ["time [s]"], [self.time]

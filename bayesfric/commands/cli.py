@@ -381,19 +381,21 @@ def arm(
         made = Arm(urdf, {} if config is None else config)
         found = made.fit(log, predict=predict, seed=seed, progress=progress)
         # what is asked for besides may be refused, and the fit is kept
-        page, told = found.write(folder, full=full), found.text()
+        page, told, numbers = found.write(folder, full=full), found.text(), found.as_json()
         if to_files:
             write_beside({folder / name: text for name, text in files_of(found).items()})
         if roll_out is not None:
             played = play(found, seconds=roll_out, seed=seed, tell=progress)
             write_beside({folder / "rollout.csv": played.as_csv()})
             told.append(played.text())
+            numbers["rollout"] = played.as_json()
         if advise:
             motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
             csv, yaml = folder / "exciting.csv", folder / "exciting.yaml"
             write_beside({csv: motion.as_csv(), yaml: motion.as_joint_trajectory()})
             told.append(motion.text(wanted))
-    _print(found.as_json(), as_json, [*told, "", f"Written: {page}"])
+            numbers["next_motion"] = motion.as_json()
+    _print(numbers, as_json, [*told, "", f"Written: {page}"])
     if not found.reliable:
         raise typer.Exit(NOT_CONVERGED)
 

@@ -1,10 +1,10 @@
 """Do intervals hold the truth? Simulated UR10s, beside a URDF that is not quite right.
 
 ``python studies/ur10-arm/simulated.py [N] [SD] [MEMORY] [SECONDS]`` makes N arms (12 if left out;
-40 s of CPU time each), which move for SECONDS (27), of the URDF in ``../shared/data/ur10-arm``: MuJoCo's torques of bodies whose masses,
-inertias and centres differ from the URDF's by SD (0.1) and SD times 10 cm, friction, an encoder's
-steps and autocorrelated noise, by MEMORY (0.8) from one sample to the next. It writes
-``simulated-SD.json`` beside itself, or ``simulated-SD-MEMORY.json`` and so on.
+40 s of CPU time each), which move for SECONDS (27), of the URDF in ``../shared/data/ur10-arm``:
+MuJoCo's torques of bodies whose masses, inertias and centres differ from the URDF's by SD (0.1) and
+SD times 10 cm, friction, an encoder's steps and autocorrelated noise, by MEMORY (0.8) from one
+sample to the next. It writes ``simulated-SD.json``, ``simulated-SD-MEMORY.json`` and so on.
 """
 
 import json

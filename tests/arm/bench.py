@@ -68,13 +68,13 @@ def rigid_torque(
     return out
 
 
-def motion(seconds: float, rate: float = 200.0) -> tuple[np.ndarray, ...]:
+def motion(seconds: float, faster: float = 1.0, rate: float = 200.0) -> tuple[np.ndarray, ...]:
     """Time, and position, speed and acceleration of two joints, ``(n, 2)``, all of sines."""
     time = np.arange(0.0, seconds, 1.0 / rate)
     found = np.zeros((3, time.size, 2))
     for k, waves in enumerate((((0.9, 0.23), (0.4, 0.71)), ((1.1, 0.31), (0.3, 0.93)))):
         for size, hertz in waves:
-            w = 2.0 * np.pi * hertz
+            w = 2.0 * np.pi * hertz * faster
             found[0, :, k] += size * np.sin(w * time + k)
             found[1, :, k] += size * w * np.cos(w * time + k)
             found[2, :, k] -= size * w**2 * np.sin(w * time + k)
@@ -82,11 +82,15 @@ def motion(seconds: float, rate: float = 200.0) -> tuple[np.ndarray, ...]:
 
 
 def log(
-    text: str, truth: Mapping[str, Mapping[str, float]], seconds: float = 20.0, seed: int = 1
+    text: str,
+    truth: Mapping[str, Mapping[str, float]],
+    seconds: float = 20.0,
+    seed: int = 1,
+    faster: float = 1.0,
 ) -> pd.DataFrame:
     """Record the arm of a URDF with friction, white encoder and torque noise."""
     noise = np.random.default_rng(seed)
-    time, q, qd, qdd = motion(seconds)
+    time, q, qd, qdd = motion(seconds, faster)
     carried = rigid_torque(text, q, qd, qdd, GRAVITY)
     columns = {"time [s]": time}
     for k, (name, own) in enumerate(truth.items()):
