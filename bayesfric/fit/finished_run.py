@@ -93,8 +93,10 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     middle = np.median(chains.reshape(-1, chains.shape[-1]), axis=0)
     fixed = {n: p.value for n, p in model.priors.items() if p.fixed}
     point = fixed | dict(zip(rows, middle.tolist(), strict=True))
+    noise = summary.noise
     target = model.target(
-        {name: point[name] for name in model.chain.names}, Choice(summary.noise.order or 0, ())
+        {name: point[name] for name in model.chain.names},
+        Choice(noise.order or 0, (), tuple(noise.memory), noise.room),
     )
     # a walker that never moved repeats where it was put
     moved = np.ptp(draws, axis=2).any(axis=-1)

@@ -22,11 +22,14 @@ def test_the_order_is_found_again(partial, own):
     rng = np.random.default_rng(4)
     residuals = [0.1 * simulated(np.array(partial), FOLLOWS, 1, rng)[0] for _ in range(2)]
     found = choose_order(residuals, [FOLLOWS, FOLLOWS], own)
-    assert found.order == len(partial)
+    assert found.order == max(len(partial), 1)
     assert found.tried[found.order].p_value > 0.05
+    assert (found.tried[found.order].bic < -6.0) == bool(partial)
     # p orders take the variance of the series down to that of its innovations
     expected = np.sqrt(np.prod(1.0 - np.array(partial) ** 2))
     assert found.tried[found.order].innovation_share == pytest.approx(expected, rel=0.03)
+    # the true memory lies in what is open to the first where none is shown
+    assert partial or abs(found.memory[0]) < found.room
     assert found.tried[0].bic == 0.0
     if partial:
         assert found.tried[0].p_value < 1e-6
@@ -98,15 +101,19 @@ def test_a_right_memory_is_kept_and_said_to_do_no_harm():
     assert found.tried[1].rise == pytest.approx(1.0, abs=0.01)
 
 
-def test_hardly_any_evidence_for_a_memory_is_none():
+def test_of_a_memory_without_evidence_the_first_is_open():
+    """By four standard errors: of 200 white series none is beyond, and none is held at its own."""
     rng = np.random.default_rng(3)
     follows = np.ones(199, dtype=bool)
     gains = []
     for _ in range(200):
         found = choose_order([rng.standard_normal(200)], [follows], True)
         gains.append(min(one.bic for one in found.tried))
-        assert found.order == 0 or found.tried[found.order].bic < -6.0
-    assert min(gains) < 0.0  # some would have been taken for a memory
+        assert found.tried[found.order].bic < -6.0 or found.order == 1
+        if found.tried[found.order].bic >= -6.0:
+            assert found.room == pytest.approx(4.0 / np.sqrt(200))
+            assert abs(found.memory[0]) < found.room
+    assert min(gains) < 0.0  # some would have been taken for a memory that is known
 
 
 @pytest.mark.parametrize("own", [False, True])

@@ -7,6 +7,10 @@ order counts only as long as weighted least squares with it stays where plain le
 within what plain least squares knows (the idea of Hausman's test [1]_), and leaves residuals as
 small.
 
+That residuals show no memory is no proof that noise has none: of a hundred outputs a tenth of
+correlation cannot be seen, and makes slow effects a tenth less certain. So where no order has
+evidence the first is sampled, as far as residuals leave it open.
+
 References
 ----------
 .. [1] J. A. Hausman, "Specification tests in econometrics", Econometrica 46 (1978) 1251-1271.
@@ -34,6 +38,9 @@ from bayesfric.recordings.observation import Observation
 _LAGS = 10
 # What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
 EVIDENCE = 6.0
+# Standard errors to either side that residuals leave open: of a memory that has evidence, and of
+# one that may be there.
+_SHOWN, _OPEN = 1.0, 4.0
 # Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm.
 _SHIFT, _RISE = 3.0, 1.1
 # Singular value, in prior sds over residuals, above which data alone tell a direction.
@@ -87,14 +94,14 @@ class Choice:
         Evidence by order, from white noise on.
     memory
         Partial autocorrelations of the residuals, as many as the order.
-    sd
-        Standard error of each of them.
+    room
+        How far each may be from that.
     """
 
     order: int
     tried: tuple[Evidence, ...]
     memory: tuple[float, ...] = ()
-    sd: float = 0.0
+    room: float = 0.0
 
     def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
         """Give priors in which the autocorrelation is that of these residuals.
@@ -110,13 +117,13 @@ class Choice:
         Returns
         -------
         dict
-            The same, but default priors of ``noise.pacf_k`` uniform within one standard error.
+            The same, but default priors of ``noise.pacf_k`` uniform within :attr:`room`.
         """
         found = dict(priors)
         for k, middle in enumerate(self.memory, start=1):
             name = f"noise.pacf_{k}"
             if priors[name].default:
-                ends = [max(middle - self.sd, -MEMORY), min(middle + self.sd, MEMORY)]
+                ends = [max(middle - self.room, -MEMORY), min(middle + self.room, MEMORY)]
                 found[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
         return found
 
@@ -187,7 +194,8 @@ def choose_order(
     Returns
     -------
     Choice
-        White noise where the best order has not a BIC at least 6 below [2]_.
+        The first order, its memory open within four standard errors, where none has a BIC at least
+        6 below that of white noise [2]_; white noise where that does harm, or outputs are few.
 
     Notes
     -----
@@ -230,11 +238,11 @@ def choose_order(
             )
         )
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
-    if best.bic >= -EVIDENCE:
-        return Choice(0, tuple(tried))
+    shown = best.bic < -EVIDENCE
+    order = best.order if shown else int(len(tried) > 1 and tried[1].harmless)
     # of fewer predecessors Burg's are the first of these
-    memory = tuple(partial[: best.order].tolist())
-    return Choice(best.order, tuple(tried), memory, 1.0 / math.sqrt(n))
+    memory = tuple(partial[:order].tolist())
+    return Choice(order, tuple(tried), memory, (_SHOWN if shown else _OPEN) / math.sqrt(n))
 
 
 class _Plain:

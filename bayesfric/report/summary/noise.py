@@ -79,6 +79,7 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
         }
     if choice is not None:
         record["order_chosen_from"] = [asdict(one) for one in choice.tried]
+        record |= {"memory": [*choice.memory], "room": choice.room}
     return record
 
 

@@ -119,6 +119,9 @@ class Noise(Part):
     innovation_whiteness: Whiteness | None = None
     autoregression: dict[Name, list[FiniteFloat]] = Field(default_factory=dict)
     order_chosen_from: list[Tried] = Field(default_factory=list)
+    # partial autocorrelations that priors are around, and how far from these they reach
+    memory: list[FiniteFloat] = Field(default_factory=list)
+    room: NotNegative = 0.0
 
 
 class Coverage(Part):
