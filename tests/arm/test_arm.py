@@ -83,11 +83,20 @@ def test_what_one_joint_lacks_does_not_spoil_another(here):
     quick = f"{text}\ngear_ratio = 50\n[fit.self_check]\nrecordings = 0\n"
     (here.folder / "arm.toml").write_text(quick)
     given = ("arm.urdf", "log.csv", "-o", "out", "--config", "arm.toml", "--seed", "1")
-    more = ("--export", "--advise", "--wanted", f"{ELBOW}.viscous", "--seconds", "5")
+    more = (
+        "--export",
+        "--rollout",
+        "1",
+        "--advise",
+        "--wanted",
+        f"{ELBOW}.viscous",
+        "--seconds",
+        "5",
+    )
     ended = here.run("arm", *given, *more)
     assert ended.code == 0, ended
     made = {path.name for path in (here.folder / "out").iterdir()}
-    assert {"identified-arm.urdf", "robot.xml", "feedforward.py", "exciting.csv"} <= made
+    assert {"identified-arm.urdf", "robot.xml", "rollout.csv", "exciting.csv"} <= made
     assert len(ended.out.splitlines()) <= 30
     told = json.loads((here.folder / "out" / "arm.json").read_text())["joints"]
     assert "effort" in told[SHOULDER]["why"]

@@ -124,7 +124,7 @@ def predicting(arm):
     """The same arm, and a log of another motion that it was not fitted to."""
     folder = arm.urdf.parent
     factors = {"upper": 1.1, "lower": 0.92, "tool": 1.08}
-    other = bench.log(bench.urdf(factors), TRUTH, seed=2, faster=1.37)
+    other = bench.log(bench.urdf(factors), TRUTH, seconds=10.0, seed=2, faster=1.37)
     other.to_csv(folder / "other.csv", index=False)
     made = Arm(folder / "arm.urdf", QUICK)
     layout = layout_of(folder / "other.csv", made.bodies.joints, None)
@@ -133,18 +133,20 @@ def predicting(arm):
 
 
 def test_bands_hold_another_motion(predicting):
-    """40 times anew: of 40 draws' ends 86 % are held; a quarter of the motions may leave them."""
-    found = rollout(predicting, seconds=0.5, seed=1)
+    """20 times anew: of 24 draws' ends 83 % are held, less than 50 once in a thousand times."""
+    found = rollout(predicting, seconds=0.5, draws=24, seed=1)
     assert found.log == "other"
-    print(found.text())
-    for name, held in found.as_json()["held"].items():
-        assert held > 0.6, name
+    told = found.as_json()
+    assert set(told["held"]) == set(told["rms"]) == {SHOULDER, ELBOW}
+    for name, held in told["held"].items():
+        assert held > 0.5, name
+        assert f"{name} {told['rms'][name]:.2g} rad off" in found.text()
+    some, again = (rollout(predicting, seconds=0.5, draws=2, seed=1) for _ in range(2))
+    assert some.as_csv() == again.as_csv()
 
 
 def test_a_fitted_arm_moves_as_measured(arm):
     found = rollout(arm, seconds=0.5, draws=12, seed=1)
-    again = rollout(arm, seconds=0.5, draws=12, seed=1)
-    assert found.as_csv() == again.as_csv()
     assert found.joints == (SHOULDER, ELBOW)
     assert np.count_nonzero(found.begins) == 40
     for name, rms in found.rms.items():

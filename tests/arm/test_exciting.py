@@ -1,5 +1,6 @@
 """Motions for an arm's next recording: within limits, and as telling as they say."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -150,6 +151,16 @@ def test_effort_and_sds_are_those_of_the_posterior(arm, free):
     # both ends are one moment of 800
     assert of_terms(free.sd_after) == pytest.approx(told, rel=2e-3)
     assert of_terms(free.sd_before) == pytest.approx(10.0 * VALUES[:, :4])
+
+
+def test_json_says_what_it_brings(free):
+    """Of what nothing is known there is no number that JSON has."""
+    name = f"{bench.ELBOW}.load"
+    told = replace(free, sd_before={**free.sd_before, name: np.inf}).as_json()
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert told["sd_before"][name] is None
+    assert told["sd_after"] == free.sd_after
+    assert (told["seconds"], told["narrower"]) == (SECONDS, free.narrower)
 
 
 def test_what_is_known_counts(arm):
