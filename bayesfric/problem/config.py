@@ -53,7 +53,7 @@ class NoiseOptions(Options):
     model: Literal["auto", "white"] = Field(
         "auto",
         description="of torque residuals; auto is autoregressive with the order that the "
-        "residuals of the estimate ask for, white where they ask for none",
+        "residuals of the estimate ask for, the first where they ask for none",
     )
 
 
