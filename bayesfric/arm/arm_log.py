@@ -187,9 +187,12 @@ class ArmLog:
         ``torques`` are ``(1 + k, n)`` at the times of :attr:`motion`.
         """
         source = self.sources[joint.name]
+        time = self._stamps
+        if source.time is not None:  # a joint may have stamps of its own
+            time = recorded_time(source, self.table, time.size)
         names = [URDF_TORQUE, *signals(len(torques) - 1)]
         pairs = zip(names, torques, strict=True)
-        return self._columns(source, {n: np.interp(self._stamps, self.time, x) for n, x in pairs})
+        return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
 
     def _keep(self, most: int, source: Source, count: int) -> None:
         """Keep so many of ``count`` rows at most, in stretches all over what is asked for."""
