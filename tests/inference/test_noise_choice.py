@@ -116,6 +116,33 @@ def test_of_a_memory_without_evidence_the_first_is_open():
     assert min(gains) < 0.0  # some would have been taken for a memory that is known
 
 
+def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
+    """By a sd, in dense generalised least squares; twice as far it would, or is not left open."""
+    n, slow = 60, np.sin(np.arange(60) / 6.0)
+    follows, held = np.ones(n - 1, dtype=bool), []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        seen = slow + 0.3 * rng.standard_normal(n)  # the regressor, as it is measured
+        residual = 0.6 * np.sin(np.arange(n) / 12.0) + rng.standard_normal(n)
+        residual -= seen * (seen @ residual) / (seen @ seen)
+        found = choose_order([residual], [follows], True, effects=[50.0 * seen[:, None]])
+        if found.tried[found.order].bic < -6.0:
+            continue
+        x, y = seen / np.linalg.norm(seen), residual / np.sqrt(np.mean(residual**2))
+        sd = np.sqrt(max(long_run_variance(x * y, np.arange(n)), 1.0))
+
+        def moved(room, x=x, y=y, sd=sd, middle=found.memory[0]):
+            ends = np.clip([middle - room, middle + room], -0.95, 0.95)
+            inverse = [np.linalg.inv(covariance(np.array([end]), n)) for end in ends]
+            return max(abs(x @ w @ y / (x @ w @ x)) for w in inverse) / sd
+
+        assert moved(found.room) <= 1.0 + 1e-6
+        held.append(found.room < 3.9 / np.sqrt(n))
+        assert held[-1] == (moved(4.0 / np.sqrt(n)) > 1.0)
+        assert not held[-1] or moved(2.0 * found.room) > 1.0
+    assert 3 < sum(held) < len(held) - 3
+
+
 @pytest.mark.parametrize("own", [False, True])
 def test_the_criterion_is_that_of_the_exact_density(own):
     """Multivariate normals of two runs each, their size at its estimate."""

@@ -9,7 +9,7 @@ small.
 
 That residuals show no memory is no proof that noise has none: of a hundred outputs a tenth of
 correlation cannot be seen, and makes slow effects a tenth less certain. So where no order has
-evidence the first is sampled, as far as residuals leave it open.
+evidence the first is sampled, as far as residuals leave it open and it does no harm.
 
 References
 ----------
@@ -41,8 +41,9 @@ EVIDENCE = 6.0
 # Standard errors to either side that residuals leave open: of a memory that has evidence, and of
 # one that may be there.
 _SHOWN, _OPEN = 1.0, 4.0
-# Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm.
-_SHIFT, _RISE = 3.0, 1.1
+# Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm; and
+# the shift where residuals do not show it: it is to widen intervals, and not to move them.
+_SHIFT, _RISE, _STILL = 3.0, 1.1, 1.0
 # Singular value, in prior sds over residuals, above which data alone tell a direction.
 _TOLD = 3.0
 # Places between runs, so that no kernel spans them.
@@ -194,8 +195,9 @@ def choose_order(
     Returns
     -------
     Choice
-        The first order, its memory open within four standard errors, where none has a BIC at least
-        6 below that of white noise [2]_; white noise where that does harm, or outputs are few.
+        The first order, its memory open within four standard errors as far as these do no harm,
+        where none has a BIC at least 6 below that of white noise [2]_; white noise where it does
+        harm itself, or outputs are few.
 
     Notes
     -----
@@ -242,7 +244,11 @@ def choose_order(
     order = best.order if shown else int(len(tried) > 1 and tried[1].harmless)
     # of fewer predecessors Burg's are the first of these
     memory = tuple(partial[:order].tolist())
-    return Choice(order, tuple(tried), memory, (_SHOWN if shown else _OPEN) / math.sqrt(n))
+    room = (_SHOWN if shown else _OPEN) / math.sqrt(n)
+    if order and not shown and plain is not None:
+        while room > 1e-3 and not all(plain.stays(memory[0] + end) for end in (-room, room)):
+            room /= 2.0
+    return Choice(order, tuple(tried), memory, room)
 
 
 class _Plain:
@@ -267,6 +273,10 @@ class _Plain:
         # never less than uncorrelated residuals would give
         variance = float(np.mean(self._residual**2))
         self._sds = np.sqrt([max(long_run_variance(s, places), variance) for s in scores])
+
+    def stays(self, first: float) -> bool:
+        """Whether the estimate stays within a sd with a first partial autocorrelation."""
+        return self.compared(np.clip([first], -MEMORY, MEMORY))[0] <= _STILL
 
     def compared(self, partial: Array) -> tuple[float, float]:
         """Give ``shift`` and ``rise`` of :class:`Evidence` for autocorrelations ``(p,)``."""
