@@ -28,8 +28,8 @@ def test_the_order_is_found_again(partial, own):
     # p orders take the variance of the series down to that of its innovations
     expected = np.sqrt(np.prod(1.0 - np.array(partial) ** 2))
     assert found.tried[found.order].innovation_share == pytest.approx(expected, rel=0.03)
-    # the true memory lies in what is open to the first where none is shown
-    assert partial or abs(found.memory[0]) < found.room
+    # what is open to the first where none is shown begins with none
+    assert partial or found.memory == (found.room,)
     assert found.tried[0].bic == 0.0
     if partial:
         assert found.tried[0].p_value < 1e-6
@@ -102,17 +102,19 @@ def test_a_right_memory_is_kept_and_said_to_do_no_harm():
 
 
 def test_of_a_memory_without_evidence_the_first_is_open():
-    """By four standard errors: of 200 white series none is beyond, and none is held at its own."""
+    """From none to four standard errors beyond what residuals show."""
     rng = np.random.default_rng(3)
     follows = np.ones(199, dtype=bool)
     gains = []
     for _ in range(200):
-        found = choose_order([rng.standard_normal(200)], [follows], True)
+        series = rng.standard_normal(200)
+        found = choose_order([series], [follows], True)
         gains.append(min(one.bic for one in found.tried))
-        assert found.tried[found.order].bic < -6.0 or found.order == 1
-        if found.tried[found.order].bic >= -6.0:
-            assert found.room == pytest.approx(4.0 / np.sqrt(200))
-            assert abs(found.memory[0]) < found.room
+        if gains[-1] >= -6.0:
+            shown = burg([series], [follows], 1)[0]
+            assert found.order == 1
+            assert found.memory[0] - found.room == 0.0
+            assert found.memory[0] + found.room == pytest.approx(shown + 4.0 / np.sqrt(200))
     assert min(gains) < 0.0  # some would have been taken for a memory that is known
 
 
@@ -131,15 +133,15 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
         x, y = seen / np.linalg.norm(seen), residual / np.sqrt(np.mean(residual**2))
         sd = np.sqrt(max(long_run_variance(x * y, np.arange(n)), 1.0))
 
-        def moved(room, x=x, y=y, sd=sd, middle=found.memory[0]):
-            ends = np.clip([middle - room, middle + room], -0.95, 0.95)
-            inverse = [np.linalg.inv(covariance(np.array([end]), n)) for end in ends]
-            return max(abs(x @ w @ y / (x @ w @ x)) for w in inverse) / sd
+        def moved(end, x=x, y=y, sd=sd):
+            inverse = np.linalg.inv(covariance(np.array([min(end, 0.95)]), n))
+            return abs(x @ inverse @ y / (x @ inverse @ x)) / sd
 
-        assert moved(found.room) <= 1.0 + 1e-6
-        held.append(found.room < 3.9 / np.sqrt(n))
-        assert held[-1] == (moved(4.0 / np.sqrt(n)) > 1.0)
-        assert not held[-1] or moved(2.0 * found.room) > 1.0
+        end, most = 2.0 * found.room, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
+        assert moved(end) <= 1.0 + 1e-6
+        held.append(end < 0.99 * most)
+        assert held[-1] == (moved(most) > 1.0)
+        assert not held[-1] or moved(2.0 * end) > 1.0
     assert 3 < sum(held) < len(held) - 3
 
 

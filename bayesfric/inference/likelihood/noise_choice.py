@@ -9,7 +9,8 @@ small.
 
 That residuals show no memory is no proof that noise has none: of a hundred outputs a tenth of
 correlation cannot be seen, and makes slow effects a tenth less certain. So where no order has
-evidence the first is sampled, as far as residuals leave it open and it does no harm.
+evidence the first is sampled, from none as far as residuals leave it open: it is to widen intervals
+and not to move them.
 
 References
 ----------
@@ -38,12 +39,14 @@ from bayesfric.recordings.observation import Observation
 _LAGS = 10
 # What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
 EVIDENCE = 6.0
-# Standard errors to either side that residuals leave open: of a memory that has evidence, and of
-# one that may be there.
+# Standard errors that residuals leave open: to either side of a memory that has evidence, and
+# beyond what they show of one that may be there.
 _SHOWN, _OPEN = 1.0, 4.0
 # Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm; and
-# the shift where residuals do not show it: it is to widen intervals, and not to move them.
+# the shift where residuals do not show it.
 _SHIFT, _RISE, _STILL = 3.0, 1.1, 1.0
+# Memory that is as good as none.
+_LEAST = 1e-3
 # Singular value, in prior sds over residuals, above which data alone tell a direction.
 _TOLD = 3.0
 # Places between runs, so that no kernel spans them.
@@ -94,7 +97,8 @@ class Choice:
     tried
         Evidence by order, from white noise on.
     memory
-        Partial autocorrelations of the residuals, as many as the order.
+        Partial autocorrelations, as many as the order: those of the residuals, or the middle of
+        what these leave open.
     room
         How far each may be from that.
     """
@@ -195,9 +199,10 @@ def choose_order(
     Returns
     -------
     Choice
-        The first order, its memory open within four standard errors as far as these do no harm,
-        where none has a BIC at least 6 below that of white noise [2]_; white noise where it does
-        harm itself, or outputs are few.
+        The first order, its memory open from none to four standard errors beyond what residuals
+        show, or to where it moves the estimate by a standard deviation, where none has a BIC at
+        least 6 below that of white noise [2]_; white noise where what residuals show does harm,
+        where nothing is left open, or outputs are few.
 
     Notes
     -----
@@ -240,15 +245,18 @@ def choose_order(
             )
         )
     best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
-    shown = best.bic < -EVIDENCE
-    order = best.order if shown else int(len(tried) > 1 and tried[1].harmless)
-    # of fewer predecessors Burg's are the first of these
-    memory = tuple(partial[:order].tolist())
-    room = (_SHOWN if shown else _OPEN) / math.sqrt(n)
-    if order and not shown and plain is not None:
-        while room > 1e-3 and not all(plain.stays(memory[0] + end) for end in (-room, room)):
-            room /= 2.0
-    return Choice(order, tuple(tried), memory, room)
+    if best.bic < -EVIDENCE:
+        # of fewer predecessors Burg's are the first of these
+        memory = tuple(partial[: best.order].tolist())
+        return Choice(best.order, tuple(tried), memory, _SHOWN / math.sqrt(n))
+    may = len(tried) > 1 and tried[1].harmless
+    end = float(partial[0]) + _OPEN / math.sqrt(n) if may else 0.0
+    while plain is not None and end > _LEAST and not plain.stays(end):
+        end /= 2.0
+    if end <= _LEAST:
+        return Choice(0, tuple(tried))
+    half = min(end, MEMORY) / 2.0
+    return Choice(1, tuple(tried), (half,), half)
 
 
 class _Plain:
