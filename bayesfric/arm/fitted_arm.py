@@ -208,10 +208,15 @@ class FittedArm:
         }
 
     @property
+    def samples(self) -> tuple[int, int]:
+        """How many of all logs were fitted, and how many there are."""
+        return sum(log.fitted for log in self.logs), sum(log.rows for log in self.logs)
+
+    @property
     def said(self) -> list[str]:
         """What is to be said besides the table, a line each."""
         lines = [f"{name}: {line}" for name, one in self.joints.items() for line in one.lines]
-        rows, fitted = (sum(getattr(log, k) for log in self.logs) for k in ("rows", "fitted"))
+        fitted, rows = self.samples
         if fitted < rows:
             lines.insert(0, f"{fitted} of {rows} samples were fitted, in stretches all over them")
         told = self.found
@@ -240,6 +245,7 @@ class FittedArm:
             "bayesfric": __version__,
             "urdf": str(self.urdf),
             "logs": [str(log.path) for log in self.logs],
+            "samples": dict(zip(("fitted", "of"), self.samples, strict=True)),
             "bodies": {
                 **self.found,
                 "base_parameters": [asdict(one) for one in self.found["base_parameters"]],

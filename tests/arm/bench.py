@@ -14,6 +14,8 @@ LINKS = {
     "lower": (3.0, (-0.01, 0.0, 0.15), 0.05),
     "tool": (1.0, (0.0, 0.03, 0.1), 0.005),
 }
+# How much heavier than in the URDF links are where it is not quite right.
+FACTORS = MappingProxyType({"upper": 1.1, "lower": 0.92, "tool": 1.08})
 GRAVITY = (0.0, 0.0, -9.80665)  # MuJoCo's own is 9.81
 SHOULDER, ELBOW, SLIDE = "shoulder_joint", "elbow_joint", "slide_joint"
 

@@ -13,6 +13,5 @@ def arm(tmp_path_factory):
     """Beside bodies that are a tenth off."""
     folder = tmp_path_factory.mktemp("arm")
     (folder / "arm.urdf").write_text(bench.urdf())
-    factors = {"upper": 1.1, "lower": 0.92, "tool": 1.08}
-    bench.log(bench.urdf(factors), TRUTH).to_csv(folder / "log.csv", index=False)
+    bench.log(bench.urdf(bench.FACTORS), TRUTH).to_csv(folder / "log.csv", index=False)
     return Arm(folder / "arm.urdf", QUICK).fit(folder / "log.csv", seed=1)

@@ -62,6 +62,7 @@ def test_a_payload_that_is_on_for_one_of_two_logs_is_weighed(here):
     options = {**QUICK, **known, "payload": payload, "samples": 3000}
     found = Arm(here.folder / "arm.urdf", options).fit(logs, seed=1)
     assert [one.fitted for one in found.logs] == [1500, 1500]
+    assert found.as_json()["samples"] == {"fitted": 3000, "of": 4000}
     assert set(found.together.agreed) == set(TRUTH)
     told = next(c for c in found.found["causes"] if c["name"] == "payload of tool")
     assert told["sd"] < 0.3
@@ -83,16 +84,7 @@ def test_what_one_joint_lacks_does_not_spoil_another(here):
     quick = f"{text}\ngear_ratio = 50\n[fit.self_check]\nrecordings = 0\n"
     (here.folder / "arm.toml").write_text(quick)
     given = ("arm.urdf", "log.csv", "-o", "out", "--config", "arm.toml", "--seed", "1")
-    more = (
-        "--export",
-        "--rollout",
-        "1",
-        "--advise",
-        "--wanted",
-        f"{ELBOW}.viscous",
-        "--seconds",
-        "5",
-    )
+    more = f"--export --rollout 1 --advise --wanted {ELBOW}.viscous --seconds 5".split()
     ended = here.run("arm", *given, *more)
     assert ended.code == 0, ended
     made = {path.name for path in (here.folder / "out").iterdir()}
@@ -175,12 +167,10 @@ def test_columns_go_by_patterns_and_currents_by_drive_gains(here):
 def test_of_a_long_log_stretches_are_fitted(here, timed, span):
     recorded(here.folder)
     clock = {"time": {"column": "time [s]", "unit": "s"}} if timed else {"rate": "200 Hz"}
-    columns = {
-        "position": ("position[{joint}] [rad]", "rad"),
-        "torque": ("effort[{joint}] [N m]", "N m"),
-    }
-    given = {key: {"column": name, "unit": unit} for key, (name, unit) in columns.items()}
-    arm = Arm(here.folder / "arm.urdf", {"recording": {**clock, **given, **span}})
+    position = {"column": "position[{joint}] [rad]", "unit": "rad"}
+    torque = {"column": "effort[{joint}] [N m]", "unit": "N m"}
+    recording = {**clock, "position": position, "torque": torque, **span}
+    arm = Arm(here.folder / "arm.urdf", {"recording": recording})
     told = here.folder / "log.csv", "log", arm.options, Layout(arm.options.recording, {})
     joint = arm.bodies.joints[ELBOW]
     whole, some = (ArmLog(*told, arm.bodies.joints, most) for most in (4000, 2000))
@@ -195,9 +185,10 @@ def test_of_a_long_log_stretches_are_fitted(here, timed, span):
         np.testing.assert_allclose(found, expected[at], atol=1e-9)
     # what is put beside the columns of a stretch stands where it was
     carried = np.sin(whole.time)[None]
-    found = some.recording(joint, carried[:, at]).table.column("urdf_torque")
-    stamps = some.recording(joint, carried[:, at]).table.column("time" if not timed else "time [s]")
+    table = some.recording(joint, carried[:, at]).table
+    stamps = table.column("time [s]" if timed else "time")
     kept = stamps >= some.time[0]
+    found = table.column("urdf_torque")
     np.testing.assert_allclose(found[kept], np.sin(stamps[kept]), atol=1e-9)
 
 

@@ -123,8 +123,8 @@ def test_without_coulomb_friction_it_moves_as_in_mujoco(tmp_path):
 def predicting(arm):
     """The same arm, and a log of another motion that it was not fitted to."""
     folder = arm.urdf.parent
-    factors = {"upper": 1.1, "lower": 0.92, "tool": 1.08}
-    other = bench.log(bench.urdf(factors), TRUTH, seconds=10.0, seed=2, faster=1.37)
+    text = bench.urdf(bench.FACTORS)
+    other = bench.log(text, TRUTH, seconds=10.0, seed=2, faster=1.37)
     other.to_csv(folder / "other.csv", index=False)
     made = Arm(folder / "arm.urdf", QUICK)
     layout = layout_of(folder / "other.csv", made.bodies.joints, None)
@@ -141,6 +141,8 @@ def test_bands_hold_another_motion(predicting):
     for name, held in told["held"].items():
         assert held > 0.5, name
         assert f"{name} {told['rms'][name]:.2g} rad off" in found.text()
+    # and tell where it goes: a tenth of how far it moves
+    assert np.all((found.high - found.low).mean(axis=1) < 0.1 * np.std(found.measured, axis=1))
     some, again = (rollout(predicting, seconds=0.5, draws=2, seed=1) for _ in range(2))
     assert some.as_csv() == again.as_csv()
 

@@ -39,14 +39,11 @@ from bayesfric.recordings.observation import Observation
 _LAGS = 10
 # What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
 EVIDENCE = 6.0
-# Standard errors that residuals leave open: to either side of a memory that has evidence, and
-# beyond what they show of one that may be there.
-_SHOWN, _OPEN = 1.0, 4.0
+# Standard errors beyond what residuals show that a memory without evidence may have.
+_OPEN = 4.0
 # Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm; and
 # the shift where residuals do not show it.
 _SHIFT, _RISE, _STILL = 3.0, 1.1, 1.0
-# Memory that is as good as none.
-_LEAST = 1e-3
 # Singular value, in prior sds over residuals, above which data alone tell a direction.
 _TOLD = 3.0
 # Places between runs, so that no kernel spans them.
@@ -248,12 +245,12 @@ def choose_order(
     if best.bic < -EVIDENCE:
         # of fewer predecessors Burg's are the first of these
         memory = tuple(partial[: best.order].tolist())
-        return Choice(best.order, tuple(tried), memory, _SHOWN / math.sqrt(n))
+        return Choice(best.order, tuple(tried), memory, 1.0 / math.sqrt(n))
     may = len(tried) > 1 and tried[1].harmless
     end = float(partial[0]) + _OPEN / math.sqrt(n) if may else 0.0
-    while plain is not None and end > _LEAST and not plain.stays(end):
+    while plain is not None and end > 0.0 and not plain.stays(end):
         end /= 2.0
-    if end <= _LEAST:
+    if end <= 0.0:
         return Choice(0, tuple(tried))
     half = min(end, MEMORY) / 2.0
     return Choice(1, tuple(tried), (half,), half)
