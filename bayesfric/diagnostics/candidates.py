@@ -320,6 +320,8 @@ class Kind:
         Choice of the same option that may be negative, where there is one.
     loss
         Whether it is friction, and so of the size of what the model loses.
+    of_speed
+        Whether it is a shape of friction over speed, which the friction law of a fit takes in.
     """
 
     name: str
@@ -330,6 +332,7 @@ class Kind:
     positive: bool = False
     other: str = ""
     loss: bool = False
+    of_speed: bool = False
 
 
 def _late(a: Along) -> Sets:
@@ -499,14 +502,22 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [a.torque**3, a.torque**5],
     ),
     Kind("offset", _one(lambda a: np.ones_like(a.o.q)), option="offset"),
-    Kind("coulomb", _one(lambda a: a.direction), option="coulomb", choice="symmetric", loss=True),
-    Kind("viscous", _one(lambda a: a.o.qd), option="viscous", loss=True),
+    Kind(
+        "coulomb",
+        _one(lambda a: a.direction),
+        option="coulomb",
+        choice="symmetric",
+        loss=True,
+        of_speed=True,
+    ),
+    Kind("viscous", _one(lambda a: a.o.qd), option="viscous", loss=True, of_speed=True),
     Kind(
         "viscous_by_direction",
         _one(lambda a: np.abs(a.o.qd)),
         option="viscous",
         choice="by-direction",
         loss=True,
+        of_speed=True,
     ),
     Kind(
         "quadratic",
@@ -515,13 +526,25 @@ KINDS: tuple[Kind, ...] = (
         option="quadratic",
         positive=True,
         loss=True,
+        of_speed=True,
     ),
-    Kind("power", _term("power"), _concave, option="power", positive=True, loss=True),
-    Kind("stribeck", _stribeck, option="stribeck", positive=True, other="either", loss=True),
+    Kind(
+        "power", _term("power"), _concave, option="power", positive=True, loss=True, of_speed=True
+    ),
+    Kind(
+        "stribeck",
+        _stribeck,
+        option="stribeck",
+        positive=True,
+        other="either",
+        loss=True,
+        of_speed=True,
+    ),
     Kind(
         "stribeck_by_direction",
         _one(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
         loss=True,
+        of_speed=True,
     ),
     Kind(
         "load_loss",
@@ -571,7 +594,7 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [*a.rate(np.concatenate([*a.elastic.values()]))],
     ),
     Kind("backlash", _gap),
-    Kind("presliding", _bristles, loss=True),
+    Kind("presliding", _bristles, loss=True, of_speed=True),
     Kind("drift", _one(lambda a: a.clock), lambda a: [a.clock**2, a.clock**3]),
     Kind(
         "coulomb_warming",

@@ -196,6 +196,7 @@ class Regression:
     twins: list[Columns] = field(init=False)
     simulated: tuple[Twin, ...] = field(init=False)
     _placed_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
+    _sure_kinds: set[str] = field(init=False, default_factory=set)
 
     def __post_init__(self) -> None:
         draws, others, noise = np.random.SeedSequence(self.seed).spawn(3)
@@ -332,6 +333,7 @@ class Regression:
             found.append(self._step(choice, extra))
             if not choice.sure:
                 break
+            self._sure_kinds.add(choice.kind)
             if choice.scan is not None:
                 self._placed_scans.append((choice.kind, tuple(choice.own)))
         return found
@@ -368,7 +370,10 @@ class Regression:
         scores, sds = zip(*(_alone(twin.whitened, size) for twin in self.twins), strict=True)
         mean, white = np.mean(scores, axis=0), float(np.mean(sds))
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
+        in_law = {kind.name for kind in KINDS if kind.of_speed}
+        biases = self._sure_kinds - in_law
         return Missing(
+            biases_friction=np.array([key.kind in biases for key in self.data.keys], dtype=bool),
             observations=tuple(self.observations),
             columns=columns,
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},

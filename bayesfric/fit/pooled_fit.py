@@ -11,7 +11,7 @@ from bayesfric.base.progress import Progress, Shown, Spent
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.fit.check_report import check
-from bayesfric.inference.discrepancy import pull
+from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.posterior import Status
 from bayesfric.inference.sampling.sampling import sample
@@ -82,7 +82,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     _check(problem, vary)
     choice = starting_point(problem, progress=progress).choice
     noise, priors = problem.remembering(choice)
-    targets, alone, pulls = [], [], []
+    targets, alone, rooms = [], [], []
     explained: list[Explanation] = []
     for k, observation in enumerate(problem.observations):
         progress(Progress(f"recording {observation.name}"))
@@ -98,18 +98,18 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
         targets.append(found.target)
         alone.append(found.posterior)
         explained.append(problem.alone(k).explain(progress=progress))
-        pulls.append(pull(found.target, found.posterior, explained[-1].missing))
+        rooms.append(discrepancy(found.target, found.posterior, explained[-1].missing))
     names = [o.name for o in problem.observations]
     progress(Progress("all recordings together"))
     together = JointTarget(targets, names, vary, alone, settings.seed)
     posterior = sample(together, together.start, settings)  # type: ignore[arg-type]
     units = {p.name: p.unit for p in problem.chain.parameters}
-    flat = together.widened(posterior, pulls)
+    flat = together.widened(posterior, rooms)
     jointly = varying_parts(posterior, flat, names, vary, LEVEL)
     findings = tuple(
         replace(one, recording=name)
-        for name, asked, own in zip(names, explained, pulls, strict=True)
-        for one in asked.noted(widened=own is not None)
+        for name, asked, own in zip(names, explained, rooms, strict=True)
+        for one in asked.noted(widened=own.shown)
     )
     doubts = [one for one in findings if one.severity == "doubt"]
     moved = {
@@ -135,7 +135,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
             doubtful=sum(map(bool, moved.values())),
             asked=None if any(one.reason for one in explained) else len(explained[0].kinds),
             explained=None,
-            lacking=bool(findings) and any(one is not None for one in pulls),
+            lacking=bool(findings) and any(one.shown for one in rooms),
         ).outcome,
         findings=findings,
         problems=posterior.diagnostics.problems,

@@ -38,18 +38,8 @@ class Coordinates(ABC):
 
     @property
     @abstractmethod
-    def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
-        """The parameters that go each by itself.
-
-        Returns
-        -------
-        here
-            Their place among the coordinates.
-        own
-            Their indices among the free parameters.
-        bounded
-            Their map.
-        """
+    def stands_for(self) -> NDArray[np.intp]:
+        """Index ``(d,)`` of the free parameter whose torque each straight coordinate sums up."""
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """Map to straight coordinates.
@@ -157,9 +147,9 @@ class BoundedCoordinates(Coordinates):
         return bool(self._alone.any())
 
     @property
-    def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
-        """See :class:`Coordinates`: these are all."""
-        return slice(0, self.lower.size), np.arange(self.lower.size), self
+    def stands_for(self) -> NDArray[np.intp]:
+        """See :class:`Coordinates`: its own."""
+        return np.arange(self.lower.size)
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """See :class:`Coordinates`: values that a bound cuts off, instead of bending towards it.
@@ -174,11 +164,6 @@ class BoundedCoordinates(Coordinates):
     def bend(self, v: Array) -> Array:
         """See :class:`Coordinates`; not finite beyond a bound."""
         return np.where(self._alone, self.from_parameters(v), v)
-
-    def ends(self) -> tuple[Array, Array]:
-        """Bounds of the straight values, ``(d,)`` each; infinite where a quantile is sampled."""
-        between = self._between
-        return np.where(between, -np.inf, self.lower), np.where(between, np.inf, self.upper)
 
     def _unbent(self, distance: Array) -> Array:
         scaled = distance / self._widths

@@ -100,7 +100,7 @@ class Fit:
             diagnostics = replace(posterior.diagnostics, acceptance=np.ones(held.shape[:2]))
             changed = replace(posterior, draws=held, log_density=unknown, diagnostics=diagnostics)
             return replace(self, posterior=changed, told=None)
-        if self.discrepancy is None or not self.discrepancy.shown:
+        if self.discrepancy is None or not self.discrepancy.moved:
             return self
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
         e, w, steps, d = posterior.draws.shape

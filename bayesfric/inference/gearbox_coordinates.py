@@ -126,6 +126,7 @@ class GearboxCoordinates(Coordinates):
         sizes += [int(self._scale not in ("one", "known"))]
         sizes += [int(self._scale in ("place", "drive", "moment", "known leg"))]
         self._ends = np.cumsum(sizes)[:-1]
+        self._here = slice(int(self._ends[3]), int(self._ends[4]))  # of those that go alone
         self._size = len(free)
         assert sum(sizes) == self._size
 
@@ -161,9 +162,12 @@ class GearboxCoordinates(Coordinates):
         return self._bounded.bends or self._scale not in _STRAIGHT
 
     @property
-    def apart(self) -> tuple[slice, NDArray[np.intp], BoundedCoordinates]:
-        """See :class:`Coordinates`."""
-        return slice(int(self._ends[3]), int(self._ends[4])), self._others, self._bounded
+    def stands_for(self) -> NDArray[np.intp]:
+        """See :class:`Coordinates`: what is missing and the scale are the load loss's."""
+        sums = [self._front, self._leg, self._alone, self._beside, self._others]
+        loss = self._back if self._back >= 0 else self._drive
+        rest = np.full(self._size - sum(part.size for part in sums), loss)
+        return np.concatenate([*sums, rest]).astype(np.intp)
 
     def straighten(self, u: Array) -> tuple[Array, Array]:
         """Map to coordinates in which the torque is linear.
@@ -176,8 +180,8 @@ class GearboxCoordinates(Coordinates):
         v, slope
             ``(n, d)`` and ``log|dv/du|`` ``(n,)``.
         """
-        v, (here, _, bounded) = u.copy(), self.apart
-        v[:, here], cut = bounded.straighten(u[:, here])
+        v, here = u.copy(), self._here
+        v[:, here], cut = self._bounded.straighten(u[:, here])
         if self._scale in _STRAIGHT:
             return v, cut
         felt, places, m_at = self._parts(u)
@@ -190,9 +194,9 @@ class GearboxCoordinates(Coordinates):
 
     def bend(self, v: Array) -> Array:
         """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
-        u, (here, _, bounded) = v.copy(), self.apart
+        u, here = v.copy(), self._here
         with np.errstate(all="ignore"):
-            u[:, here] = bounded.bend(v[:, here])
+            u[:, here] = self._bounded.bend(v[:, here])
         if self._scale in _STRAIGHT:
             return u
         felt, missing, m_at = self._parts(v)

@@ -74,6 +74,9 @@ class Missing:
         ``(m,)`` sd of a right model's scores, in those of white noise; at least one.
     free
         Outputs beyond the model's own parameters.
+    biases_friction
+        ``(m,)`` whether a column biases friction in full: those of candidates that were found and
+        that are no function of speed. What the others do to friction is part of its law.
     """
 
     observations: tuple[Observation, ...]
@@ -85,6 +88,7 @@ class Missing:
     power: float
     spread: Array
     free: int
+    biases_friction: NDArray[np.bool_]
 
 
 def _grid() -> Array:

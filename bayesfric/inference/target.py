@@ -278,18 +278,12 @@ class Target(LogPosterior):
         out[possible] = parameters
         return out
 
-    def limits(self) -> tuple[Array, Array]:
-        """Bounds of the free parameters' unbounded coordinates.
-
-        Returns
-        -------
-        low, high
-            ``(k,)`` each, ``k`` free parameters; infinite where a coordinate has no bound.
-        """
-        low, high = np.full(len(self.free), -np.inf), np.full(len(self.free), np.inf)
-        here, _, bounded = self.coordinates.apart
-        low[here], high[here] = bounded.ends()
-        return low, high
+    @cached_property
+    def friction(self) -> NDArray[np.bool_]:
+        """Which unbounded coordinates ``(k,)`` are of the friction law, not physical constants."""
+        measurands = {p.name: p.row.measurand for p in self.likelihood.chain.parameters}
+        own = self.coordinates.stands_for
+        return np.array([measurands[self.free[i]] == "law" for i in own], dtype=bool)
 
     def log_prior(self, parameters: Array) -> Array:
         """Log prior density of physical parameters ``(n, d)``."""

@@ -45,6 +45,7 @@ def _by_signal(name: str) -> tuple[Quantity]:
         slots=(),
         lower=-math.inf,
         stores=True,
+        measurand="constant",
     )
     return (row,)
 

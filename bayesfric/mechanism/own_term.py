@@ -92,6 +92,7 @@ class Term:
             column=self.column,
             slots=(),
             lower=0.0 if self.positive else -np.inf,
+            measurand="law" if self.positive else "constant",
         )
 
 

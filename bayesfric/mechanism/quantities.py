@@ -132,6 +132,10 @@ class Quantity:
         Where a search starts that knows nothing of it; ``None`` for its share of a total.
     alone
         Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
+    measurand
+        What its number is a number of: a ``constant`` has a physical value; all else is of the
+        friction ``law``, the one that the same model would be fitted to on other motions like the
+        recorded ones.
     """
 
     name: str
@@ -163,6 +167,7 @@ class Quantity:
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
     start: float | None = None
     alone: str = ""
+    measurand: Literal["constant", "law"] = "law"
 
     def brought_by(self, choice: Any) -> bool:
         """Whether this choice of its option brings it."""
@@ -295,7 +300,7 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "inertia", ("kg m²", "kg"), "J_{{{}}}", "inertia at the element's input",
             option="inertia", column=lambda m: m.acceleration, power=1, stores=True,
-            alone="inertia of everything that moves, seen by the {}",
+            alone="inertia of everything that moves, seen by the {}", measurand="constant",
         ),
         Quantity(
             "viscous", ("N m s", "N s/m"), "f_{{{}}}", "loss growing in proportion to speed",
@@ -479,39 +484,40 @@ QUANTITIES: dict[str, Quantity] = {
             "first_moment", ("kg m", ""), "ml", "mass times distance to its centre",
             option="first_moment", column=lambda m: m.gravity, power=0,
             shares=(("gravity", 1.0),), totals=("gravity",),
-            spread=lambda s: s.torque / abs(s.gravity * s.lean), stores=True,
+            spread=lambda s: s.torque / abs(s.gravity * s.lean), stores=True, measurand="constant",
         ),
         Quantity(
             "gravity_angle", ("rad", ""), "q_g", "angle added to q in gravity",
             option="gravity_angle", role="form", lower=-_INF, circular=True, prior="uniform",
+            measurand="constant",
         ),
         Quantity(
             "spring", ("N m/rad", "N/m"), "k_{{{}}}", "torque in proportion to position",
             option="spring", choice=(True, "stiffening"), column=lambda m: m.position, power=1,
-            lower=-_INF, stores=True,
+            lower=-_INF, stores=True, measurand="constant",
         ),
         # a cable or hose that tightens towards the ends of the range
         Quantity(
             "spring_cubic", ("N m/rad³", "N/m³"), "k_{{3,{}}}",
             "torque in proportion to the cube of position",
             option="spring", choice="stiffening", column=lambda m: m.position**3, power=3,
-            lower=-_INF, stores=True,
+            lower=-_INF, stores=True, measurand="constant",
         ),
         Quantity(
             "offset", _TORQUE, r"\Gamma_0", "constant torque in the measured motor torque",
-            column=lambda m: np.ones_like(m.speed), power=0, lower=-_INF,
+            column=lambda m: np.ones_like(m.speed), power=0, lower=-_INF, measurand="constant",
         ),
         Quantity(
             "gain", _NONE, "k",
             "true motor torque over the torque computed from current or voltage",
-            role="form", default=1.0, prior="lognorm", spread=lambda _: 0.5,
+            role="form", default=1.0, prior="lognorm", spread=lambda _: 0.5, measurand="constant",
         ),
         # What is recorded with a late position is the torque of earlier on: the torque of now
         # less what it has changed by since.
         Quantity(
             "delay", ("s", "s"), r"\delta",
             "time by which the recorded position comes after the torque",
-            signal="torque_rate", slots=(), lower=-_INF,
+            signal="torque_rate", slots=(), lower=-_INF, measurand="constant",
         ),
     )
 }  # fmt: skip
@@ -538,6 +544,7 @@ def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
             f"{option}_{part}_{cycles}", _TORQUE, rf"{letter}_{{{{{{}},\{part}\,{cycles}}}}}",
             f"{what} with the {word} of {cycles} cycles a turn",
             option=option, choice=cycles, column=column, lower=-_INF, slots=(),
+            measurand="constant" if option == "cogging" else "law",
         )
         for part, word, column in zip(("sin", "cos"), ("sine", "cosine"), columns, strict=True)
     )  # fmt: skip

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.discrepancy import Pull
+from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import JointPrior, read_prior
 from bayesfric.inference.sampling.start import Start
@@ -160,7 +160,7 @@ class JointTarget(LogPosterior):
         for places, noise in zip(self._places, self._noise, strict=True):
             yield np.column_stack([parameters[:, places], np.tile(noise, (len(parameters), 1))])
 
-    def widened(self, posterior: Posterior, pulls: Sequence[Pull | None]) -> Array:
+    def widened(self, posterior: Posterior, rooms: Sequence[Discrepancy]) -> Array:
         """Move draws of the posterior ``(n, d)`` by as much as the recordings' models may be off.
 
         What one lacks all may lack: the part of it that may be there or not is so in all of them,
@@ -170,12 +170,13 @@ class JointTarget(LogPosterior):
         u, rng = self.coordinates.from_parameters(flat), np.random.default_rng([posterior.seed, 17])
         chance, sides = rng.uniform(size=(len(u), 1)), rng.standard_normal((len(u), 1))
         moved = u.copy()
-        for target, run, pull in zip(self.targets, self._of_runs(flat), pulls, strict=True):
-            if pull is not None:
-                own = target.unbounded(run)[:, : pull.drawn.shape[1]]
-                cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
-                scores = pull.scores(rng.integers(len(pull.drawn), size=len(u)), sides)
-                moved += np.where(chance < pull.chance, scores @ cross, 0.0)
+        for target, run, room in zip(self.targets, self._of_runs(flat), rooms, strict=True):
+            own = target.unbounded(run)[:, : room.mean.size]
+            cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
+            # a move of the run's own estimate as the score that makes it
+            moves = room.moves(rng.integers(len(room.deviations), size=len(u)), sides)
+            scores = np.linalg.solve(room.covariance, moves.T).T
+            moved += np.where(chance < room.moved, scores @ cross, 0.0)
         return self.to_parameters(moved)[0]
 
 

@@ -24,6 +24,7 @@ def regression(size, n=400, m=1, seed=0):
         power=float(left @ left),
         spread=np.ones(m),
         free=n,
+        biases_friction=np.zeros(m, dtype=bool),
     )
 
 
@@ -84,6 +85,7 @@ def test_columns_cancel_no_better_than_their_shapes_are_known():
         power=float(left @ left),
         spread=np.ones(2),
         free=398,
+        biases_friction=np.zeros(2, dtype=bool),
     )
 
     def sizes(one):

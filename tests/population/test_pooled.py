@@ -7,7 +7,7 @@ from scipy.integrate import quad
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.inference.discrepancy import Pull
+from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.missing import Missing
 from bayesfric.inference.prior.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
@@ -53,23 +53,26 @@ def test_each_recordings_own_value_is_found_and_the_rest_is_shared(found):
 
 
 def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
-    """A pull of one size in each: half of it is taken, half may be there or not, in all at once."""
-    scores = {"offset": 800.0}
+    """A score of one size in each, to either side in all at once; the median stays."""
+    score = 400.0
 
-    def pulled(target, *_):
-        drawn = np.tile([scores.get(name, 0.0) for name in target.free], (10, 1))
-        return Pull(1.0, drawn, None)
+    def room(target, posterior, _):
+        k = len(target.free)
+        covariance = np.cov(target.unbounded(posterior.flat())[:, :k].T)
+        scores = score * (np.array(target.free) == "offset")
+        return Discrepancy(1.0, np.zeros((10, k)), covariance @ scores, covariance)
 
-    monkeypatch.setattr("bayesfric.fit.pooled_fit.pull", pulled)
+    monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", room)
     before, after = (
         {one.name: one.value for one in pool.shared}["offset"]
         for pool in (found, model().pool(seed=1))
     )
-    shift = after.median - before.median
     # of two normals 90 % intervals are 3.29 sds wide
     sds = [(one.high - one.low) / 3.29 for one in (before, after)]
-    assert shift > 2.0 * sds[0]
-    assert sds[1] == pytest.approx(np.hypot(sds[0], shift), rel=0.15)
+    moved = len(VISCOUS) * score * sds[0] ** 2
+    assert moved > 2.0 * sds[0]
+    assert sds[1] == pytest.approx(np.hypot(sds[0], moved), rel=0.15)
+    assert after.median == pytest.approx(before.median, abs=0.1 * sds[1])
 
 
 @pytest.mark.parametrize("widened", [True, False])
@@ -78,15 +81,27 @@ def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
     kinds = {"stribeck": ((0,),)}
     nothing = np.zeros((1, 0))
     none = nothing.T @ nothing
-    missing = Missing((), nothing, kinds, none, np.zeros(0), np.zeros(0), 1.0, np.zeros(0), 1)
+    missing = Missing(
+        (),
+        nothing,
+        kinds,
+        none,
+        np.zeros(0),
+        np.zeros(0),
+        1.0,
+        np.zeros(0),
+        1,
+        np.zeros(0, dtype=bool),
+    )
     lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
     monkeypatch.setattr(Problem, "explain", lambda *_, **__: explained)
 
-    def pulled(target, *_):
-        return Pull(1.0, np.zeros((1, len(target.free))), None) if widened else None
+    def room(target, *_):
+        k = len(target.free)
+        return Discrepancy(float(widened), np.zeros((1, k)), np.zeros(k), np.eye(k))
 
-    monkeypatch.setattr("bayesfric.fit.pooled_fit.pull", pulled)
+    monkeypatch.setattr("bayesfric.fit.pooled_fit.discrepancy", room)
     pool = model(count=2, sampling=QUICK | {"min_ess": 100}).pool(seed=3)
     assert {one.severity for one in pool.findings} == {"note" if widened else "doubt"}
     assert [one.findings for one in pool.varying] == [() if widened else ("stribeck",)]

@@ -27,7 +27,6 @@ _NOT_DETERMINED = "not determined"
 DOUBTFUL = "doubtful: not what the data determine, see what the run warns of"
 # Keys of rows that whole turns move.
 _PLACES = {"mean", "median", "value", "bound", "interval", "model_error_interval", "span"}
-_PLACES |= {"model_error_value"}
 TOGETHER = "data, prior and bounds together"
 NOT_CONVERGED = "the sampling has not converged"
 _LOST = "the search has not converged"

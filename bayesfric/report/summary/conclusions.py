@@ -77,8 +77,8 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     room = fit.discrepancy
     if room is None:
         return summary
-    told = ModelError(shown=room.shown, chance=room.chance, taken=room.taken)
-    if not room.shown:
+    told = ModelError(shown=room.shown, chance=room.chance)
+    if not room.moved:
         return summary.model_copy(update={"model_error": told})
     wide = fit.wide.posterior.flat()
     found = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
@@ -105,8 +105,7 @@ def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
     low, high = wide["interval"]
     # what is improbable and far is no standard deviation: that of a normal as wide
     sd = min(wide["sd"], (high - low) / (2.0 * norm.ppf(0.5 + 0.5 * wide["level"])))
-    change = {"model_error_value": wide["median"], "model_error_sd": sd}
-    change["model_error_interval"] = wide["interval"]
+    change = {"model_error_sd": sd, "model_error_interval": wide["interval"]}
     if row.verdict == "data" and row.prior_sd and sd > WIDE * row.prior_sd:
         change["verdict"] = "weak"
     return change

@@ -253,13 +253,11 @@ class SelfCheck(Part):
 class ModelError(Part):
     """Whether intervals have room for what the model may lack.
 
-    ``chance`` is the probability that it lacks any candidate, ``taken`` the share of what they
-    move that the values were moved by.
+    ``chance`` is the probability that it lacks any candidate.
     """
 
     shown: bool
     chance: Share = 0.0
-    taken: Share = 0.0
 
 
 class Sampler(Part):

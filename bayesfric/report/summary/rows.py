@@ -145,7 +145,6 @@ class PosteriorRow(Drawn, Described):
     mirrored: Share | None = None
     model_error_interval: Pair | None = None
     model_error_sd: NotNegative | None = None
-    model_error_value: FiniteFloat | None = None
     reported: Reported | None = None
 
     @property
@@ -163,9 +162,8 @@ class PosteriorRow(Drawn, Described):
         """With room for a model that is not exactly right, where there is any."""
         if self.model_error_interval is None or self.model_error_sd is None:
             return None
-        value = self.middle if self.model_error_value is None else self.model_error_value
         low, high = self.model_error_interval
-        return Spread(value, low, high, self.model_error_sd)
+        return Spread(self.middle, low, high, self.model_error_sd)
 
     @property
     def told(self) -> Spread:
