@@ -34,6 +34,7 @@ from joints import BENCHES, RIGHT, SIZES, UNLISTED, recorded
 from bayesfric import Model
 
 SEED = 41
+NINETY = 1.645  # half of the 90 % interval of a standard normal
 MOTIONS = ("", "closed loop, ")
 CORRECT = (*RIGHT[:6], "arm", "closed loop")
 NOT_LISTED = tuple(motion + name for name in UNLISTED for motion in MOTIONS)
@@ -58,14 +59,29 @@ def true_values(truth: dict[str, float], names: list[str]) -> dict[str, float]:
     return found
 
 
+class SameTruth(np.random.Generator):
+    """Draws a joint's parameters, the first draw, as in the other motion, and the rest its own."""
+
+    def __init__(self, name: str, number: int) -> None:
+        super().__init__(np.random.PCG64(np.random.SeedSequence([SEED, *name.encode(), number])))
+        joint = name.removeprefix(MOTIONS[1]).encode()
+        self._parameters = [np.random.default_rng([SEED, *joint, number])]
+
+    def uniform(self, *args: Any, **kwargs: Any) -> Any:
+        """Draw from the joint's stream once."""
+        if self._parameters:
+            return self._parameters.pop().uniform(*args, **kwargs)
+        return super().uniform(*args, **kwargs)
+
+
 def one(task: tuple[str, int]) -> dict[str, Any]:
     """Fit one recording as its model is written."""
     name, number = task
     _, bench = BENCHES[name]
-    rng = np.random.default_rng([SEED, *name.encode(), number])
     with TemporaryDirectory() as folder:
-        truth, recordings, _ = recorded(bench, rng, Path(folder))
+        truth, recordings, _ = recorded(bench, SameTruth(name, number), Path(folder))
         summary = Model(bench.joint, recordings, **bench.tables).fit(seed=number).summary
+    constants = {p.name for p in bench.joint.parameters if p.row.measurand == "constant"}
     rows = []
     for key, true in true_values(truth, list(summary.joint)).items():
         row = summary.joint[key]
@@ -76,29 +92,64 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         rows.append(
             {
                 "name": key,
+                "class": "constants" if key in constants else "friction",
                 "status": told.status,
-                "plain": bool(row.interval[0] <= true <= row.interval[1]),
-                "held": bool(low <= true <= high),
-                "wider": (high - low) / (row.interval[1] - row.interval[0]),
-                "z": float((told.value - true) / told.sd),
+                "true": true,
+                "posterior": [row.middle, row.sd, *row.interval],
+                "reported": [told.value, told.sd, low, high],
             }
         )
-    found = [finding.kind for finding in summary.findings]
-    return {"outcome": summary.verdict.outcome, "findings": found, "rows": rows}
+    findings = [finding.kind for finding in summary.findings]
+    return {"outcome": summary.verdict.outcome, "findings": findings, "rows": rows}
 
 
-def line(name: str, found: list[dict[str, Any]]) -> str:
-    """Sum one effect up."""
-    rows = [row for one in found for row in one["rows"]]
-    off = [not one["findings"] and any(abs(row["z"]) > 2.0 for row in one["rows"]) for one in found]
-    wider = [row["wider"] for row in rows]
-    good = sum(one["outcome"] != "doubtful" for one in found)
-    return (
-        f"| {name} | {len(rows)} | {np.mean([r['plain'] for r in rows]):.0%} "
-        f"| {np.mean([r['held'] for r in rows]):.0%} | {np.median(wider):.2f} "
-        f"| {np.quantile(wider, 0.9):.2f} | {np.sqrt(np.mean([r['z'] ** 2 for r in rows])):.2f} "
-        f"| {sum(off)} of {len(found)} | {good} of {len(found)} |"
-    )
+def holds(row: dict[str, Any], which: str) -> bool:
+    """Whether an interval holds the true value."""
+    _, _, low, high = row[which]
+    return bool(low <= row["true"] <= high)
+
+
+def replicated(fits: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[bool]:
+    """Say of friction whether its interval holds the estimate from the joint's other motion.
+
+    The distance from the value to the interval's end, and the other posterior's, add as variances.
+    """
+    held = []
+    for fit, other in zip(fits, others, strict=True):
+        estimates = {row["name"]: row["posterior"] for row in other["rows"]}
+        for row in fit["rows"]:
+            if row["class"] == "friction" and row["name"] in estimates:
+                value, _, low, high = row["reported"]
+                median, sd, *_ = estimates[row["name"]]
+                end = high - value if median > value else value - low
+                held.append(abs(median - value) <= np.hypot(end, NINETY * sd))
+    return held
+
+
+def line(name: str, fits: list[dict[str, Any]], others: list[dict[str, Any]]) -> str:
+    """Sum one effect up: constants, friction, and the law of the other motion."""
+    cells = []
+    for group in ("constants", "friction"):
+        rows = [row for fit in fits for row in fit["rows"] if row["class"] == group]
+        widths = [row["reported"][1] / row["posterior"][1] for row in rows]
+        errors = [(row["reported"][0] - row["true"]) / row["posterior"][1] for row in rows]
+        cells += [f"{np.mean([holds(row, 'posterior') for row in rows]):.0%} of {len(rows)}"]
+        cells += [f"{np.mean([holds(row, 'reported') for row in rows]):.0%}"]
+        cells += [f"{np.median(widths):.2f}, {np.quantile(widths, 0.9):.1f}"]
+        cells += [f"{np.sqrt(np.mean(np.square(errors))):.1f}"]
+    held = replicated(fits, others)
+    cells.append(f"{np.mean(held):.0%} of {len(held)}" if held else "–")
+    rows = [row for fit in fits for row in fit["rows"] if row["status"] == "identified"]
+    cells.append(f"{len(rows)}, {sum(not holds(row, 'reported') for row in rows)}")
+    good = sum(fit["outcome"] != "doubtful" for fit in fits)
+    return f"| {name} | {' | '.join(cells)} | {good} of {len(fits)} |"
+
+
+HEAD = (
+    "| lacks | constants, posterior | reported | width, median, 90 % | error, posterior sds "
+    "| friction, posterior | reported | width | error | other motion's estimate held "
+    "| identified, missed | not doubtful |"
+)
 
 
 def main() -> None:
@@ -109,16 +160,37 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--to", type=Path, default=HERE / "lacking.json")
     parser.add_argument("--table", action="store_true")
-    told = parser.parse_args()
-    result = json.loads(told.to.read_text()) if told.to.exists() else {}
-    with ProcessPoolExecutor(told.workers) as pool:
-        for effect in told.effects:
-            for case in EFFECTS[effect]:
-                if not told.table:
-                    tasks = [(case, k) for k in range(told.recordings)]
-                    result[case] = list(pool.map(one, tasks))
-                    told.to.write_text(json.dumps(result, indent=1) + "\n")
-            print(line(effect, [f for case in EFFECTS[effect] for f in result[case]]), flush=True)
+    options = parser.parse_args()
+    result = json.loads(options.to.read_text()) if options.to.exists() else {}
+    if not options.table:
+        with ProcessPoolExecutor(options.workers) as pool:
+            for case in [case for effect in options.effects for case in EFFECTS[effect]]:
+                tasks = [(case, number) for number in range(options.recordings)]
+                result[case] = list(pool.map(one, tasks))
+                options.to.write_text(json.dumps(result) + "\n")
+                print(case, flush=True)
+    print(HEAD)
+    groups = {**{effect: EFFECTS[effect] for effect in options.effects}}
+    listed = [e for e in options.effects if e not in (*CORRECT, *NOT_LISTED)]
+    for name, effects in (
+        ("**nothing**", [e for e in options.effects if e in CORRECT]),
+        ("**all that is listed**", listed),
+        ("**all that is not**", [e for e in options.effects if e in NOT_LISTED]),
+    ):
+        groups[name] = tuple(case for effect in effects for case in EFFECTS[effect])
+    for name, cases in groups.items():
+        there = [case for case in cases if case in result]
+        fits, others = [], []
+        for case in there:
+            twin = (
+                case.removeprefix(MOTIONS[1]) if case.startswith(MOTIONS[1]) else MOTIONS[1] + case
+            )
+            twins = result.get(twin, [])
+            empty = {"rows": []}
+            fits += result[case]
+            others += (twins + [empty] * len(result[case]))[: len(result[case])]
+        if fits:
+            print(line(name, fits, others), flush=True)
 
 
 if __name__ == "__main__":

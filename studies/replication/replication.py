@@ -9,6 +9,7 @@ summed squares of its two standard deviations, which should scatter by one. Writ
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
@@ -23,6 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
+
+from bayesfric.results.reported import Spread
 
 HERE = Path(__file__).resolve().parent
 STUDIES = HERE.parent
@@ -120,25 +124,36 @@ def _arm_parts() -> dict[str, dict[str, str]]:
 
 
 def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
-    """Fit one recording; gives each number with its sds."""
+    """Fit one recording; gives each number by the posterior, with robust sds, and as reported."""
     from bayesfric import Model
     from bayesfric.problem.config import parse_config
 
     case, run, folder, text = task
-    text += "\n[self_check]\nrecordings = 0\n"
-    summary = Model.from_config(parse_config(text, folder / "replication.toml")).fit().summary
+    result = Model.from_config(parse_config(text, folder / "replication.toml")).fit()
+    summary = result.summary
+    constants = {p.name for p in result.fit.chain.parameters if p.row.measurand == "constant"}
     estimates = summary.estimates["input-error"].parameters
     rows = {}
     for name, row in summary.joint.items():
         robust = estimates[name].sd_robust if name in estimates else None
+        # reported without what the calibration check takes off
+        plain = row.wide or Spread(row.middle, *row.interval, row.sd)
         rows[name] = {
-            "value": {"auto": row.mean, "HAC": row.mean, "told": row.value},
-            "auto": row.sd,
+            "class": "constants" if name in constants else "friction",
+            "value": {
+                "posterior": row.middle,
+                "HAC": row.middle,
+                "reported": row.value,
+                "uncorrected": plain.value,
+            },
+            "posterior": row.sd,
             "HAC": max(row.sd, robust) if robust is not None else row.sd,
-            "told": row.told.sd,
+            "reported": row.told.sd,
+            "uncorrected": plain.sd,
+            "interval": [row.told.low, row.told.high],
             # whether its data determine it, by each of its sds, doubted or not
             "determined": row.verdict == "data" or bool(row.doubted),
-            "doubted": bool(row.doubted),
+            "status": row.reported.status if row.reported else "",
             "prior": row.prior_sd,
         }
     error = summary.model_error
@@ -152,65 +167,108 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
     }
 
 
-def differences(runs: list[dict[str, Any]], kind: str, *, doubted: bool) -> list[float]:
-    """Standardise the difference of every number of every two runs."""
-    found = []
+def differences(
+    runs: list[dict[str, Any]], kind: str, group: str = "", *, doubted: bool = True
+) -> list[float]:
+    """Standardise the difference of every number of every two runs, of one group or all."""
+    z = []
     for a, b in combinations(runs, 2):
         for name in a["rows"].keys() & b["rows"].keys():
             rows = a["rows"][name], b["rows"][name]
-            if all(_told(row, kind) and (doubted or not row["doubted"]) for row in rows):
+            if group and rows[0]["class"] != group:
+                continue
+            certain = all(row["status"] == "identified" for row in rows)
+            if all(_determined(row, kind) for row in rows) and (doubted or certain):
                 apart = rows[0]["value"][kind] - rows[1]["value"][kind]
-                found.append(float(apart / np.hypot(rows[0][kind], rows[1][kind])))
-    return found
+                z.append(float(apart / np.hypot(rows[0][kind], rows[1][kind])))
+    return z
 
 
-def _told(row: dict[str, Any], kind: str) -> bool:
+def _determined(row: dict[str, Any], kind: str) -> bool:
     wide = row["prior"] is not None and row[kind] > 0.5 * row["prior"]
     return row["determined"] and not wide
 
 
 def judged(z: list[float]) -> dict[str, float]:
-    """Scatter of standardised differences, and how many of them a 90 % interval holds."""
+    """Scatter of standardised differences, and how many of them a 90 % interval holds.
+
+    ``most`` is the 95 % point of the scatter of as many independent ones.
+    """
     x = np.array(z)
     return {
         "n": x.size,
         "rms": float(np.sqrt(np.mean(x**2))) if x.size else float("nan"),
         "held": float(np.mean(np.abs(x) < _NINETY)) if x.size else float("nan"),
+        "most": float(np.sqrt(chi2.ppf(0.95, x.size) / x.size)) if x.size else float("nan"),
     }
+
+
+def widths(fits: list[dict[str, Any]], group: str) -> list[float]:
+    """Give median and 90 % quantile of widths over the posterior's, of what data determine."""
+    ratios = [
+        row["reported"] / row["posterior"]
+        for fit in fits
+        for row in fit["rows"].values()
+        if row["class"] == group and _determined(row, "posterior")
+    ]
+    return [float(x) for x in np.quantile(ratios, [0.5, 0.9])]
+
+
+COLUMNS = {
+    f"{kind}, {group}": (kind, group, doubted)
+    for kind, group, doubted in (
+        ("posterior", "friction", True),
+        ("reported", "friction", True),
+        ("posterior", "constants", True),
+        ("uncorrected", "constants", True),
+        ("reported", "constants", True),
+    )
+} | {"HAC": ("HAC", "", True), "identified": ("reported", "", False)}
+
+
+def table(fits: list[dict[str, Any]]) -> dict[str, Any]:
+    """Judge every case, and all together."""
+    cases: dict[str, Any] = {}
+    every: dict[str, list[float]] = {}
+    for case in dict.fromkeys(fit["case"] for fit in fits):
+        runs = [fit for fit in fits if fit["case"] == case]
+        cases[case] = {}
+        for column, (kind, group, doubted) in COLUMNS.items():
+            z = differences(runs, kind, group, doubted=doubted)
+            every.setdefault(column, []).extend(z)
+            cases[case][column] = judged(z)
+    cases["all"] = {column: judged(z) for column, z in every.items()}
+    return {"cases": cases, "widths": {g: widths(fits, g) for g in ("friction", "constants")}}
 
 
 def main() -> None:
-    tasks = [
-        (case, run, folder, text)
-        for case, runs in cases().items()
-        for run, (folder, text) in runs.items()
-    ]
-    with ProcessPoolExecutor(2) as pool:
-        fits = list(pool.map(one, tasks))
-    result: dict[str, Any] = {"fits": fits, "cases": {}}
-    every: dict[tuple[str, bool], list[float]] = {}
-    for case in dict.fromkeys(fit["case"] for fit in fits):
-        runs = [fit for fit in fits if fit["case"] == case]
-        row = {}
-        for kind in ("auto", "HAC", "told"):
-            for doubted in (True, False):
-                z = differences(runs, kind, doubted=doubted)
-                every.setdefault((kind, doubted), []).extend(z)
-                row[kind if doubted else f"{kind}, undoubted"] = judged(z)
-        result["cases"][case] = row
-    result["cases"]["all"] = {
-        kind if doubted else f"{kind}, undoubted": judged(z) for (kind, doubted), z in every.items()
-    }
+    """Fit every recording, or print what is there."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--table", action="store_true")
+    path = HERE / "replication.json"
+    if not parser.parse_args().table:
+        tasks = [
+            (case, run, folder, text)
+            for case, runs in cases().items()
+            for run, (folder, text) in runs.items()
+        ]
+        with ProcessPoolExecutor(2) as pool:
+            fits = list(pool.map(one, tasks))
+        text = json.dumps({"fits": fits} | table(fits), indent=1).replace("NaN", "null")
+        path.write_text(text + "\n", encoding="utf-8")
+    result = json.loads(path.read_text(encoding="utf-8"))
+    print("| joint | " + " | ".join(COLUMNS) + " |")
     for case, row in result["cases"].items():
         cells = [
-            f"{row[k]['rms']:.2f}, {100 * row[k]['held']:.0f} % of {row[k]['n']}"
+            f"{row[k]['rms']:.2f} ({row[k]['most']:.2f}), {100 * row[k]['held']:.0f} % of "
+            f"{row[k]['n']}"
             if row[k]["n"]
             else "–"
-            for k in ("auto", "HAC", "told", "told, undoubted")
+            for k in COLUMNS
         ]
-        print(f"| {case} | " + " | ".join(cells) + " |", flush=True)
-    text = json.dumps(result, indent=1).replace("NaN", "null")
-    (HERE / "replication.json").write_text(text + "\n", encoding="utf-8")
+        print(f"| {case} | " + " | ".join(cells) + " |")
+    for group, (median, most) in result["widths"].items():
+        print(f"{group}: width over the posterior's {median:.2f}, 90 % quantile {most:.2f}")
 
 
 if __name__ == "__main__":
