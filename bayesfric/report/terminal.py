@@ -18,7 +18,7 @@ from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.self_check_part import cited, off_rows
+from bayesfric.report.summary.self_check_part import off_rows
 from bayesfric.report.words import filled, line_of
 from bayesfric.results.reported import ORDER, Reported
 from bayesfric.results.verdict import Outcome
@@ -176,7 +176,6 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             found=read.validation,
             check=read.self_check,
             off=off_rows(read),
-            corrected=cited(read),
         ).splitlines()
 
 

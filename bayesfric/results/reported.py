@@ -1,7 +1,7 @@
 """One number as every view prints it, and how it came about.
 
-Posterior, room for a model that is not exactly right and the self-check's correction are parts;
-what they make together is the one value with its one interval, and nothing else prints one.
+The value is the posterior's median; room for a model that is not exactly right widens its
+interval. Nothing else prints one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ class How(BaseModel):
 
     posterior: list[FiniteFloat]  # value, low, high and sd, were the model right
     widened: bool = False  # whether the interval has room for a model that is not exactly right
-    bias: FiniteFloat | None = None  # of filters and encoder, in posterior sds, where taken off
     findings: list[str] = []  # kinds that move it by more than its interval
     converged: bool = True  # or the sampling of this number has not
 
@@ -73,8 +72,6 @@ def concluded(
     own_prior: bool = False,
     converged: bool = True,
     widened: Spread | None = None,
-    corrected: Spread | None = None,
-    bias: float | None = None,
     limit: Literal["lower", "upper"] | None = None,
     findings: Sequence[str] = (),
 ) -> Reported:
@@ -90,19 +87,17 @@ def concluded(
         Whether that prior was given by the user.
     converged
         Whether the sampling of this number has.
-    widened, corrected
-        With room for the model's error, and rid of the ``bias`` of filters and encoder, which is
-        in posterior sds, where there is any.
+    widened
+        With room for the model's error, where there is any.
     limit
         Bound that the data push it against.
     findings
         Kinds that make it doubtful.
     """
-    told = corrected or widened or posterior
+    told = widened or posterior
     how = How(
         posterior=[posterior.value, posterior.low, posterior.high, posterior.sd],
         widened=widened is not None,
-        bias=bias if corrected is not None else None,
         findings=list(findings),
         converged=converged,
     )

@@ -62,10 +62,9 @@ def test_the_status_of_a_number(verdict, more, status, bound):
 
 def test_the_last_part_makes_the_number_and_all_are_kept():
     plain, wide = Spread(2.0, 1.0, 3.0, 0.6), Spread(2.0, 0.0, 4.0, 1.2)
-    right = Spread(1.5, -0.5, 3.5, 1.2)
-    found = concluded(plain, verdict="data", widened=wide, corrected=right, bias=0.8)
-    assert (found.value, found.interval, found.sd) == (1.5, [-0.5, 3.5], 1.2)
-    assert (found.how.posterior, found.how.widened, found.how.bias) == ([2, 1, 3, 0.6], True, 0.8)
+    found = concluded(plain, verdict="data", widened=wide)
+    assert (found.value, found.interval, found.sd) == (2.0, [0.0, 4.0], 1.2)
+    assert (found.how.posterior, found.how.widened) == ([2, 1, 3, 0.6], True)
 
 
 def test_every_kind_that_is_told_has_its_line():

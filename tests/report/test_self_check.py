@@ -1,7 +1,8 @@
-"""What is made of a self-check: rows, corrections, doubts, and words on page and terminal."""
+"""What is made of a self-check: rows, doubts, and words on page and terminal."""
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from bayesfric.diagnostics.self_check import Checked, QuickFit
 from bayesfric.report.comparison.cell import posterior_cells
@@ -46,29 +47,17 @@ def told(result, found):
     return concluded(result.summary.model_copy(update={"self_check": part}))
 
 
-def test_a_constant_bias_is_taken_off_whole(result):
+def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
     summary = told(result, checked(result, [2.0]))
-    row, check = summary.parameters[NAME], summary.self_check.rows[NAME]
+    check = summary.self_check.rows[NAME]
     assert check.bias == pytest.approx(2.0)
     assert check.bias_error == pytest.approx(0.0, abs=1e-6)
-    assert check.coverage == pytest.approx(0.361, abs=1e-3)  # P(|Z + 2| < 1.645)
-    assert check.corrected_coverage == pytest.approx(0.9)
-    assert check.corrected == pytest.approx(row.median - 2.0 * row.sd, rel=0.02)
-    assert self_check_doubts(summary) == []
-
-
-@pytest.mark.parametrize("missed", [[0.29], [0.6, -0.6], [4.0, -3.0]])
-def test_what_is_small_or_no_surer_than_its_error_is_not_corrected(result, missed):
-    check = told(result, checked(result, missed)).self_check.rows[NAME]
-    assert check.corrected_interval is None
-
-
-def test_what_first_order_says_nothing_of_is_not_corrected_but_doubtful(result):
-    row = result.summary.parameters[NAME]
-    summary = told(result, checked(result, [1.5 * row.median / row.sd]))
-    assert summary.self_check.rows[NAME].corrected_interval is None
-    (doubt,) = self_check_doubts(summary)
-    assert doubt["parameters"] == [NAME]
+    width = summary.parameters[NAME].told.sd / summary.parameters[NAME].sd
+    reach = 1.645 * width
+    held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
+    assert check.coverage == pytest.approx(held, abs=1e-3)
+    doubted = [name for doubt in self_check_doubts(summary) for name in doubt["parameters"]]
+    assert doubted == ([NAME] if held < 0.75 else [])
 
 
 def test_what_no_shift_mends_is_doubtful_and_said_first(result):
@@ -85,22 +74,26 @@ def test_what_filters_leave_of_the_torque_is_no_noise(result):
     """The noise's scale holds it: of so wide intervals more hold the truth."""
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
     assert half.unexplained == 0.5
-    assert half.rows[NAME].coverage == pytest.approx(0.980, abs=1e-3)  # P(|Z| < 1.645 sqrt(2))
+    row = result.summary.parameters[NAME]
+    reach = 1.645 * np.sqrt(2.0) * row.told.sd / row.sd
+    assert half.rows[NAME].coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
 
 
 def test_the_whole_scatters_less_than_its_excerpts(result):
     """By the root of the share, and of what forty of them leave unknown of the bias."""
     check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
     assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
-    # P(|Z + 3 sqrt(0.05 + 1/40)| < 1.645)
-    assert check.coverage == pytest.approx(0.788, abs=1e-3)
+    row = result.summary.parameters[NAME]
+    reach, off = 1.645 * row.told.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
+    held = norm.cdf(reach - off) - norm.cdf(-reach - off)
+    assert check.coverage == pytest.approx(held, abs=1e-3)
 
 
 @pytest.mark.parametrize("wide", [0.0, 5.0, 3000.0])
 @pytest.mark.parametrize("doubted", [False, True])
 def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide, doubted):
-    """Bias, and room for the model's error, are in the one number that all print."""
-    summary = told(result, checked(result, [2.0]))
+    """Room for the model's error is in the one number that all print."""
+    summary = result.summary
     if wide:
         row = summary.rows[NAME]
         low, high = (row.median + wide * (end - row.median) for end in row.interval)
@@ -109,18 +102,12 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     if doubted:
         summary = summary.with_rows({NAME: {"verdict": "weak", "doubted": ["delay"]}})
     summary = concluded(summary)
-    row, check = summary.rows[NAME], summary.self_check.rows[NAME]
+    row = summary.rows[NAME]
     one = row.reported
-    # a bias that changes no digit beside so wide an interval is not taken off
-    taken = one.how.bias is not None
-    assert taken == (wide < 3000.0)
-    assert one.value == (check.corrected if taken else row.middle)
+    assert one.value == row.middle
     if wide:
-        low, high = row.model_error_interval
-        assert one.interval[1] - one.interval[0] == pytest.approx(high - low)
+        assert one.interval == list(row.model_error_interval)
         assert (one.sd, one.how.widened) == (row.model_error_sd, True)
-    else:
-        assert one.interval == check.corrected_interval
     assert one.status == ("doubtful" if doubted else "identified")
     table = parameter_table(summary)
     (line,) = (r for r in table.rows if r.name == NAME)
@@ -147,11 +134,3 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     frame = summary.frame.set_index("name").loc[NAME]
     assert [frame["low"], frame["high"]] == one.interval
     assert ("doubtful" in shown) == doubted
-
-
-def test_what_the_prior_helps_to_know_is_not_corrected(result):
-    """Twins that are drawn from the posterior miss their truths towards the prior."""
-    row = result.summary.rows[NAME].model_copy(update={"verdict": "weak"})
-    weak = result.summary.with_rows({NAME: row.as_dict()})
-    part = self_check_part(result.fit, weak, checked(result, [2.0]), groups(result.fit))
-    assert part.rows[NAME].corrected is None

@@ -237,10 +237,7 @@ def combinations(fit: Fit, summary: Summary) -> list[Quantity]:
 def which_posterior(summary: Summary) -> str:
     """Say of which posterior figures are whose intervals stand in the tables, where it matters."""
     wide = " Densities and intervals have room for the model's error, as in the tables."
-    words = wide if summary.widened else ""
-    if biased := [n for n, row in summary.rows.items() if row.reported and row.reported.how.bias]:
-        words += f" The bias of filters and encoder is not taken off: {', '.join(biased)}."
-    return words
+    return wide if summary.widened else ""
 
 
 FIGURE = RunFigure(

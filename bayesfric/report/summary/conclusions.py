@@ -1,6 +1,6 @@
 """What is concluded of every number of a summary, from all that was asked of it.
 
-A bound may hold it, the model may lack something, and the self-check may correct it.
+A bound may hold it, and the model may lack something.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.report.summary.derived_quantities import Groups, leaning, loss_leaning, spread
 from bayesfric.report.summary.record import ModelError, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.summary.self_check_part import cited
 from bayesfric.report.words import line_of
 from bayesfric.results.reported import Spread, concluded
 
@@ -118,8 +117,7 @@ def put_reported(summary: Summary) -> Summary:
     """
     if all(row.reported is not None for row in summary.rows.values()):
         return summary
-    status, corrected = summary.sampler.status, cited(summary)
-    checked = summary.self_check.rows if summary.self_check else {}
+    status = summary.sampler.status
     changes: dict[str, dict[str, Any]] = {}
     for name, row in summary.rows.items():
         low, high = row.interval
@@ -131,8 +129,6 @@ def put_reported(summary: Summary) -> Summary:
             own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
             converged=status == "reliable" or sound,
             widened=row.wide,
-            corrected=corrected.get(name),
-            bias=checked[name].bias if name in corrected else None,
             limit=row.at_bound if leans else None,
             findings=row.doubted if row.verdict != "prior" else (),
         )

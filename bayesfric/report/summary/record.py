@@ -215,17 +215,13 @@ class RegressionPart(Part):
 class SelfCheckRow(Part):
     """What fits of simulated recordings make of one quantity.
 
-    ``bias`` is in posterior sds, ``coverage`` that of the interval of ``level``; what is
-    ``corrected`` has the bias taken off.
+    ``bias`` is in posterior sds, ``coverage`` that of the printed interval.
     """
 
     bias: FiniteFloat
     bias_error: NotNegative
     coverage: Share
     coverage_error: NotNegative
-    corrected: FiniteFloat | None = None
-    corrected_interval: Pair | None = None
-    corrected_coverage: Share | None = None
 
 
 class SelfCheck(Part):
@@ -411,8 +407,8 @@ class Summary(Part):
         """Parameters, then derived quantities, as a table with a line for each.
 
         First what every view prints: value, sd, ends of the interval, status, and the findings that
-        move it by more than that. Then how it came about: the posterior's own numbers, the bias
-        that was taken off, whether the interval has room for the model's error; and the keys of
+        move it by more than that. Then how it came about: the posterior's own numbers, whether the
+        interval has room for the model's error; and the keys of
         :class:`PosteriorRow`.
         """
         import pandas as pd
@@ -437,7 +433,7 @@ def _ends(of: str, interval: list[float]) -> dict[str, float]:
 
 _FRAME = ("name", "value", "sd", "low", "high", "unit", "status", "findings", "bound", "at_most",
     "group", "symbol", "meaning", "level", "posterior", "posterior_sd", "posterior_low",
-    "posterior_high", "bias", "widened", "converged", "rhat", "ess", "prior", "prior_sd",
+    "posterior_high", "widened", "converged", "rhat", "ess", "prior", "prior_sd",
     "data_sd", "contraction", "undefined_share", "gauge_free")  # fmt: skip
 Readable = Summary | Mapping[str, Any]
 
