@@ -14,6 +14,7 @@ of inertia, gravity and springs alone (the load that a transmission carries), t 
 kind                        columns
 ==========================  ================================================================
 delay                       dT/dt, of all recordings or one
+target_delay                that by the target alone, where the torque is computed from one
 torque_constant, offset     T; 1
 torque_by_sign, saturation  abs(T); T abs(T)
 coulomb, viscous            s; v
@@ -58,11 +59,12 @@ from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_r
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
+from bayesfric.recordings.acting import commanded
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, later, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.timing import FAR_DELAYS
+from bayesfric.recordings.timing import FAR_DELAYS, command_rate
 
 Sets = Mapping[str, Sequence[Array]]
 
@@ -333,7 +335,14 @@ class Kind:
 
 
 def _late(a: Along) -> Sets:
-    rate = a.torque_rate
+    return {} if a.chain.by_target else _of_each(a, a.torque_rate)
+
+
+def _late_target(a: Along) -> Sets:
+    return _of_each(a, command_rate(a.o, a.recording)) if a.chain.by_target else {}
+
+
+def _of_each(a: Along, rate: Array) -> Sets:
     if len(a.scales.names) == 1:
         return {"": [rate]}
     own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
@@ -357,6 +366,9 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     """
     if a.chain.delay:
         return {}
+    if a.chain.by_target:  # which no drive knows before
+        now, r = commanded(a.recording), a.recording
+        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in FAR_DELAYS}
     torque = a.smooth(a.o.torque)
     delays = [d for late in FAR_DELAYS for d in (late, -late)]
     then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
@@ -491,6 +503,7 @@ def _another_signal(a: Along) -> Sets:
 
 KINDS: tuple[Kind, ...] = (
     Kind("delay", _late, lambda a: [a.rate(a.torque_rate)], option="delay"),
+    Kind("target_delay", _late_target, option="delay", positive=True),
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(

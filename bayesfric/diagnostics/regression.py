@@ -35,7 +35,7 @@ from bayesfric.diagnostics.policy import (
     TESTABLE,
     TWINS,
 )
-from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, bump, tuned, waves
+from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
     HALF,
     OPEN,
@@ -528,13 +528,13 @@ class Regression:
     def _shape(self, scan: Scan) -> str:
         if scan.kind == TONE:
             return f"{scan.place:.3g} Hz"
-        if scan.kind == DELAY:
+        if scan.kind in DELAYS:
             return next(key.shape for key in self.data.keys if key.delay == scan.place)
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
     def _with_scan(self, scan: Scan) -> list[int]:
         """Add the columns of what a scan has found to recording and twins, and number them."""
-        if scan.kind == DELAY:  # which have them already
+        if scan.kind in DELAYS:  # which have them already
             return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
 
@@ -571,7 +571,10 @@ def _made(along: Along) -> Iterator[tuple[Key, Array]]:
             yield Key(kind.name, "", number, beside=True), column
     for delay, columns in late(along).items():
         for number, column in enumerate(columns):
-            yield Key(DELAY, f"by about {delay:.2g} s", number, delay=delay), column
+            yield (
+                Key(DELAYS[along.chain.by_target], f"by about {delay:.2g} s", number, delay=delay),
+                column,
+            )
 
 
 def _filtered(o: Observation, columns: Sequence[Array]) -> Array:

@@ -14,7 +14,9 @@ import numpy as np
 from bayesfric.diagnostics.memory import Layout
 from bayesfric.recordings.arrays import Array
 
-TONE, PUSH, DELAY = "tone", "push", "delay"
+TONE, PUSH = "tone", "push"
+# Of the position, and of a target that the torque is computed from.
+DELAYS = "delay", "target_delay"
 # Lower and upper end of the frequencies, in periods of the recording and of the sampling.
 _PERIODS, _NYQUIST = 2.0, 0.45
 # Steps to a frequency, and the longest in periods of the recording.
@@ -31,7 +33,7 @@ class Scan:
     Attributes
     ----------
     kind
-        ``tone``, ``push`` or ``delay``.
+        ``tone``, ``push``, or one of :data:`DELAYS`.
     peak
         What it takes of the residual's sum of squares, in variances of the residual: about how much
         twice the log-likelihood rises. A tone's and a delay's variance is of what they leave.

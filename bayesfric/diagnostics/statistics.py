@@ -16,7 +16,7 @@ from scipy.special import betainc, ndtri_exp
 
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory
 from bayesfric.diagnostics.policy import TESTABLE
-from bayesfric.diagnostics.scans import DELAY, Scan, push, tone
+from bayesfric.diagnostics.scans import DELAYS, Scan, push, tone
 from bayesfric.recordings.arrays import Array
 
 # Eigenvalues of a Gram matrix, singular values squared, below these shares of the largest are
@@ -286,7 +286,7 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
     """
     first = [i for i, key in enumerate(keys) if key.delay and key.number == 0]
     if not first:
-        return Scan(DELAY, 0.0, 0.0)
+        return Scan(DELAYS[0], 0.0, 0.0)
     rate = z[:, np.add(first, 1)]
     left = y[:, None] - z[:, first]
     size = np.maximum(np.einsum("ij,ij->j", rate, rate), 1e-300)
@@ -295,7 +295,7 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
     rest = np.maximum(np.einsum("ij,ij->j", left, left), 1e-12 * power)
     gains = (power - rest) / rest * (free - 2)
     best = int(np.argmax(gains))
-    return Scan(DELAY, max(float(gains[best]), 0.0), keys[first[best]].delay)
+    return Scan(keys[first[0]].kind, max(float(gains[best]), 0.0), keys[first[best]].delay)
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:

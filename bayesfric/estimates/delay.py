@@ -99,7 +99,7 @@ def found_delay(
     """
     delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(_ROUNDS):
-        found = estimate([retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs])
+        found = estimate([retimed(o, r.segments, r.period, delay, r) for r, o in pairs])
         value, before = found[chain.delay_name], delay
         if found.method == "least-squares" and not value.determined:
             return 0.0
@@ -117,7 +117,8 @@ def _longest(pairs: Sequence[tuple[Measurement, Observation]]) -> float:
 
 
 def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    return float(np.clip(delay, -_longest(pairs), _longest(pairs)))
+    least = 0.0 if any(r.feedback is not None for r, _ in pairs) else -_longest(pairs)
+    return float(np.clip(delay, least, _longest(pairs)))
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
@@ -130,13 +131,14 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
     basis, _ = np.linalg.qr(projection.regressors)
 
     def left(delay: float) -> float:
-        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        there = [retimed(o, r.segments, r.period, delay, r) for r, o in pairs]
         columns = [np.concatenate([o.measured for o in there])]
         columns.append(np.concatenate([filtered_rate(o) for o in there]))
         y, rate = (x - basis @ (basis.T @ x) for x in columns)
         found = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
         return float(found @ found)
 
-    tried = {d: left(d) for d in (0.0, *beyond, *(-d for d in beyond))} if beyond else {0.0: 1.0}
+    both = {_within(d, pairs) for d in (0.0, *beyond, *(-d for d in beyond))}
+    tried = {d: left(d) for d in both} if beyond else {0.0: 1.0}
     best = min(tried, key=tried.__getitem__)
     return best if tried[best] < _FAR_LESS * tried[0.0] else 0.0
