@@ -91,7 +91,7 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
         scale = scale * table.column(target.times) * unit
     kp, kd = kp * to_side, kd * to_side
     # a mean over the sample is held by nobody
-    held = target.held is not False and target.sampled == "instant"
+    held = bool(target.held) and target.sampled == "instant"
     law = Law(kp * aimed, scale, kp, kd, limit, back_emf, held=held)
     step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
     step += f"; {how}" if how else ""
