@@ -14,7 +14,7 @@ of inertia, gravity and springs alone (the load that a transmission carries), t 
 kind                        columns
 ==========================  ================================================================
 delay                       dT/dt, of all recordings or one
-target_delay                that by the target alone, where the torque is computed from one
+target_delay                what a late target changes, where the torque is computed from one
 torque_constant, offset     T; 1
 torque_by_sign, saturation  abs(T); T abs(T)
 coulomb, viscous            s; v
@@ -78,6 +78,8 @@ TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("m
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
+# Delay of a target, s, about which shorter ones are linear enough to be found.
+_NEAR_DELAY = 0.01
 # Width of a push in s, at least, and how many of them a recording has at most.
 _PUSH, _PUSHES = 0.25, 60
 # Speeds, and positions beside a step, that count as one.
@@ -335,14 +337,9 @@ class Kind:
 
 
 def _late(a: Along) -> Sets:
-    return {} if a.chain.by_target else _of_each(a, a.torque_rate)
-
-
-def _late_target(a: Along) -> Sets:
-    return _of_each(a, command_rate(a.o, a.recording)) if a.chain.by_target else {}
-
-
-def _of_each(a: Along, rate: Array) -> Sets:
+    rate = a.torque_rate
+    if a.chain.by_target:  # which comes with the position
+        return {}
     if len(a.scales.names) == 1:
         return {"": [rate]}
     own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
@@ -357,7 +354,8 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     dict
         By delay d in s, of either sign, too long for what is linear in it: ``y(t) - y(t - d)``,
         whose coefficient is one, and the rate ``y'(t - d)``, whose coefficient is what d is wrong
-        by. Zero where ``t - d`` is outside the segment. Empty where the model has a delay.
+        by. Zero where ``t - d`` is outside the segment. Of a torque that is computed from a target
+        the same by a target that is late; d is positive. Empty where the model has a delay.
 
     Notes
     -----
@@ -366,9 +364,10 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     """
     if a.chain.delay:
         return {}
-    if a.chain.by_target:  # which no drive knows before
+    if a.chain.by_target:
         now, r = commanded(a.recording), a.recording
-        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in FAR_DELAYS}
+        delays = (_NEAR_DELAY, *FAR_DELAYS)
+        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in delays}
     torque = a.smooth(a.o.torque)
     delays = [d for late in FAR_DELAYS for d in (late, -late)]
     then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
@@ -503,7 +502,7 @@ def _another_signal(a: Along) -> Sets:
 
 KINDS: tuple[Kind, ...] = (
     Kind("delay", _late, lambda a: [a.rate(a.torque_rate)], option="delay"),
-    Kind("target_delay", _late_target, option="delay", positive=True),
+    Kind("target_delay", lambda _: {}, option="delay"),  # see late
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(

@@ -447,17 +447,24 @@ class Regression:
             **vars(choice),
             recording=recording,
             span=span,
-            alike=tuple(self._alike(choice, extra)) if choice.sure and not choice.scan else (),
+            alike=tuple(self._alike(choice, extra)) if choice.sure else (),
             **self._moved(choice.own, extra),
         )
 
     def _alike(self, choice: Choice, extra: Sequence[int]) -> Iterator[str]:
-        """Name other kinds that this motion does not tell from the one that was chosen."""
+        """Name other kinds that this motion does not tell from the one that was chosen.
+
+        None for a tone or a push.
+        """
+        if choice.kind in (TONE, PUSH):
+            return
         white = self.data.whitened
         z = without(basis_of(white.beside(extra)), white.others)
         mine = basis_of(z[:, choice.own])
         ranked = list(zip(self._groups, choice.worth, strict=False))
-        best = max(w for (key, _), w in ranked if key.kind == choice.kind)
+        best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=-math.inf)
+        if choice.scan is not None:  # the last scan is that of the delay
+            best = max(best, choice.worth[-1])
         seen = {choice.kind}
         for (key, columns), gain in ranked:
             if key.kind in seen:
@@ -569,12 +576,10 @@ def _made(along: Along) -> Iterator[tuple[Key, Array]]:
                 yield Key(kind.name, shape, number), column
         for number, column in enumerate(kind.beside(along)):
             yield Key(kind.name, "", number, beside=True), column
+    far = DELAYS[along.chain.by_target]
     for delay, columns in late(along).items():
         for number, column in enumerate(columns):
-            yield (
-                Key(DELAYS[along.chain.by_target], f"by about {delay:.2g} s", number, delay=delay),
-                column,
-            )
+            yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column
 
 
 def _filtered(o: Observation, columns: Sequence[Array]) -> Array:

@@ -110,15 +110,16 @@ def found_delay(
     return delay
 
 
-def _longest(pairs: Sequence[tuple[Measurement, Observation]]) -> float:
+def furthest_delay(observations: Sequence[Observation]) -> float:
     """Longest delay, s, that is looked for."""
-    trimmed = min(longest_delay(o, r.period) for r, o in pairs)
-    return max(trimmed, min(_FURTHEST, _SHARE * min(float(np.ptp(o.stamps)) for _, o in pairs)))
+    trimmed = min(longest_delay(o, 1.0 / float(o.settings["sampling_rate"])) for o in observations)
+    return max(trimmed, min(_FURTHEST, _SHARE * min(float(np.ptp(o.stamps)) for o in observations)))
 
 
 def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    least = 0.0 if any(r.feedback is not None for r, _ in pairs) else -_longest(pairs)
-    return float(np.clip(delay, least, _longest(pairs)))
+    most = furthest_delay([o for _, o in pairs])
+    least = 0.0 if any(r.feedback is not None for r, _ in pairs) else -most
+    return float(np.clip(delay, least, most))
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
@@ -127,7 +128,7 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
     Each is tried with one linear fit of the totals and the torque's rate.
     """
     near = max(longest_delay(o, r.period) for r, o in pairs)
-    beyond = [d for d in FAR_DELAYS if near < d <= _longest(pairs)]
+    beyond = [d for d in FAR_DELAYS if near < d == _within(d, pairs)]
     basis, _ = np.linalg.qr(projection.regressors)
 
     def left(delay: float) -> float:

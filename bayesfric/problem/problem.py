@@ -16,6 +16,7 @@ from bayesfric.base.progress import Progress, Shown, by_method, silent
 from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
+from bayesfric.diagnostics.scans import DELAYS
 from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -205,7 +206,8 @@ class Problem:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
         A term stays where the model with it tells more of what it has not seen, see
-        :func:`bayesfric.estimates.larger_model.better`; else there is room for it.
+        :func:`bayesfric.estimates.larger_model.better`; else there is room for it. A delay changes
+        other parameters by much, and goes in only where no other kind explains as much.
 
         That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
 
@@ -230,7 +232,7 @@ class Problem:
         while True:
             left = model.explain([found.estimate], progress=progress)
             tried = {"", *(one.hint for one in taken)}
-            wanted = [one for one in left.findings if one.hint not in tried]
+            wanted = [one for one in left.findings if one.hint not in tried and not _rivalled(one)]
             for one in wanted[: MOST - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue
@@ -314,6 +316,11 @@ class Problem:
     def _chooses_noise(self) -> bool:
         tables = self.config.tables
         return tables.noise.model == "auto" and tables.likelihood.method == "input-error"
+
+
+def _rivalled(one: Finding) -> bool:
+    """Whether a finding is a delay, and other kinds explain as much."""
+    return one.kind in DELAYS and bool(one.rivals)
 
 
 @dataclass(frozen=True)
