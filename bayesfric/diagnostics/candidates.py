@@ -366,8 +366,8 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
         return {}
     if a.chain.by_target:
         now, r = commanded(a.recording), a.recording
-        delays = (_NEAR_DELAY, *FAR_DELAYS)
-        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in delays}
+        far = _NEAR_DELAY, *FAR_DELAYS
+        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in far}
     torque = a.smooth(a.o.torque)
     delays = [d for late in FAR_DELAYS for d in (late, -late)]
     then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
@@ -501,7 +501,12 @@ def _another_signal(a: Along) -> Sets:
 
 
 KINDS: tuple[Kind, ...] = (
-    Kind("delay", _late, lambda a: [a.rate(a.torque_rate)], option="delay"),
+    Kind(
+        "delay",
+        _late,
+        lambda a: [] if a.chain.by_target else [a.rate(a.torque_rate)],
+        option="delay",
+    ),
     Kind("target_delay", lambda _: {}, option="delay"),  # see late
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),

@@ -307,7 +307,9 @@ class Regression:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of candidates that are asked."""
-        return tuple(dict.fromkeys([*(key.kind for key, _ in self._groups), TONE, PUSH]))
+        scanned = (key.kind for key in self.data.keys if key.delay)
+        kinds = *(key.kind for key, _ in self._groups), *scanned, TONE, PUSH
+        return tuple(dict.fromkeys(kinds))
 
     @property
     def untold(self) -> tuple[str, ...]:

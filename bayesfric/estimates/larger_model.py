@@ -41,9 +41,11 @@ class Candidate:
     @property
     def dated(self) -> bool:
         """Whether a delay, if there is one, is determined, and to less than the range of search."""
-        furthest = furthest_delay(self.given.observations)
-        delays = [v for v in self.estimate.parameters if v.quantity == "delay"]
-        return all(v.known and max(abs(v.value), v.larger_sd) <= furthest for v in delays)
+        return all(
+            v.known and max(abs(v.value), v.larger_sd) <= furthest_delay(self.given.observations)
+            for v in self.estimate.parameters
+            if v.quantity == "delay"
+        )
 
     @cached_property
     def left_out_rms(self) -> float:
