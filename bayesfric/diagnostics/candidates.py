@@ -48,7 +48,6 @@ a motion without losses does not show: up to four shares are tried.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -59,12 +58,10 @@ from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_r
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
-from bayesfric.recordings.acting import commanded
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import derivative, later, lowpass
+from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.timing import FAR_DELAYS, command_rate
 
 Sets = Mapping[str, Sequence[Array]]
 
@@ -78,8 +75,6 @@ TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("m
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
-# Delay of a target, s, about which shorter ones are linear enough to be found.
-_NEAR_DELAY = 0.01
 # Width of a push in s, at least, and how many of them a recording has at most.
 _PUSH, _PUSHES = 0.25, 60
 # Speeds, and positions beside a step, that count as one.
@@ -346,40 +341,6 @@ def _late(a: Along) -> Sets:
     return {"": [rate], **own}
 
 
-def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
-    """Give what the recorded torque has changed by since another time, and how fast it did then.
-
-    Returns
-    -------
-    dict
-        By delay d in s, of either sign, too long for what is linear in it: ``y(t) - y(t - d)``,
-        whose coefficient is one, and the rate ``y'(t - d)``, whose coefficient is what d is wrong
-        by. Zero where ``t - d`` is outside the segment. Of a torque that is computed from a target
-        the same by a target that is late; d is positive. Empty where the model has a delay.
-
-    Notes
-    -----
-    A position that comes late by d belongs to the torque of then, ``y(t - d)``, see
-    :mod:`bayesfric.recordings.timing`.
-    """
-    if a.chain.delay:
-        return {}
-    if a.chain.by_target:
-        now, r = commanded(a.recording), a.recording
-        far = _NEAR_DELAY, *FAR_DELAYS
-        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in far}
-    torque = a.smooth(a.o.torque)
-    delays = [d for late in FAR_DELAYS for d in (late, -late)]
-    then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
-    for delay, row, there in zip(delays, then, known, strict=True):
-        samples = delay / a.recording.period
-        for begin, end in a.recording.segments:
-            row[begin:end] = later(torque[begin:end], samples)
-            there[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
-    both = zip((torque - then) * known, a.rate(then) * known, strict=True)
-    return dict(zip(delays, both, strict=True))
-
-
 def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
     return lambda a: {"": [column(a)]}
 
@@ -507,7 +468,7 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [] if a.chain.by_target else [a.rate(a.torque_rate)],
         option="delay",
     ),
-    Kind("target_delay", lambda _: {}, option="delay"),  # see late
+    Kind("target_delay", lambda _: {}, option="delay"),  # see scans.late
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, late, scales_of
+from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, scales_of
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -35,7 +35,7 @@ from bayesfric.diagnostics.policy import (
     TESTABLE,
     TWINS,
 )
-from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, tuned, waves
+from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, late, tuned, waves
 from bayesfric.diagnostics.statistics import (
     HALF,
     OPEN,
@@ -307,9 +307,8 @@ class Regression:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of candidates that are asked."""
-        scanned = (key.kind for key in self.data.keys if key.delay)
-        kinds = *(key.kind for key, _ in self._groups), *scanned, TONE, PUSH
-        return tuple(dict.fromkeys(kinds))
+        scanned = (key.kind for key in self.data.keys if key.kind == DELAYS[1])
+        return tuple(dict.fromkeys([*(key.kind for key, _ in self._groups), *scanned, TONE, PUSH]))
 
     @property
     def untold(self) -> tuple[str, ...]:
@@ -578,8 +577,8 @@ def _made(along: Along) -> Iterator[tuple[Key, Array]]:
                 yield Key(kind.name, shape, number), column
         for number, column in enumerate(kind.beside(along)):
             yield Key(kind.name, "", number, beside=True), column
-    far = DELAYS[along.chain.by_target]
     for delay, columns in late(along).items():
+        far = DELAYS[along.chain.by_target]
         for number, column in enumerate(columns):
             yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column
 

@@ -16,7 +16,7 @@ from scipy.special import betainc, ndtri_exp
 
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory
 from bayesfric.diagnostics.policy import TESTABLE
-from bayesfric.diagnostics.scans import DELAYS, Scan, push, tone
+from bayesfric.diagnostics.scans import DELAY, Scan, push, tone
 from bayesfric.recordings.arrays import Array
 
 # Eigenvalues of a Gram matrix, singular values squared, below these shares of the largest are
@@ -286,7 +286,7 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
     """
     first = [i for i, key in enumerate(keys) if key.delay and key.number == 0]
     if not first:
-        return Scan(DELAYS[0], 0.0, 0.0)
+        return Scan(DELAY, 0.0, 0.0)
     rate = z[:, np.add(first, 1)]
     left = y[:, None] - z[:, first]
     size = np.maximum(np.einsum("ij,ij->j", rate, rate), 1e-300)
