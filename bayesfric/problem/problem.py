@@ -16,7 +16,6 @@ from bayesfric.base.progress import Progress, Shown, by_method, silent
 from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
-from bayesfric.diagnostics.scans import DELAYS
 from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -231,8 +230,8 @@ class Problem:
         found = self._candidate(progress)
         while True:
             left = model.explain([found.estimate], progress=progress)
-            tried = {"", *(one.hint for one in taken)}
-            wanted = [one for one in left.findings if one.hint not in tried and not _rivalled(one)]
+            tried = {one.hint for one in taken}
+            wanted = [one for one in left.findings if one.put_in and one.hint not in tried]
             for one in wanted[: MOST - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue
@@ -316,11 +315,6 @@ class Problem:
     def _chooses_noise(self) -> bool:
         tables = self.config.tables
         return tables.noise.model == "auto" and tables.likelihood.method == "input-error"
-
-
-def _rivalled(one: Finding) -> bool:
-    """Whether a finding is a delay, and other kinds explain as much."""
-    return one.kind in DELAYS and bool(one.rivals)
 
 
 @dataclass(frozen=True)
