@@ -14,6 +14,7 @@ of inertia, gravity and springs alone (the load that a transmission carries), t 
 kind                        columns
 ==========================  ================================================================
 delay                       dT/dt, of all recordings or one
+target_delay                what a late target changes, where the torque is computed from one
 torque_constant, offset     T; 1
 torque_by_sign, saturation  abs(T); T abs(T)
 coulomb, viscous            s; v
@@ -47,7 +48,6 @@ a motion without losses does not show: up to four shares are tried.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -59,10 +59,9 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import QUANTITIES, Sizes, State
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import derivative, later, lowpass
+from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.timing import FAR_DELAYS
 
 Sets = Mapping[str, Sequence[Array]]
 
@@ -337,39 +336,12 @@ class Kind:
 
 def _late(a: Along) -> Sets:
     rate = a.torque_rate
+    if a.chain.by_target:  # which comes with the position
+        return {}
     if len(a.scales.names) == 1:
         return {"": [rate]}
     own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
     return {"": [rate], **own}
-
-
-def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
-    """Give what the recorded torque has changed by since another time, and how fast it did then.
-
-    Returns
-    -------
-    dict
-        By delay d in s, of either sign, too long for what is linear in it: ``y(t) - y(t - d)``,
-        whose coefficient is one, and the rate ``y'(t - d)``, whose coefficient is what d is wrong
-        by. Zero where ``t - d`` is outside the segment. Empty where the model has a delay.
-
-    Notes
-    -----
-    A position that comes late by d belongs to the torque of then, ``y(t - d)``, see
-    :mod:`bayesfric.recordings.timing`.
-    """
-    if a.chain.delay:
-        return {}
-    torque = a.smooth(a.o.torque)
-    delays = [d for late in FAR_DELAYS for d in (late, -late)]
-    then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
-    for delay, row, there in zip(delays, then, known, strict=True):
-        samples = delay / a.recording.period
-        for begin, end in a.recording.segments:
-            row[begin:end] = later(torque[begin:end], samples)
-            there[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
-    both = zip((torque - then) * known, a.rate(then) * known, strict=True)
-    return dict(zip(delays, both, strict=True))
 
 
 def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
@@ -493,7 +465,13 @@ def _another_signal(a: Along) -> Sets:
 
 
 KINDS: tuple[Kind, ...] = (
-    Kind("delay", _late, lambda a: [a.rate(a.torque_rate)], option="delay"),
+    Kind(
+        "delay",
+        _late,
+        lambda a: [] if a.chain.by_target else [a.rate(a.torque_rate)],
+        option="delay",
+    ),
+    Kind("target_delay", lambda _: {}, option="delay"),  # see scans.late
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(

@@ -68,6 +68,11 @@ class Finding:
         """What to write, where it may be what ``setting`` says."""
         return self.setting if self.physical else ""
 
+    @property
+    def put_in(self) -> bool:
+        """Whether a model may be completed by it: by a delay only where nothing rivals it."""
+        return bool(self.hint) and not (self.kind in ("delay", "target_delay") and self.rivals)
+
     def as_dict(self) -> dict[str, Any]:
         """Give it as ``summary.json`` has it, most important keys first."""
         told: dict[str, Any] = {"kind": self.kind, "severity": self.severity}

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, late, scales_of
+from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, scales_of
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -35,7 +35,7 @@ from bayesfric.diagnostics.policy import (
     TESTABLE,
     TWINS,
 )
-from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, bump, tuned, waves
+from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, late, tuned, waves
 from bayesfric.diagnostics.statistics import (
     HALF,
     OPEN,
@@ -308,7 +308,8 @@ class Regression:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of candidates that are asked."""
-        return tuple(dict.fromkeys([*(key.kind for key, _ in self._groups), TONE, PUSH]))
+        scanned = (key.kind for key in self.data.keys if key.kind == DELAYS[1])
+        return tuple(dict.fromkeys([*(key.kind for key, _ in self._groups), *scanned, TONE, PUSH]))
 
     @property
     def untold(self) -> tuple[str, ...]:
@@ -452,17 +453,24 @@ class Regression:
             **vars(choice),
             recording=recording,
             span=span,
-            alike=tuple(self._alike(choice, extra)) if choice.sure and not choice.scan else (),
+            alike=tuple(self._alike(choice, extra)) if choice.sure else (),
             **self._moved(choice.own, extra),
         )
 
     def _alike(self, choice: Choice, extra: Sequence[int]) -> Iterator[str]:
-        """Name other kinds that this motion does not tell from the one that was chosen."""
+        """Name other kinds that this motion does not tell from the one that was chosen.
+
+        None for a tone or a push.
+        """
+        if choice.kind in (TONE, PUSH):
+            return
         white = self.data.whitened
         z = without(basis_of(white.beside(extra)), white.others)
         mine = basis_of(z[:, choice.own])
         ranked = list(zip(self._groups, choice.worth, strict=False))
-        best = max(w for (key, _), w in ranked if key.kind == choice.kind)
+        best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=-math.inf)
+        if choice.scan is not None:  # the last scan is that of the delay
+            best = max(best, choice.worth[-1])
         seen = {choice.kind}
         for (key, columns), gain in ranked:
             if key.kind in seen:
@@ -533,13 +541,13 @@ class Regression:
     def _shape(self, scan: Scan) -> str:
         if scan.kind == TONE:
             return f"{scan.place:.3g} Hz"
-        if scan.kind == DELAY:
+        if scan.kind in DELAYS:
             return next(key.shape for key in self.data.keys if key.delay == scan.place)
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
     def _with_scan(self, scan: Scan) -> list[int]:
         """Add the columns of what a scan has found to recording and twins, and number them."""
-        if scan.kind == DELAY:  # which have them already
+        if scan.kind in DELAYS:  # which have them already
             return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
 
@@ -575,8 +583,9 @@ def _made(along: Along) -> Iterator[tuple[Key, Array]]:
         for number, column in enumerate(kind.beside(along)):
             yield Key(kind.name, "", number, beside=True), column
     for delay, columns in late(along).items():
+        far = DELAYS[along.chain.by_target]
         for number, column in enumerate(columns):
-            yield Key(DELAY, f"by about {delay:.2g} s", number, delay=delay), column
+            yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column
 
 
 def _filtered(o: Observation, columns: Sequence[Array]) -> Array:

@@ -1,4 +1,4 @@
-"""What is looked for at any place: a tone of any frequency, a push at any time.
+"""What is looked for at any place: a tone of any frequency, a push at any time, a far delay.
 
 A scan is one candidate, however many places it has: its statistic is the largest of all, and what
 chance makes of that the twins' largest show.
@@ -6,15 +6,22 @@ chance makes of that the twins' largest show.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from bayesfric.diagnostics.candidates import Along
 from bayesfric.diagnostics.memory import Layout
+from bayesfric.recordings.acting import commanded
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.filters import later
+from bayesfric.recordings.timing import FAR_DELAYS, command_rate
 
-TONE, PUSH, DELAY = "tone", "push", "delay"
+TONE, PUSH, DELAY, TARGET_DELAY = "tone", "push", "delay", "target_delay"
+# Of the position, or of a target that the torque is computed from.
+DELAYS = DELAY, TARGET_DELAY
 # Lower and upper end of the frequencies, in periods of the recording and of the sampling.
 _PERIODS, _NYQUIST = 2.0, 0.45
 # Steps to a frequency, and the longest in periods of the recording.
@@ -22,6 +29,8 @@ _TUNINGS, _FURTHEST = 4, 0.2
 # Half of a push in its widths, and outputs that it has at least.
 _HALF, _FEW = 1.5, 3
 _ROUNDING = 1e-9
+# Delay of a target, s, about which shorter ones are linear enough to be found.
+_NEAR_DELAY = 0.01
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,7 @@ class Scan:
     Attributes
     ----------
     kind
-        ``tone``, ``push`` or ``delay``.
+        ``tone``, ``push``, or one of :data:`DELAYS`.
     peak
         What it takes of the residual's sum of squares, in variances of the residual: about how much
         twice the log-likelihood rises. A tone's and a delay's variance is of what they leave.
@@ -170,3 +179,37 @@ def tuned(y: Array, layout: Layout, hertz: float, left: Callable[[Array], Array]
         step = above / max(below, 1e-300) / (2.0 * np.pi)
         hertz += float(np.clip(step, -_FURTHEST / span, _FURTHEST / span))
     return hertz
+
+
+def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
+    """Give what the recorded torque has changed by since another time, and how fast it did then.
+
+    Returns
+    -------
+    dict
+        By delay d in s, of either sign, too long for what is linear in it: ``y(t) - y(t - d)``,
+        whose coefficient is one, and the rate ``y'(t - d)``, whose coefficient is what d is wrong
+        by. Zero where ``t - d`` is outside the segment. Of a torque that is computed from a target
+        the same by a target that is late; d is positive. Empty where the model has a delay.
+
+    Notes
+    -----
+    A position that comes late by d belongs to the torque of then, ``y(t - d)``, see
+    :mod:`bayesfric.recordings.timing`.
+    """
+    if a.chain.delay:
+        return {}
+    if a.chain.by_target:
+        now, r = commanded(a.recording), a.recording
+        far = _NEAR_DELAY, *FAR_DELAYS
+        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in far}
+    torque = a.smooth(a.o.torque)
+    delays = [d for late in FAR_DELAYS for d in (late, -late)]
+    then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))
+    for delay, row, there in zip(delays, then, known, strict=True):
+        samples = delay / a.recording.period
+        for begin, end in a.recording.segments:
+            row[begin:end] = later(torque[begin:end], samples)
+            there[begin + math.ceil(max(samples, 0.0)) : end + math.floor(min(samples, 0.0))] = 1.0
+    both = zip((torque - then) * known, a.rate(then) * known, strict=True)
+    return dict(zip(delays, both, strict=True))

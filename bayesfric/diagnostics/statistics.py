@@ -295,7 +295,7 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
     rest = np.maximum(np.einsum("ij,ij->j", left, left), 1e-12 * power)
     gains = (power - rest) / rest * (free - 2)
     best = int(np.argmax(gains))
-    return Scan(DELAY, max(float(gains[best]), 0.0), keys[first[best]].delay)
+    return Scan(keys[first[0]].kind, max(float(gains[best]), 0.0), keys[first[best]].delay)
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:

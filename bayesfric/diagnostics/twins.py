@@ -24,6 +24,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.fine_motion import fine_motion
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.acting import arriving
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Measurement
@@ -70,6 +71,8 @@ def twins(
         rng = np.random.default_rng(seed)
         motion = played(chain, one, recording, observation, rng.uniform(-0.5, 0.5))
         seen = _seen(recording, observation, motion, rng)
+        if seen is not None and seen.feedback is not None:
+            seen = _aimed(seen, motion, float(chain.delays(one[None])[0]))
         yield None if seen is None else _observed(chain, one, seen, observation, alike)
 
 
@@ -125,7 +128,7 @@ def played(
     Returns
     -------
     q, qd, torque : ndarray
-        ``(N,)`` at the samples; the torque is recorded earlier by a delay of the joint.
+        ``(N,)`` at the samples; the torque is recorded earlier by a delay of the position.
     """
     o, period = observation, recording.period
     q, qd, qdd = np.empty((3, recording.time.size))
@@ -137,7 +140,7 @@ def played(
     now = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
     # what a joint feels besides is sampled when its motion is
     torque = inverse_torque(chain, now, q, qd, qdd, inputs=o.inputs, time=o.stamps)
-    if chain.delay:
+    if chain.delay and not chain.by_target:
         late = float(chain.delays(values[None])[0])
         for a, b in recording.segments:
             torque[a:b] = later(torque[a:b], -late / period)
@@ -168,6 +171,17 @@ def _seen(
         torque_lag=None,
         velocity_lag=None,
     )
+
+
+def _aimed(seen: Measurement, motion: tuple[Array, Array, Array], late: float) -> Measurement:
+    """Give the target, ``late`` s early, with which a drive gives the torque of a motion."""
+    (q, qd, torque), law = motion, seen.law
+    assert law is not None
+    feedback = law.kp * q + law.kd * qd
+    given = torque if seen.back_emf is None else torque + seen.back_emf
+    error = np.divide(given, law.scale, out=np.zeros_like(given), where=law.scale != 0.0)
+    command = arriving(error + feedback, seen.segments, -late / seen.period, held=False)
+    return replace(seen, feedback=feedback, law=replace(law, command=command, held=False))
 
 
 def _observed(

@@ -174,7 +174,7 @@ def _seen(chain: Joint, recording: Measurement, o: Observation) -> _Seen | None:
     if "inertia" not in names or free < _FREE:
         return None
     # a delay leaves torque as well, and is another matter: what it would leave is taken off, too
-    there = retimed(o, recording.segments, recording.period, 0.0, recording.back_emf)
+    there = retimed(o, recording.segments, recording.period, 0.0, recording)
     regressors = np.column_stack([totals, filtered_rate(there)])
     _, shared, solution, _ = shortest(regressors)
     i = names.index("inertia")

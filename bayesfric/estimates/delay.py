@@ -99,7 +99,7 @@ def found_delay(
     """
     delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(_ROUNDS):
-        found = estimate([retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs])
+        found = estimate([retimed(o, r.segments, r.period, delay, r) for r, o in pairs])
         value, before = found[chain.delay_name], delay
         if found.method == "least-squares" and not value.determined:
             return 0.0
@@ -110,14 +110,16 @@ def found_delay(
     return delay
 
 
-def _longest(pairs: Sequence[tuple[Measurement, Observation]]) -> float:
+def furthest_delay(observations: Sequence[Observation]) -> float:
     """Longest delay, s, that is looked for."""
-    trimmed = min(longest_delay(o, r.period) for r, o in pairs)
-    return max(trimmed, min(_FURTHEST, _SHARE * min(float(np.ptp(o.stamps)) for _, o in pairs)))
+    trimmed = min(longest_delay(o, 1.0 / float(o.settings["sampling_rate"])) for o in observations)
+    return max(trimmed, min(_FURTHEST, _SHARE * min(float(np.ptp(o.stamps)) for o in observations)))
 
 
 def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    return float(np.clip(delay, -_longest(pairs), _longest(pairs)))
+    most = furthest_delay([o for _, o in pairs])
+    least = 0.0 if any(r.feedback is not None for r, _ in pairs) else -most
+    return float(np.clip(delay, least, most))
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
@@ -126,17 +128,18 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
     Each is tried with one linear fit of the totals and the torque's rate.
     """
     near = max(longest_delay(o, r.period) for r, o in pairs)
-    beyond = [d for d in FAR_DELAYS if near < d <= _longest(pairs)]
+    beyond = [d for d in FAR_DELAYS if near < d == _within(d, pairs)]
     basis, _ = np.linalg.qr(projection.regressors)
 
     def left(delay: float) -> float:
-        there = [retimed(o, r.segments, r.period, delay, r.back_emf) for r, o in pairs]
+        there = [retimed(o, r.segments, r.period, delay, r) for r, o in pairs]
         columns = [np.concatenate([o.measured for o in there])]
         columns.append(np.concatenate([filtered_rate(o) for o in there]))
         y, rate = (x - basis @ (basis.T @ x) for x in columns)
         found = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
         return float(found @ found)
 
-    tried = {d: left(d) for d in (0.0, *beyond, *(-d for d in beyond))} if beyond else {0.0: 1.0}
+    both = {_within(d, pairs) for d in (0.0, *beyond, *(-d for d in beyond))}
+    tried = {d: left(d) for d in both} if beyond else {0.0: 1.0}
     best = min(tried, key=tried.__getitem__)
     return best if tried[best] < _FAR_LESS * tried[0.0] else 0.0

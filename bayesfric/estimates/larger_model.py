@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayesfric.estimates.delay import furthest_delay
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
@@ -36,6 +37,15 @@ class Candidate:
 
     given: Given
     estimate: Estimate
+
+    @property
+    def dated(self) -> bool:
+        """Whether a delay, if there is one, is determined, and to less than the range of search."""
+        return all(
+            v.known and max(abs(v.value), v.larger_sd) <= furthest_delay(self.given.observations)
+            for v in self.estimate.parameters
+            if v.quantity == "delay"
+        )
 
     @cached_property
     def left_out_rms(self) -> float:
@@ -74,12 +84,15 @@ def better(larger: Candidate, smaller: Candidate) -> bool:
     bool
         True where the left-out error falls, the 90 % interval of every new parameter that shapes a
         term leaves out zero, and so does that of at least one other new parameter, if there are
-        any.
+        any. A delay that was determined stays so, or is new: its interval leaves out zero, and
+        neither it nor its standard deviation exceeds the range that is searched.
     """
     before = {v.name for v in smaller.estimate.parameters}
     new = [v for v in larger.estimate.parameters if v.name not in before]
     shapes = [v.known for v in new if v.quantity in _SHAPES]
     sizes = [v.known for v in new if v.quantity not in _SHAPES]
     if not all(shapes) or (sizes and not any(sizes)):
+        return False
+    if smaller.dated and not larger.dated:
         return False
     return larger.left_out_rms < (1.0 - _SAME) * smaller.left_out_rms

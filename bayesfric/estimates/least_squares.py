@@ -205,7 +205,7 @@ def total_label(chain: Joint, name: str) -> str:
     """
     if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
         owner, places = name.partition(".")[0], [e.name for e in chain.elements]
-        if owner == "drive":  # it is of the torque as measured
+        if owner in ("drive", "target"):  # it is of the torque as measured
             return name
         before = chain.elements[: places.index(owner)] if owner in places else chain.elements
         scaled = chain.gain or any(e.load_loss != "none" for e in before)

@@ -20,9 +20,12 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.kernels import ELEMENT_SLOTS, LOAD_SLOTS, Samples
 from bayesfric.mechanism.own_term import PUSH, CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
-from bayesfric.mechanism.quantities import QUANTITIES, SHAPES, Motion
+from bayesfric.mechanism.quantities import LATE_TARGET, QUANTITIES, SHAPES, Motion
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
+
+# Owners of parameters that no element may be called.
+_RESERVED = ("load", "drive", "target", "total")
 
 
 class Tables(NamedTuple):
@@ -66,6 +69,9 @@ class Chain:
     delay
         Whether the time by which the recorded position comes after the torque is unknown
         (``drive.delay``).
+    by_target
+        Whether the torque is computed from a position target; then the delay is the time by which
+        the target acts late (``target.delay``).
     made_from
         Name of the preset it was made from, for the record.
     terms
@@ -74,8 +80,8 @@ class Chain:
     Raises
     ------
     ValueError
-        If there is no element, names repeat or are reserved (``load``, ``drive``, ``total``), a
-        ratio is not positive, or a term belongs to no element.
+        If there is no element, names repeat or are reserved (``load``, ``drive``, ``target``,
+        ``total``), a ratio is not positive, or a term belongs to no element.
     KeyError
         If neither the kernels nor a column know a quantity.
 
@@ -93,6 +99,7 @@ class Chain:
     own_offsets: tuple[str, ...] = ()
     gain: bool = False
     delay: bool = False
+    by_target: bool = False
     made_from: str = ""
     terms: tuple[Term, ...] = ()
 
@@ -101,9 +108,9 @@ class Chain:
         names = [element.name for element in self.elements]
         if not names:
             raise ValueError("a chain needs at least one element")
-        if len(set(names)) < len(names) or {"load", "drive", "total", ""} & set(names):
+        if len(set(names)) < len(names) or {*_RESERVED, ""} & set(names):
             raise ValueError(
-                "element names must differ and must not be empty, 'load', 'drive' or 'total'"
+                "element names must differ and must not be empty or one of " + ", ".join(_RESERVED)
             )
         for element in self.elements:
             if not (np.isfinite(element.ratio) and element.ratio > 0):
@@ -117,7 +124,7 @@ class Chain:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, motor first, then load, offsets, ``drive.gain`` and ``drive.delay``.
+        """All parameters, motor first, then load, offsets, ``drive.gain`` and the delay.
 
         ``mu_1, mu_2`` bear no subscript where only one element has load-dependent friction, as in
         the paper.
@@ -143,7 +150,9 @@ class Chain:
         if self.gain:
             found.append(parameter("drive", QUANTITIES["gain"], self.motor_motion, ""))
         if self.delay:
-            found.append(parameter("drive", QUANTITIES["delay"], self.motor_motion, ""))
+            row = LATE_TARGET if self.by_target else QUANTITIES["delay"]
+            late = parameter("drive", row, self.motor_motion, "")
+            found.append(replace(late, name="target.delay") if self.by_target else late)
         return tuple(found)
 
     @cached_property
@@ -158,7 +167,7 @@ class Chain:
 
     @cached_property
     def delay_name(self) -> str:
-        """Name of the delay between torque and position; empty where the joint has none."""
+        """Name of the delay of position or target; empty where the joint has none."""
         return next((p.name for p in self.parameters if p.quantity == "delay"), "")
 
     def delays(self, values: Array) -> Array:
@@ -172,7 +181,7 @@ class Chain:
         Returns
         -------
         ndarray
-            ``(n,)``, s; zeros for a chain without ``drive.delay``.
+            ``(n,)``, s; zeros for a chain without one.
         """
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))

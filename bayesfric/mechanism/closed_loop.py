@@ -57,7 +57,8 @@ def follow(
     Parameters
     ----------
     chain
-        The mechanism; a delay of its recordings is left out here.
+        The mechanism; a delay of the target is that of a drive in closed loop, one of positions is
+        left out here.
     values
         ``(n, n_parameters)`` in the order of ``chain.names``.
     law
@@ -105,6 +106,7 @@ def follow(
     drive = _Drive(command, scale, on, law.kp, law.kd, law.limit, law.back_emf)
     pushed = np.zeros((1, samples)) if push is None else np.asarray(push, dtype=np.float64)
     load = inputs.load(chain.load.motion)
+    late = chain.by_target and law.closed
     return _follow(
         tables.elements,
         tables.load,
@@ -115,6 +117,7 @@ def follow(
         float(period),
         float(begin),
         held,
+        chain.delays(vectors) / period if late else np.zeros(n),
         ranges,
         np.asarray(q0, dtype=np.float64),
         np.asarray(qd0, dtype=np.float64),
@@ -126,10 +129,28 @@ def follow(
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _torque(drive: _Drive, i: int, share: float, push: float, q: float, qd: float) -> float:
+def _between(command: Array, first: int, last: int, place: float) -> float:
+    """Command on a straight line at a place, in samples, of those from ``first`` to ``last``."""
+    place = min(max(place, float(first)), float(last))
+    i = min(int(place), last - 1)
+    return float(command[i] + (place - i) * (command[i + 1] - command[i]))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _standing(command: Array, first: int, place: float, step: float) -> float:
+    """Mean of a held command over a step, both in samples; before the ``first`` it is as there."""
+    begin = max(int(np.floor(place)), first)
+    end = max(int(np.floor(place + step * (1.0 - 1e-9))), first)
+    share = (end - place) / step if end > begin else 0.0
+    return float(share * command[begin] + (1.0 - share) * command[end])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _torque(
+    drive: _Drive, i: int, share: float, command: float, push: float, q: float, qd: float
+) -> float:
     """Torque of the drive between samples i and i + 1."""
     j = min(i + 1, drive.command.shape[0] - 1)
-    command = drive.command[i] + share * (drive.command[j] - drive.command[i])
     scale = drive.scale[i] + share * (drive.scale[j] - drive.scale[i])
     aimed = command - drive.kp * q - drive.kd * qd
     aimed = min(max(aimed, -drive.limit), drive.limit)
@@ -147,6 +168,7 @@ def _follow(
     period: float,
     begin: float,
     held: bool,
+    delays: Array,
     segments: NDArray[np.int64],
     q0: Array,
     qd0: Array,
@@ -182,11 +204,17 @@ def _follow(
                 before = push[row, i] + s / steps * more
                 after = push[row, i] + (s + 1) / steps * more
                 time = begin + i * period + s * h
-                torque[0] = torque[1] = _torque(drive, i, now, before, q, qd)
+                place = i + s / steps - delays[v]
+                first = last = _standing(drive.command, a, place, 1.0 / steps)
+                if not held:
+                    first = _between(drive.command, a, b - 1, place)
+                    last = _between(drive.command, a, b - 1, place + 1.0 / steps)
+                torque[0] = torque[1] = _torque(drive, i, now, first, before, q, qd)
                 done = 2
                 for _ in range(2):  # what the motion makes of the torque at the end, then with it
                     found = integrate(joint, torque, h, time, True, q, qd, 1, out, counts)
                     done = min(done, found)
-                    torque[1] = _torque(drive, i, then, after, out[POSITION, 1], out[SPEED, 1])
+                    end, fast = out[POSITION, 1], out[SPEED, 1]
+                    torque[1] = _torque(drive, i, then, last, after, end, fast)
                 q, qd = (out[POSITION, 1], out[SPEED, 1]) if done == 2 else (np.nan, np.nan)
     return q_out, qd_out

@@ -125,7 +125,9 @@ class MechanismOptions(_Options):
     )
     gain: bool | None = Field(None, description="unknown factor of the torque constant")
     delay: bool | None = Field(
-        None, description="unknown time by which the recorded position comes after the torque"
+        None,
+        description="unknown time by which the recorded position comes after the torque; of a "
+        "torque that is computed from a target, by which the drive acts late on it",
     )
     elements: dict[str, ElementOptions] = Field(
         default_factory=dict,

@@ -372,7 +372,7 @@ def _acting(chain: Chain, vectors: Array, torque: Array, period: float) -> Array
 
     Gives ``(1, N)`` or ``(n, N)``.
     """
-    if not chain.delay:
+    if not chain.delay or chain.by_target:
         return torque[np.newaxis]
     samples = chain.delays(vectors) / period
     return np.stack([later(torque, delay) for delay in samples.tolist()])

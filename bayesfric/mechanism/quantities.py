@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, Literal, NamedTuple
 
@@ -522,6 +522,10 @@ QUANTITIES: dict[str, Quantity] = {
     )
 }  # fmt: skip
 
+# The delay of a torque that is computed from a target: only the target is late.
+LATE_TARGET = replace(
+    QUANTITIES["delay"], meaning="time by which the drive acts late on its target", lower=0.0
+)
 
 # Quantities that shape terms without a slot.
 SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)

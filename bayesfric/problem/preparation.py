@@ -66,6 +66,7 @@ def prepare(
         found, divided, doubted = _banded(found, chain, tables)
         # the torque's rate sizes a prior, whatever the delay is
         observations = (_timed(divided, 0.0) if chain.delay else divided).observations
+    chain = replace(chain, by_target=all(r.feedback is not None for r in found))
     if tables.mechanism.offset == "per-recording":
         chain = replace(chain, own_offsets=tuple(o.name for o in observations))
     with config.named():

@@ -205,7 +205,8 @@ class Problem:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
         A term stays where the model with it tells more of what it has not seen, see
-        :func:`bayesfric.estimates.larger_model.better`; else there is room for it.
+        :func:`bayesfric.estimates.larger_model.better`; else there is room for it. A delay changes
+        other parameters by much, and goes in only where no other kind explains as much.
 
         That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
 
@@ -229,8 +230,8 @@ class Problem:
         found = self._candidate(progress)
         while True:
             left = model.explain([found.estimate], progress=progress)
-            tried = {"", *(one.hint for one in taken)}
-            wanted = [one for one in left.findings if one.hint not in tried]
+            tried = {one.hint for one in taken}
+            wanted = [one for one in left.findings if one.put_in and one.hint not in tried]
             for one in wanted[: MOST - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue

@@ -25,16 +25,46 @@ def acting(recording: Measurement, reach: int) -> Array:
     see :func:`unkinked` for one that was measured.
     """
     torque, segments = recording.torque, recording.segments
+    if recording.feedback is not None:
+        return commanded(recording)
     if recording.torque_lag:
         return unlagged(torque, segments, recording.period, recording.torque_lag, reach)
     if recording.held is None:
         return torque
     if not recording.held:
         return unkinked(torque, segments)
-    late = torque.copy()
+    return arriving(torque, segments, 0.0, held=True)
+
+
+def arriving(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
+    """Give a command ``(n,)`` some samples late, as far as a band shows it.
+
+    One that is held until the next comes half a sample later, averaged over one.
+    """
+    late = command.copy()
     for a, b in segments:
-        late[a:b] = later(torque[a:b], 0.5)
-    return averaged(late, segments, 1.0)
+        late[a:b] = later(command[a:b], samples + 0.5 * held)
+    return averaged(late, segments, 1.0) if held else late
+
+
+def commanded(recording: Measurement, delay: float = 0.0) -> Array:
+    """Compute the torque ``(n,)`` of a drive whose target acts ``delay`` s late.
+
+    Position and speed, and so the error and its limit, are those of now.
+    """
+    law, back_emf = recording.law, recording.back_emf
+    assert law is not None
+    torque = law.scale * np.clip(aimed(recording, delay), -law.limit, law.limit)
+    return np.asarray(torque if back_emf is None else torque - back_emf)
+
+
+def aimed(recording: Measurement, delay: float) -> Array:
+    """Compute the command ``(n,)`` of such a drive before its limit."""
+    law, samples = recording.law, delay / recording.period
+    assert law is not None
+    assert recording.feedback is not None
+    command = arriving(law.command, recording.segments, samples, held=law.held)
+    return np.asarray(command - recording.feedback)
 
 
 def filtered_motion(

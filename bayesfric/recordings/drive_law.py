@@ -25,6 +25,7 @@ class Law:
     limit: float = np.inf  # of the command, either way
     back_emf: float = 0.0  # motor torque for a speed of the joint
     off: Flags | None = None  # where the drive gives nothing, if anywhere
+    held: bool = False  # whether a command stands until the next; else it goes straight
 
     @property
     def follows(self) -> bool:

@@ -45,7 +45,7 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
             step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
             step += "loss, and the key voltage takes it off"
         step = step if constant else f"{kind}: as measured"
-        return Told(one, kind, Law(torque, np.ones(torque.shape)), step)
+        return Told(one, kind, Law(torque, np.ones(torque.shape), held=bool(one.held)), step)
     measured: tuple[tuple[units.Kind, Current | Voltage | None], ...]
     measured = ("current", source.current), ("voltage", source.voltage)
     for gives, channel in measured:
@@ -53,9 +53,10 @@ def measured_law(source: Columns, table: Table, drive: Drive) -> Told:
             command = channels.scaled(channel, table, gives, gives)
             scale, back_emf, how = _motor(gives, channel, table, drive)
             if gives == "current":
-                law = Law(command * scale, np.ones(command.shape))
+                law = Law(command * scale, np.ones(command.shape), held=bool(channel.held))
                 return Told(channel, gives, law, f"{kind}: {how}", scale)
-            law = Law(command, np.full(command.shape, scale), back_emf=back_emf)
+            factor = np.full(command.shape, scale)
+            law = Law(command, factor, back_emf=back_emf, held=bool(channel.held))
             return Told(channel, gives, law, f"{kind}: {how}")
     assert source.target is not None
     return position_law(source.target, table, drive)
@@ -89,7 +90,9 @@ def position_law(target: Target, table: Table, drive: Drive) -> Told:
         unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
         scale = scale * table.column(target.times) * unit
     kp, kd = kp * to_side, kd * to_side
-    law = Law(kp * aimed, scale, kp, kd, limit, back_emf)
+    # a mean over the sample is held by nobody
+    held = bool(target.held) and target.sampled == "instant"
+    law = Law(kp * aimed, scale, kp, kd, limit, back_emf, held=held)
     step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
     step += f"; {how}" if how else ""
     return Told(target, "voltage" if gives == "share" else gives, law, step)

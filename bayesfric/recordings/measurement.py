@@ -56,6 +56,9 @@ class Measurement:
     # (n,) what the motor's speed has taken off a torque computed from a voltage, N m or N; None
     # where it was not
     back_emf: Array | None = None
+    # (n,) what position and speed take off the command of a torque that is computed from a
+    # target, in the command's unit; None where the torque was measured
+    feedback: Array | None = None
     # whether the torque is a command that the drive holds until the next sample, or else was
     # measured behind a loop that gets its commands at the samples; None where nobody says
     held: bool | None = None
@@ -75,7 +78,10 @@ class Measurement:
 
     def part(self, samples: Index | slice, segments: Segments) -> Measurement:
         """Cut out samples, which make up ``segments`` then."""
-        law, names = self.law, ("time", "position", "velocity", "torque", "back_emf", "excluded")
+        law, names = (
+            self.law,
+            ("time", "position", "velocity", "torque", "back_emf", "excluded", "feedback"),
+        )
         arrays = {name: getattr(self, name) for name in names}
         cut: dict[str, Any] = {
             name: None if x is None else x[samples] for name, x in arrays.items()

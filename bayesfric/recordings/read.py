@@ -121,7 +121,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         whose = _SAMPLED[channel.sampled]
         steps.append(f"{kind}: means over samples, stamped at {whose}; position averaged alike")
-    torque, back_emf, step = _torque(told, law, joint, speed, grid, processing)
+    torque, back_emf, feedback, step = _torque(told, law, joint, speed, grid, processing)
     steps.append(step)
     checks.check_size(joint, where, "position", checks.TINY)
     checks.check_size(torque, table.label(channel.column), "torque", checks.TINY)
@@ -140,6 +140,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         velocity=speed,
         torque=torque,
         back_emf=back_emf,
+        feedback=feedback,
         segments=grid.segments,
         period=grid.period,
         excluded=excluded,
@@ -218,8 +219,11 @@ def _torque(
     velocity: Array | None,
     grid: Grid,
     processing: Processing,
-) -> tuple[Array, Array | None, str]:
-    """Return the motor torque on the grid, what speed has taken off it, and how it came about."""
+) -> tuple[Array, Array | None, Array | None, str]:
+    """Return the motor torque on the grid, what speed has taken off it, and how it came about.
+
+    In third place what position and speed take off the command of a target.
+    """
     step = told.step
     if velocity is None:
         velocity = np.zeros(position.shape)
@@ -236,11 +240,12 @@ def _torque(
         share = float(np.mean(law.limited(position, velocity)))
         step += f"; at its limit in {100 * share:.2g} % of the samples"
     torque = law.drives(position, velocity)
+    feedback = law.kp * position + law.kd * velocity if law.closed else None
     if not law.back_emf:
-        return torque, None, step
+        return torque, None, feedback, step
     back_emf = law.back_emf * velocity
     step += "; what that back-EMF is off by counts as viscous loss"
-    return torque - back_emf, back_emf, step
+    return torque - back_emf, back_emf, feedback, step
 
 
 def _excluded(

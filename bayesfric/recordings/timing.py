@@ -5,6 +5,9 @@ A recorded position that is late by ``d`` belongs to the torque of ``d`` before.
 is compared with the model is ``y(t - d0) + d0 y'(t - d0)``, and the model has ``d y'(t - d0)``
 on top. So the delay is one more coefficient that the torque is linear in, and what this leaves
 out is of second order in ``d - d0``.
+
+Of a torque that is computed from a target, the target acts late: position and speed do not. Then
+``y(t - d)`` is the torque with the target of ``d`` before, and ``-y'`` its derivative by ``d``.
 """
 
 from __future__ import annotations
@@ -14,8 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from bayesfric.base.errors import BadInput
+from bayesfric.recordings.acting import aimed, arriving, commanded
 from bayesfric.recordings.arrays import Array, Segments
-from bayesfric.recordings.filters import derivative, later, lowpass
+from bayesfric.recordings.filters import derivative, lowpass
 from bayesfric.recordings.inputs import Signal
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, as_position
@@ -36,12 +40,13 @@ def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
     if abs(delay) > longest:
         raise BadInput(
             f"recording '{recording.name}', delay",
-            f"the position would come {delay:.3g} s after the torque, which is more than the "
+            f"the position would come {delay:.3g} s late, which is more than the "
             f"{longest:.3g} s that are trimmed off the ends",
             "correct the time stamps, or raise trim",
         )
-    made = retimed(o, recording.segments, recording.period, delay, recording.back_emf)
-    told = f"delay: torque of {delay:.3g} s before the position, and what it changes by"
+    made = retimed(o, recording.segments, recording.period, delay, recording)
+    what = "torque" if recording.feedback is None else "target"
+    told = f"delay: {what} of {delay:.3g} s before the position, and what it changes by"
     settings = {**o.settings, "delay": delay}
     return replace(made, steps=(*o.steps, told), settings=settings)
 
@@ -58,27 +63,49 @@ def filtered_rate(o: Observation) -> Array:
 
 
 def retimed(
-    o: Observation, segments: Segments, period: float, delay: float, back_emf: Array | None = None
+    o: Observation,
+    segments: Segments,
+    period: float,
+    delay: float,
+    recording: Measurement | None = None,
 ) -> Observation:
     """See :func:`timed`; nothing is checked or told.
 
-    ``back_emf`` ``(N,)`` is what the speed has taken off the torque where this was computed from a
-    voltage: it comes with the position, not late against it.
+    What the ``recording`` has of the position, as the back-EMF of a voltage, is not late.
     """
-    taken = np.zeros_like(o.torque) if back_emf is None else back_emf
-    given = o.torque + taken
-    cutoff, order = float(o.settings.get("lowpass", 0.0)), int(o.settings.get("order", 1))
-    # only noise is above the low-pass that the position has passed
-    smooth = lowpass(given, segments, 1.0 / period, cutoff, order)
-    before, slope = np.empty_like(given), np.empty_like(given)
-    for a, b in segments:
-        before[a:b] = later(given[a:b], delay / period)
-        slope[a:b] = later(smooth[a:b], delay / period)
-    rate = derivative(slope, segments, period, int(o.settings.get("reach", 1)))
-    compared = before - taken + delay * rate
+    back_emf = None if recording is None else recording.back_emf
+    if recording is not None and recording.feedback is not None:
+        before, rate = commanded(recording, delay), command_rate(o, recording, delay)
+    else:
+        taken = np.zeros_like(o.torque) if back_emf is None else back_emf
+        before = arriving(o.torque + taken, segments, delay / period, held=False) - taken
+        rate = _rate(o, o.torque + taken, segments, period, delay)
+    compared = before + delay * rate
     return replace(
         o,
         compared=compared,
         measured=o.filter.apply(as_position(compared, segments, period, o.settings)),
         inputs=replace(o.inputs, torque_rate=Signal(o.stamps, rate)),
     )
+
+
+def command_rate(o: Observation, recording: Measurement, delay: float = 0.0) -> Array:
+    """Rate ``(N,)`` of the torque of a recording by its target alone, N m/s or N/s; 0 at its limit.
+
+    The target acts ``delay`` s late.
+    """
+    law = recording.law
+    assert law is not None
+    inside = np.abs(aimed(recording, delay)) < law.limit
+    late = delay + 0.5 * recording.period * law.held
+    rate = _rate(o, law.command, recording.segments, recording.period, late)
+    return np.asarray(law.scale * inside * rate)
+
+
+def _rate(o: Observation, x: Array, segments: Segments, period: float, delay: float) -> Array:
+    """Differentiate a signal ``(N,)`` of ``delay`` s before by time, low-passed as the position."""
+    cutoff, order = float(o.settings.get("lowpass", 0.0)), int(o.settings.get("order", 1))
+    # only noise is above the low-pass that the position has passed
+    smooth = lowpass(x, segments, 1.0 / period, cutoff, order)
+    late = arriving(smooth, segments, delay / period, held=False)
+    return derivative(late, segments, period, int(o.settings.get("reach", 1)))

@@ -56,18 +56,22 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
     Stretches between gaps and excluded samples are divided about evenly into segments of ``length``
     (s; infinite for no division), at samples where the joint is fast.
     """
-    if recording.back_emf is not None and observation.inputs.torque_rate is not None:
-        what = "a simulation does not know it of a torque that was computed from a voltage"
+    computed = recording.back_emf is not None or recording.feedback is not None
+    if computed and observation.inputs.torque_rate is not None:
+        what = (
+            "a simulation does not know it of a torque that was computed from a voltage or target"
+        )
         raise BadInput("mechanism.delay", what, "give torque or current, or leave output-error out")
     parts = without_excluded(recording.segments, recording.excluded)
     return Trajectory(
         name=recording.name,
         time=recording.time,
         position=recording.position,
-        torque=recording.torque,
+        # a target is held, and the position goes on
+        torque=recording.torque if recording.feedback is None else observation.torque,
         period=recording.period,
         inputs=observation.inputs,
-        hold=recording.hold,
+        hold=recording.hold if recording.feedback is None else "linear",
         **_cut(parts, recording.name, recording.period, length, observation),
     )
 

@@ -183,7 +183,7 @@ def _play(
 ) -> _Plays:
     """Simulate positions and speeds ``(n, N)``; NaN where nothing is played or moves."""
     m, o, chain = one.measurement, one.observation, posterior.joint
-    law = m.law or Law(m.torque, np.ones(m.torque.shape))
+    law = m.law or Law(m.torque, np.ones(m.torque.shape), held=m.hold == "zero")
     segments, start = one.segments, one.segments[:, 0]
     q, qd = np.full((2, len(values), m.time.size), np.nan)
     # what each recording has of its own, a new one borrows from any
@@ -204,9 +204,9 @@ def _play(
             push=None if push is None else push[rows],
             inputs=inputs,
             begin=float(m.time[0]),
-            held=m.hold == "zero",
+            held=law.held,
         )
-    if chain.delay:  # the motion is recorded late
+    if chain.delay and not chain.by_target:  # the motion is recorded late
         for row, delay in enumerate((chain.delays(values) / m.period).tolist()):
             for a, b in segments:
                 q[row, a:b] = later(q[row, a:b], delay)

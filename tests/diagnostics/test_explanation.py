@@ -14,6 +14,7 @@ from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
 from tests.diagnostics.bench import QUICK, axis, model, recording, table
+from tests.estimates.test_delay import SERVO, servo
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +59,35 @@ def test_a_late_torque_is_a_delay_with_its_key():
     assert not others
     # and a joint that has it lacks nothing
     assert not of_table(late, delay=True).explain().findings
+
+
+@pytest.mark.parametrize("samples", [0.5, 2.0])
+def test_a_late_target_is_named_and_put_in(samples):
+    taken = Model(SERVO, servo(100.0, 40.0, samples)).completed()
+    model, (first, *others), left = taken
+    assert (first.kind, first.setting) == ("target_delay", "mechanism.delay = true")
+    assert not others
+    assert not left.findings
+    value = model.estimates(["input-error"])[0]["target.delay"]
+    assert abs(value.value - samples / 100.0) < 4.0 * value.larger_sd
+
+
+def test_a_prompt_target_lacks_nothing():
+    explained = Model(SERVO, servo(100.0, 40.0, 0.0)).explain()
+    assert not explained.findings
+    assert "target_delay" in explained.kinds
+    assert "delay" not in (*explained.kinds, *explained.untold)
+
+
+def test_a_delay_with_a_rival_is_not_put_in(monkeypatch):
+    late = Model(SERVO, servo(100.0, 40.0, 2.0))
+    plain = late.explain()
+    rivalled = [replace(one, rivals=("elastic",)) for one in plain.findings]
+    monkeypatch.setattr(Model, "explain", lambda *_, **__: replace(plain, findings=rivalled))
+    model, taken, left = late.completed()
+    assert not model.chain.delay
+    assert not taken
+    assert left.findings
 
 
 def test_the_same_seed_gives_the_same_answer(right):

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import bayesfric.diagnostics.regression as regression
-from bayesfric.diagnostics.candidates import KINDS, Along, late
+from bayesfric.diagnostics.candidates import KINDS, Along
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.diagnostics.regression import Regression
+from bayesfric.diagnostics.scans import late
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps

@@ -1,5 +1,7 @@
 """A joint that a drive moves: closed forms, and what the open loop gives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -185,3 +187,39 @@ def test_a_drive_gives_the_torque_of_its_law(held):
     late = 0.5 * np.abs(np.gradient(scale * command)).max() if held else 0.0
     assert np.quantile(left, 0.95) < 2e-5 + late
     assert left.max() < 2e-3 + late
+
+
+LATE = replace(PLAIN, delay=True, by_target=True)
+LOOP = {"motor.inertia": 0.02, "motor.viscous": 0.05}
+
+
+def late_loop(delay, command, period, held, chain=LATE, **more):
+    law = Law(command, np.ones(command.size), 4.0, 0.1)
+    values = LOOP | ({"target.delay": delay} if chain.delay else {})
+    q, _ = follow(
+        chain, chain.vector(values)[None], law, period, [(0, command.size)], np.zeros(1),
+        np.zeros(1), held=held, **more,
+    )  # fmt: skip
+    return q[0]
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_target_some_samples_late_is_the_target_of_then(held):
+    command = 2.0 * np.sin(9.0 * TIME)
+    moved = np.concatenate([np.full(3, command[0]), command[:-3]])
+    found = late_loop(3 * PERIOD, command, PERIOD, held)
+    np.testing.assert_allclose(found, late_loop(0.0, moved, PERIOD, held, PLAIN), atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [0.25, 1.3, 2.9])
+def test_a_held_target_is_late_by_a_fraction_of_a_sample(samples):
+    """Against the same steps laid out on a grid of a hundredth of the period."""
+    fine, coarse = 100, 100
+    period = 0.02
+    command = 2.0 * np.sin(9.0 * period * np.arange(coarse))
+    place = np.floor(np.arange(coarse * fine) / fine - samples + 1e-9).astype(int)
+    steps = command[np.maximum(place, 0)]
+    wanted = late_loop(0.0, steps, period / fine, True, PLAIN)[::fine]
+    found = late_loop(samples * period, command, period, True)
+    # the loop is closed every 2 ms
+    np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max())

@@ -5,6 +5,8 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Processing
+from bayesfric.recordings.acting import aimed, commanded
+from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.timing import retimed, timed
@@ -98,3 +100,43 @@ def test_a_simulation_refuses_a_late_voltage():
     assert trajectory(r, o, np.inf).position.size == TIME.size
     with pytest.raises(BadInput, match="computed from a voltage"):
         trajectory(r, timed(o, r, 0.003), np.inf)
+
+
+KP, KD, LIMIT = 8.0, 0.3, 5.0
+
+
+def by_target(goal, held=False, limit=np.inf, **more):
+    """A drive that goes for ``goal(t)``; position and speed as it knows them."""
+    q, qd = wave(TIME, 1.3), 2 * np.pi * 1.3 * np.cos(2 * np.pi * 1.3 * TIME)
+    law = Law(KP * goal(TIME), np.full(TIME.size, 0.5), KP, KD, limit, 0.0, None, held)
+    torque = law.drives(q, qd)
+    return made_recording(TIME, q, torque, PERIOD, feedback=KP * q + KD * qd, law=law, **more)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0011, 0.02])
+@pytest.mark.parametrize("held", [False, True])
+def test_a_late_target_moves_the_target_alone(delay, held):
+    """What a drive holds is a period wide: its wave comes half of one later, sinc times as high."""
+    r = by_target(lambda t: 1.2 * wave(t), held)
+    late = delay + 0.5 * PERIOD * held
+    sinc = np.sinc(2.0 * PERIOD) if held else 1.0
+    expected = 0.5 * (KP * 1.2 * sinc * wave(TIME - late) - r.feedback)
+    assert commanded(r, delay)[20:-20] == pytest.approx(expected[20:-20], abs=1e-6)
+
+
+def test_the_rate_of_a_late_target_is_the_derivative_by_its_delay():
+    """At its limit a drive does not look at its target."""
+    r, step = by_target(lambda t: 1.2 * wave(t), limit=LIMIT), 1e-5
+    o = observe(r, Processing(lowpass=0.0, decimate=1))
+    rate = retimed(o, r.segments, PERIOD, 0.01, r).inputs.torque_rate.values
+    slope = (commanded(r, 0.01 - step) - commanded(r, 0.01 + step)) / (2.0 * step)
+    inside = np.abs(np.abs(aimed(r, 0.01)) - LIMIT) > 0.01
+    inside[:20] = inside[-20:] = False
+    assert (rate[inside] == 0.0).mean() > 0.1
+    assert rate[inside] == pytest.approx(slope[inside], abs=2e-3 * np.abs(slope).max())
+
+
+def test_a_target_that_is_not_late_gives_the_torque_that_was_computed():
+    r = by_target(lambda t: 1.2 * wave(t), limit=LIMIT)
+    np.testing.assert_allclose(commanded(r), r.torque, atol=1e-12)
+    np.testing.assert_allclose(observe(r, Processing()).torque, r.torque, atol=1e-12)
