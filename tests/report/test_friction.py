@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.identifiability.friction_curve import (
+    band,
+    covered,
+    friction_curves,
+    friction_torque,
+)
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.friction import (
-    band,
-    covered,
-    friction_curves,
-    friction_torque,
-)
 
 KNEE = PRESETS["rabbit-knee"].chain()
 TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
