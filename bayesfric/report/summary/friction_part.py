@@ -82,7 +82,7 @@ def friction_cells(friction: Friction | None, medium: Medium) -> Iterator[tuple[
         speed = ("±" if same else "") + medium.number(row.speed, 3)
         load = medium.number(row.load, 3) if row.load else ""
         low, high = row.interval
-        sd = (high - low) / (2.0 * norm.ppf(0.5 + 0.5 * LEVEL))
+        sd = (high - low) / (2.0 * float(norm.ppf(0.5 + 0.5 * LEVEL)))
         if row.status == "unidentified" or not (math.isfinite(sd) and sd > 0.0):
             yield speed, load, "", "", row.status
         else:
