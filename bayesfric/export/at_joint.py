@@ -87,6 +87,7 @@ _DRIVE = ("gain", "offset", "delay")
 _LOSSES = ("load", "load_drive", "load_back")
 _RISES = ("stribeck_ratio", "stribeck_change", "stribeck_constant")
 _LOAD_RISES = ("stribeck_ratio", "stribeck_change", "stribeck_load")
+RISES = frozenset({*_RISES, *_LOAD_RISES})
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,9 @@ class AtJoint:
     values: dict[str, Array]
     made_from: dict[str, tuple[str, ...]]  # parameters of the chain, by number
     reference: dict[str, Array]  # transmitted torque at the joint where a load loss is met
-    fitted: dict[str, tuple[Array, Array]]  # constant and damping in place of a parameter's term
+    # constant and damping in place of a parameter's term: of one that has no number, which are in
+    # values, and of a rise at low speed, which are not
+    fitted: dict[str, tuple[Array, Array]]
 
 
 def at_joint(
@@ -199,15 +202,30 @@ def at_joint(
     if "offset" in column:
         add("torque_offset", chain.ratio * column["offset"] / passed, "offset")
     fitted = _fitted(chain, values, motions, found["gain"])
-    for name, (constant, damping) in fitted.items():
-        add("friction", constant, name)
-        add("damping", damping, name)
-    # all losses are losses, whatever a fit over a one-sided motion says
-    for name in ("friction", "damping"):
-        found[name] = np.maximum(found[name], 0.0)
+    for p in chain.parameters:
+        if not places(p):
+            add("friction", fitted[p.name][0], p.name)
+            add("damping", fitted[p.name][1], p.name)
+    found |= as_losses(found, motions)
     add("static_friction", found["friction"], *made["friction"])
     found["static_friction"] = np.maximum(found["static_friction"], 0.0)
     return AtJoint(found, {k: tuple(v) for k, v in made.items()}, reference, fitted)
+
+
+def as_losses(numbers: Mapping[str, Array], motions: Sequence[Moved]) -> dict[str, Array]:
+    """Refit ``friction`` and ``damping`` by least squares with neither below zero, where one is.
+
+    All losses are losses, whatever a fit over a one-sided motion says.
+    """
+    constant, damping = numbers["friction"], numbers["damping"]
+    if min(constant.min(), damping.min()) >= 0.0:
+        return {}
+    size = np.abs(moving(motions)[1])
+    steeper = constant * size.sum() / max(size @ size, 1e-300)
+    return {
+        "friction": np.maximum(constant + np.minimum(damping, 0.0) * size.mean(), 0.0),
+        "damping": np.maximum(damping + np.minimum(steeper, 0.0), 0.0),
+    }
 
 
 def without_load_losses(chain: Joint, values: Array) -> Array:
@@ -236,8 +254,8 @@ def places(p: Parameter) -> bool:
 def _fitted(
     chain: Joint, values: Array, motions: Sequence[Moved], gain: Array
 ) -> dict[str, tuple[Array, Array]]:
-    """Fit what has no number by a constant and a viscous loss, by least squares."""
-    rest = [k for k, p in enumerate(chain.parameters) if not places(p)]
+    """Fit what has no number, or none while it moves, by a constant and a viscous loss."""
+    rest = [k for k, p in enumerate(chain.parameters) if not places(p) or p.quantity in RISES]
     if not rest:
         return {}
     _, speed, _ = moving(motions)

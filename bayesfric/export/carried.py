@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS, AtJoint, Moved, moving, places
+from bayesfric.export.at_joint import NUMBERS, RISES, AtJoint, Moved, as_losses, moving, places
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import Quantity
@@ -39,12 +39,13 @@ def lost_terms(
     value = dict(zip(chain.names, vector.tolist(), strict=True))
     found = []
     for p in chain.parameters:
-        kind = _kind(p, carries)
+        kind = _kind(p)
         if not kind or p.quantity in keeps:
             continue
         said = _said(p, value[p.name])
         names = [p.name]
         if kind == "fitted":
+            said["static"] = p.quantity in RISES and "static_friction" in carries
             for number, x in zip(("friction", "damping"), at.fitted[p.name], strict=True):
                 said |= {number: float(x[0]), f"{number}_unit": NUMBERS[number].unit(chain)}
         partner, both = _PARTNERS.get(p.quantity, ("", ""))
@@ -61,18 +62,16 @@ def lost_terms(
     return found
 
 
-def _kind(p: Parameter, carries: Collection[str]) -> str:
+def _kind(p: Parameter) -> str:
     """Give the kind of loss of a term that no simulator's joint has a number for, or none."""
     if _of_recording(p) or p.quantity == "delay":
         return "left out"
-    if not places(p):
+    if not places(p) or p.quantity in RISES:
         return "fitted"
     if p.quantity in ("coulomb_positive", "viscous_positive"):
         return "direction"
     if p.quantity in ("load", "load_drive", "load_speed", "load_square"):
         return "load"
-    if p.row.option == "stribeck" and p.quantity != "stribeck_velocity":
-        return "static" if "static_friction" in carries else "left out"
     return "left out" if p.row.role == "form" and p.row.option.startswith("load_") else ""
 
 
@@ -100,7 +99,11 @@ def _of_recording(p: Parameter) -> bool:
 
 
 def carried(
-    at: AtJoint, carries: Collection[str], motions: Sequence[Moved], chain: Joint
+    at: AtJoint,
+    carries: Collection[str],
+    motions: Sequence[Moved],
+    chain: Joint,
+    keeps: Collection[str] = (),
 ) -> tuple[dict[str, Array], list[Lost]]:
     """Fold what a format has no number for into numbers that it has ``(n,)``, or leave it out.
 
@@ -112,16 +115,27 @@ def carried(
         Names of those the format has; those of link and drive, which the model around it brings,
         count as right.
     motions
-        What a quadratic loss and a stiffening spring are replaced over.
+        What rises at low speed, a quadratic loss and a stiffening spring are replaced over.
     chain
         The joint, which turns or slides.
+    keeps
+        Quantities that the format has in its own way.
     """
     values = dict(at.values)
     lost = []
     place, speed, _ = moving(motions)
+    rises = [p.name for p in chain.parameters if p.quantity in RISES - {*keeps}]
+    for name in rises:
+        constant, damping = at.fitted[name]
+        values["friction"] = values["friction"] + constant
+        values["damping"] = values["damping"] + damping
+    if rises:
+        values |= as_losses(values, motions)
+        values["static_friction"] = np.maximum(values["static_friction"], values["friction"])
     folds: dict[str, tuple[str, Callable[[], float]]] = {
         "armature": ("link_inertia", lambda: 1.0),
         "quadratic": ("damping", lambda: _slope(speed, speed * abs(speed))),
+        "friction": ("damping", lambda: _slope(speed, np.sign(speed))),
         "stiffness_cubic": ("stiffness", lambda: _slope(place, place**3)),
     }
     for name, number in NUMBERS.items():

@@ -15,6 +15,7 @@ from bayesfric.base.version import __version__
 from bayesfric.base.written import check_free, made_beside
 from bayesfric.export.at_joint import (
     NUMBERS,
+    RISES,
     AtJoint,
     Moved,
     at_joint,
@@ -28,13 +29,15 @@ from bayesfric.export.central import Vectors, vectors
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
 from bayesfric.fit.finished_run import Finished, finished
+from bayesfric.identifiability.friction_curve import covered, friction_torque
+from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 
-# Draws that intervals are told from.
-_DRAWS = 400
+# Draws that intervals are told from, and recorded places at which friction is compared.
+_DRAWS, _PLACES = 400, 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +157,7 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
     # a link and a drive that a model has already are its own
     names = {k: n for k, n in form.names.items() if options.into is None or n not in AROUND}
     carries = names.values()
-    kept, folded = carried(at, carries, motions, chain)
+    kept, folded = carried(at, carries, motions, chain, RISES if form.whole else form.keeps)
     law = kept["static_friction"]
     # what held the joint at rest is less than what would have broken it loose
     held = max((rest.held for rest in found.summary.fit.rests), default=0.0)
@@ -165,6 +168,9 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         lost = law_lost(chain, told.middle)
     numbers = {name: float(x[0]) for name, x in kept.items()}
     draws = {name: x[1:] for name, x in kept.items()}
+    error = _wrong(found, form, told.middle, numbers, motions)
+    if form.torque is None:
+        error["friction"] = _from_curve(found, numbers, told)
     record: dict[str, Any] = {
         "bayesfric": __version__,
         "run": found.name,
@@ -175,9 +181,9 @@ def _exported(found: Finished, form: Format, options: Options) -> Exported:
         "at_load": options.at_load,
         "reference": {name: float(x[0]) for name, x in at.reference.items()},
         "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
-        "notes": _notes(found, form, options, numbers, at, told, motions),
-        "error": _wrong(found, form, told.middle, numbers, motions),
-        "unit": "N m" if chain.motor_motion == "rotary" else "N",
+        "notes": _notes(found, form, options, numbers, at, told, motions, error),
+        "error": error,
+        "unit": _unit(chain),
         "draws": len(told.draws),
         "central": told.kind,
     }
@@ -201,6 +207,7 @@ def _notes(
     middle: AtJoint,
     told: Vectors,
     motions: Sequence[Moved],
+    error: Mapping[str, Any],
 ) -> list[str]:
     """Say what to know of the format, and of the run, beside the numbers."""
     chain = found.joint
@@ -216,6 +223,8 @@ def _notes(
         "notes.txt.j2",
         **{**vars(options), "words": form.notes, "numbers": numbers, "told": told},
         summary=found.summary,
+        friction=error.get("friction"),
+        unit=_unit(chain),
         rotary=rotary,
         gravity=chain.load.gravity,
         known_load=any(m.inputs.known_load for m in motions),
@@ -225,6 +234,10 @@ def _notes(
         position=[float(position.min()), float(position.max())],
     )
     return [line for line in text.splitlines() if line]
+
+
+def _unit(chain: Joint) -> str:
+    return "N m" if chain.motor_motion == "rotary" else "N"
 
 
 def _rows(
@@ -308,3 +321,22 @@ def _wrong(
         "motor": {"rms": rms_of(torque - whole), "largest": float(np.abs(torque - whole).max())},
         "torque_rms": rms_of(whole),
     }
+
+
+def _from_curve(found: Finished, numbers: Mapping[str, float], told: Vectors) -> dict[str, float]:
+    """Compare a format's friction with the median over draws, at recorded speeds and loads.
+
+    Both are at the motor, of its true torque, each speed as often as it was recorded.
+    """
+    chain = found.joint
+    places = covered(found.model, told.middle, open_scale=True)
+    some = np.linspace(0, places.shape[1] - 1, min(places.shape[1], _PLACES)).astype(int)
+    speed, load = places[:, some]
+    with np.errstate(all="ignore"):
+        drawn = friction_torque(chain, told.draws, speed, load, open_scale=True)
+    curve = np.median(drawn, axis=0)
+    size = np.abs(speed / chain.ratio)
+    written = numbers["friction"] + numbers["damping"] * size + numbers["quadratic"] * size**2
+    gain = told.middle[chain.names.index("drive.gain")] if chain.gain else 1.0
+    apart = (written * gain / numbers["gain"] - curve)[np.isfinite(curve)]
+    return {"rms": rms_of(apart), "curve_rms": rms_of(curve[np.isfinite(curve)])}

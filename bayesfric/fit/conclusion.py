@@ -18,6 +18,7 @@ from bayesfric.problem.problem import Problem, StartingPoint
 from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.friction_part import friction_part
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
 from bayesfric.report.summary.rows import BackEmfPart, RestsPart
 from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
@@ -53,6 +54,7 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
     update: dict[str, Any] = {
+        "friction": friction_part(found, summary),
         "warnings": [*summary.warnings, *start.missing],
         # nothing in a file of samples tells; the configuration may
         "may_be_simulated": may_be_simulated(problem),

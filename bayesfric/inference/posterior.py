@@ -142,6 +142,11 @@ class Posterior:
             return flat
         return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
 
+    def prior_draws(self, number: int, key: int) -> Array:
+        """Draw from the priors, ``(number, d)``; ``key`` is that of the random numbers."""
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key,)))
+        return np.stack([prior.draw(number, rng) for prior in self.priors], axis=1)
+
     @cached_property
     def median(self) -> Array:
         """Median of every parameter by itself, ``(d,)``, SI units."""

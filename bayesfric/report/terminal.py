@@ -17,7 +17,8 @@ from bayesfric.report.alerts import Alert, alerts_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.record import Readable, Summary, of_noise
+from bayesfric.report.summary.friction_part import friction_cells
+from bayesfric.report.summary.record import Friction, Readable, Summary, of_noise
 from bayesfric.report.summary.self_check_part import off_rows
 from bayesfric.report.words import filled, line_of
 from bayesfric.results.reported import ORDER, Reported
@@ -176,7 +177,15 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             found=read.validation,
             check=read.self_check,
             off=off_rows(read),
+            friction=aligned(_friction(read.friction)) if read.friction else (),
         ).splitlines()
+
+
+def _friction(friction: Friction) -> list[tuple[str, ...]]:
+    """Lay the rows of friction out, with their head."""
+    level, load = f"{100.0 * friction.level:g} % interval", f"load, {friction.unit}"
+    head = (f"speed, {friction.speed_unit}", load, "value", level, "status")
+    return [(f"  {speed}", *cells) for speed, *cells in (head, *friction_cells(friction, TEXT))]
 
 
 def _brief(told: Brief) -> Iterator[str]:

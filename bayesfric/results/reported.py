@@ -13,6 +13,8 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
 Status = Literal["identified", "limit", "prior", "unidentified", "doubtful"]
+# Share of the posterior that every reported interval holds.
+LEVEL = 0.9
 # Who determined a number: the data, data and prior, or the prior; and what it is reported as.
 Determined = Literal["data", "weak", "prior"]
 KNOWN_BY: dict[Determined, Status] = {

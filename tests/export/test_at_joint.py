@@ -287,3 +287,39 @@ def test_a_number_says_what_of_it_the_data_leave_open(form, change, status):
     rows = [x for x in exported.record["numbers"] if "motor.inertia" in x["made_from"]]
     assert [x["not_identified"] for x in rows] == [{"motor.inertia": status}]
     assert [x for x in exported.files.values() if f"motor.inertia ({status})" in x]
+
+
+def test_a_rise_at_low_speed_is_in_the_constants_of_a_format_that_has_no_rise():
+    """Least squares over the recorded motion: no other constant and damping are nearer."""
+    joint = Joint((Element("motor", coulomb="symmetric", viscous=True, stribeck=True),), Load())
+    values = {"viscous": 0.3, "coulomb": 0.2, "stribeck_ratio": 0.5, "stribeck_velocity": 2.0}
+    vector = joint.vector({f"motor.{k}": v for k, v in values.items()})[None]
+    at, (motion,) = at_joint(joint, vector, wave()), wave()
+    law = torque_along(joint, vector, wave())[0] * np.sign(motion.qd)
+    basis = np.stack([np.ones(law.size), np.abs(motion.qd)], axis=1)
+    nearest = np.linalg.lstsq(basis, law, rcond=None)[0]
+    kept, _ = carried(at, ("friction", "damping", "static_friction"), wave(), joint)
+    np.testing.assert_allclose([kept["friction"][0], kept["damping"][0]], nearest, rtol=1e-9)
+    # what holds at rest is no less than what slides
+    assert kept["static_friction"][0] == pytest.approx(max(0.3, kept["friction"][0]))
+    # where it falls all the way a loss that grows would be negative: the mean is nearest then
+    vector[0, joint.names.index("motor.viscous")] = 0.0
+    kept, _ = carried(at_joint(joint, vector, wave()), ("friction", "damping"), wave(), joint)
+    law = torque_along(joint, vector, wave())[0] * np.sign(motion.qd)
+    assert (kept["damping"][0], kept["friction"][0]) == (0.0, pytest.approx(law.mean()))
+    # without a constant the damping that is nearest
+    only, _ = carried(at_joint(joint, vector, wave()), ("damping",), wave(), joint)
+    slope = law.mean() * np.abs(motion.qd).sum() / (motion.qd @ motion.qd)
+    assert (only["damping"][0], only["friction"][0]) == (pytest.approx(slope), 0.0)
+    # a format with a rise of its own keeps the law's
+    own, _ = carried(at, ("friction", "damping"), wave(), joint, ("stribeck_ratio",))
+    assert (own["friction"][0], own["damping"][0]) == pytest.approx((0.2, 0.3))
+
+
+def test_an_export_says_how_far_its_friction_is_from_the_fitted():
+    exact = bf.export(found("plain"), "mujoco").record["error"]["friction"]
+    drake = bf.export(found("plain"), "drake")
+    far = drake.record["error"]["friction"]
+    assert exact["rms"] < 0.01 * exact["curve_rms"] < far["rms"] < far["curve_rms"]
+    assert f"{far['rms']:.3g} N m rms from the median of the fitted friction" in drake.main
+    assert "friction" not in bf.export(found("plain"), "c").record["error"]

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from bayesfric.identifiability.friction_curve import friction_torque
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_reach, load_torque
 from bayesfric.mechanism.joint import Joint
@@ -17,7 +18,6 @@ from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.inputs import AT_ROOM, steady
 from bayesfric.report import calculator
 from bayesfric.report.calculator import FILE, calculator_json, read_calculator, written
-from bayesfric.report.figures.friction import friction_torque
 from bayesfric.report.page.pages import run_page
 
 from .chromium import barriers, events, needs_axe, needs_browser, show, until

@@ -5,18 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bayesfric.identifiability.friction_curve import (
+    band,
+    covered,
+    friction_curves,
+    friction_torque,
+)
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque, load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.report.figures.friction import (
-    band,
-    covered,
-    friction_curves,
-    friction_torque,
-)
+from bayesfric.report.numbers import HTML, TEXT
+from bayesfric.report.page.pages import run_page
+from bayesfric.report.summary.friction_part import QUANTILES, friction_cells, friction_part
+from bayesfric.report.summary.summary import summarise
+from bayesfric.report.terminal import fit_text
+
+from .conftest import build
 
 KNEE = PRESETS["rabbit-knee"].chain()
 TRUTH = KNEE.vector(PRESETS["rabbit-knee"].values)
@@ -185,4 +192,64 @@ def test_what_is_as_wide_as_before_is_not_determined(knee):
     assert not band(as_before(knee), friction)[1].any()
 
 
-# -- the figure
+# -- the rows of the summary
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Coulomb and viscous friction alone, known only together: c + 2 b is, to a thousandth."""
+    joint = Joint((Element("motor", inertia=True, coulomb="symmetric", viscous=True),), Load())
+    fit = build(joint)
+    draws = fit.posterior.draws.copy()
+    b, c = (fit.posterior.names.index(f"motor.{name}") for name in ("viscous", "coulomb"))
+    rng = np.random.default_rng(3)
+    draws[..., b] = 0.3 + 0.03 * rng.standard_normal(draws.shape[:3])
+    draws[..., c] = 0.9 - 2.0 * draws[..., b] + 1e-3 * rng.standard_normal(draws.shape[:3])
+    return replace(fit, posterior=replace(fit.posterior, draws=draws))
+
+
+def test_rows_are_quantiles_of_the_friction_of_draws_at_recorded_speeds(plain):
+    part = friction_part(plain, summarise(plain))
+    assert (part.unit, part.speed_unit) == ("N m", "rad/s")
+    assert part.parameters == ["motor.viscous", "motor.coulomb"]
+    speed = np.concatenate([o.speed for o in plain.observations])
+    at = np.quantile(np.abs(speed), QUANTILES)
+    np.testing.assert_allclose([r.speed for r in part.rows], [*at, *-at])
+    draws = plain.chain_draws(1000)
+    b, c = (draws[:, plain.chain.names.index(f"motor.{n}")] for n in ("viscous", "coulomb"))
+    for row in part.rows:
+        expected = np.quantile(c + b * abs(row.speed), [0.5, 0.05, 0.95])
+        np.testing.assert_allclose([row.value, *row.interval], expected, rtol=1e-9)
+        assert (row.load, row.status) == (0.0, "identified")
+        # narrower than what the coefficients' own intervals add up to
+        widths = [np.subtract(*np.quantile(x, [0.95, 0.05])) for x in (c, b * abs(row.speed))]
+        assert np.subtract(*row.interval[::-1]) < 0.9 * sum(widths)
+
+
+def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee, tmp_path):
+    part = friction_part(plain, summarise(plain))
+    cells = list(friction_cells(part, TEXT))
+    assert len(cells) == 3
+    assert all(row[0][0] == "±" and row[1] == "" and row[4] == "identified" for row in cells)
+    told = summarise(plain).model_copy(update={"friction": part})
+    lines = list(fit_text(told, verbose=True))
+    for speed, _, value, interval, _ in cells:
+        (line,) = [line for line in lines if line.startswith(f"  {speed} ")]
+        assert value in line and interval in line  # noqa: PT018
+    page = run_page(tmp_path, told, "run")
+    assert all(f'<td class="number">{row[3]}</td>' in page for row in friction_cells(part, HTML))
+    # by direction and at three loads each speed is a line
+    rows = friction_part(knee, summarise(knee)).rows
+    assert {np.sign(row.load) for row in rows} == {-1.0, 0.0, 1.0}
+    assert {np.sign(row.speed) for row in rows} == {-1.0, 1.0}
+
+
+def test_what_is_doubted_or_not_sampled_is_not_told_as_identified(plain):
+    summary = summarise(plain)
+    doubted = summary.with_rows({"motor.viscous": {"doubted": ["missing"]}})
+    assert {row.status for row in friction_part(plain, doubted).rows} == {"doubtful"}
+    lost = summary.sampler.model_copy(update={"status": "unusable"})
+    part = friction_part(plain, summary.model_copy(update={"sampler": lost}))
+    assert {row[2:] for row in friction_cells(part, TEXT)} == {("", "", "unidentified")}
+    frictionless = build(Joint((Element("motor", inertia=True),), Load(first_moment=True)))
+    assert friction_part(frictionless, summarise(frictionless)) is None

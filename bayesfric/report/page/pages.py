@@ -21,8 +21,10 @@ from bayesfric.report.comparison.comparison import Comparison, comparison, expla
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
+from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
+from bayesfric.report.summary.friction_part import friction_cells
 from bayesfric.report.summary.record import Readable, RemedyRow, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
@@ -53,6 +55,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         table=table,
         notes=table.notes(marked=False),
         methods=methods,
+        friction=list(friction_cells(read.friction, HTML)),
         explained=list(explained(methods)),
         figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),

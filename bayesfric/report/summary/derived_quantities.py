@@ -21,8 +21,8 @@ from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.rows import Described
 from bayesfric.report.words import listed
+from bayesfric.results.reported import LEVEL as LEVEL
 
-LEVEL = 0.9
 # Samples times draws for the totals; more draws change nothing that is printed.
 _TOTALS_BUDGET = 25_000_000
 # A total below this share of the others of its unit is zero but for rounding.
@@ -133,18 +133,12 @@ def gradients(fit: Fit, group: Group) -> Array:
     return np.asarray((change[:, :k] - change[:, k:]) / (2.0 * steps))
 
 
-def prior_draws(fit: Fit, draws: int, key: int) -> Array:
-    """Draw from the prior, ``(draws, d)``; ``key`` is that of the random numbers."""
-    rng = np.random.default_rng(np.random.SeedSequence(fit.posterior.seed, spawn_key=(key,)))
-    return np.stack([prior.draw(draws, rng) for prior in fit.posterior.priors], axis=1)
-
-
 def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
     rows = {}
     for group in (one for one in derived if one.found):
         of_each = (
-            group.values(prior_draws(fit, *group.prior)),
+            group.values(fit.posterior.prior_draws(*group.prior)),
             gradients(fit, group),
             sound_quantities(fit, group),
         )

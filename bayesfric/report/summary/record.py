@@ -30,6 +30,7 @@ from bayesfric.report.summary.rows import (
     Share,
 )
 from bayesfric.report.words import clause, line_of
+from bayesfric.results.reported import Status
 from bayesfric.results.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
@@ -256,6 +257,46 @@ class ModelError(Part):
     chance: Share = 0.0
 
 
+class FrictionRow(Part):
+    """Friction of the whole joint at one constant speed of the motor and one load."""
+
+    speed: FiniteFloat
+    quantile: Share
+    load: FiniteFloat = 0.0
+    value: FiniteFloat
+    interval: Pair
+    status: Status
+
+
+class Friction(Part):
+    """Friction of the whole joint at recorded speeds, with room for model discrepancy.
+
+    Coefficients of friction trade against each other; their sum at a speed that was recorded is
+    often known to a per cent.
+
+    Attributes
+    ----------
+    unit, speed_unit
+        N m and rad/s of a motor that turns, N and m/s of one that slides.
+    level
+        Share of the posterior that intervals hold.
+    parameters
+        What was sampled of it.
+    rows
+        Each with ``speed`` (signed, of the motor), its ``quantile`` among recorded speeds of
+        either sign, ``load`` (of the load at the motor, without losses; positive against the
+        motion, and zero alone unless friction depends on it), ``value`` (posterior median,
+        positive against the motion), ``interval`` and ``status``: ``identified``, ``doubtful``, or
+        ``unidentified`` where the data do not narrow what the prior has.
+    """
+
+    unit: str
+    speed_unit: str
+    level: Share
+    parameters: list[str] = Field(default_factory=list)
+    rows: list[FrictionRow]
+
+
 class Sampler(Part):
     """How the posterior was sampled, and whether it can be relied on."""
 
@@ -294,6 +335,7 @@ class Summary(Part):
     validation: Validation | None = None
     warnings: list[str] = Field(default_factory=list)
     sampler: Sampler = Field(default_factory=Sampler)
+    friction: Friction | None = None
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
     rollout: RollOutPart | None = None
