@@ -44,6 +44,8 @@ _STEPS = 3
 _REACHED = 1e-6
 # Share of the torque that counts as a change of one, at least.
 _SHOWN = 1e-3
+# Standard deviations between a prior and what the data say alone that are no chance.
+CONTRADICTED = 3.0
 # How often the sds behind weights are taken anew, and when they stand still.
 _ROUNDS = 8
 _SETTLED = 1e-3
@@ -97,6 +99,52 @@ def input_error(
     _check(chain, observations, knowledge)
     with few_threads(observations):
         return _estimate(TorqueProblem(chain, observations, knowledge), options, start)
+
+
+def contradicted(
+    chain: Joint,
+    observations: Sequence[Observation],
+    knowledge: Knowledge,
+    options: Estimation,
+    start: Mapping[str, float],
+) -> dict[str, tuple[float, float]]:
+    """Compare priors with an estimate that only has the support and what is fixed.
+
+    Parameters
+    ----------
+    chain, observations, knowledge, options
+        As for :func:`input_error`.
+    start
+        Values of all parameters to begin at: an estimate that has the priors.
+
+    Returns
+    -------
+    dict
+        Name of each parameter that the data alone have farther from its prior than
+        :data:`CONTRADICTED` standard deviations of both: their value, and that distance. What the
+        data do not determine, or physics bounds, contradicts nothing.
+    """
+    support = {p.name: (p.lower, p.upper) for p in chain.parameters}
+    priors = {
+        name: (*knowledge.bounds.get(name, support[name]), *knowledge.told.get(name, (None, 0.0)))
+        for name in knowledge.free(chain)
+    }
+    if all(known[:2] == support[n] and known[2] is None for n, known in priors.items()):
+        return {}
+    alone = replace(knowledge, bounds={}, told={})
+    estimate = input_error(chain, observations, alone, options, start)
+    circular = {p.name: p.circular for p in chain.parameters}
+    far = {}
+    for name, (low, high, mean, sd) in priors.items():
+        value = estimate[name]
+        nearest = float(np.clip(value.value, low, high)) if mean is None else mean
+        away = value.value - nearest
+        if circular[name]:
+            away -= 2.0 * np.pi * round(away / (2.0 * np.pi))
+        scale = math.hypot(value.larger_sd, sd)
+        if value.determined and scale > 0.0 and abs(away) > CONTRADICTED * scale:
+            far[name] = (value.value, abs(away) / scale)
+    return far
 
 
 def _estimate(

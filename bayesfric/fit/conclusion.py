@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +32,7 @@ class Examination:
 
     explained: Explanation  # what else explains the torque
     taken: Sequence[Finding]  # what of that was put into the model
+    contradicted: Mapping[str, tuple[float, float]]  # priors, by the data: their value, and sds
     back_emf: SpeedTerm | None  # what its nominal constant cannot be told from
     rests: Sequence[RestsBeyond]  # those that the law contradicts
     self_check: Checked | None  # on simulated recordings like its own, unless none were wanted
@@ -47,7 +48,7 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
     rests = [RestsPart.model_validate(vars(one)) for one in examined.rests]
     summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
     summary = _with_findings(summary, examined.explained, examined.taken)
-    doubts = find_doubts(found, summary)
+    doubts = find_doubts(found, summary, examined.contradicted)
     if examined.self_check is not None:
         part = self_check_part(found, summary, examined.self_check, derived)
         summary = summary.model_copy(update={"self_check": part})

@@ -74,7 +74,7 @@ def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
     told = {"kind": kind, **(values or {})}
     what = _FILL.vformat(words_of(_kind(kind, told)).what, (), told)
     if kind == "missing":
-        what += f" explains {percent(told['share'])} % of the torque"
+        what += f" ({percent(told['share'])} % rms)"
     return what
 
 
@@ -142,6 +142,7 @@ FILTERS = {
     "listed": listed,
     "spent": spent_text,
     "said": lambda kind: words_of(kind).what,
+    "doubt": lambda doubt: clause(doubt.kind, doubt.model_dump()),
 }
 
 

@@ -16,10 +16,9 @@ from bayesfric.report.numbers import LATEX, Medium
 from bayesfric.report.paper import latex
 from bayesfric.report.summary.conclusions import bound_mend, put_reported
 from bayesfric.report.summary.derived_quantities import described_as
-from bayesfric.report.summary.noise import correlation_warning
 from bayesfric.report.summary.record import Readable, Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.words import filled
+from bayesfric.report.words import doubt_text, filled
 
 _GROUPS = {
     "free": "Quantities seen at the motor (base parameters)",
@@ -106,7 +105,14 @@ class ParameterTable:
             "parameter_notes.txt.j2",
             rows=self.rows,
             summary=self.summary,
-            correlated=correlation_warning(self.summary),
+            correlated=next(
+                (
+                    doubt_text(doubt.model_dump())
+                    for doubt in self.summary.doubts
+                    if doubt.kind == "independent"
+                ),
+                None,
+            ),
             marked=marked,
         )
         return tuple(text.splitlines())

@@ -16,29 +16,46 @@ from bayesfric.diagnostics.before_a_fit import (
     EXPLAINED,
     best_share,
     doubts_before,
+    few_outputs,
     instead,
     strange_velocity,
 )
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
 from bayesfric.recordings.resolution import LEAST_RATIO
 from bayesfric.report.summary.conclusions import held, noise_cut
+from bayesfric.report.summary.noise import correlation_of
 from bayesfric.report.summary.record import Doubt, Summary
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
 # Sds between a reference and what was found that are no chance.
 _FAR = 3.0
-# What data say of a posterior of which they have less than this share is hardly told by it.
-_LEAST_SHARE = 0.1
+# Share of a number beyond which first order says little of what moves it.
+_FIRST_ORDER = 0.5
 
 
-def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
+def find_doubts(
+    fit: Fit, summary: Summary, contradicted: Mapping[str, tuple[float, float]]
+) -> list[dict[str, Any]]:
     """Look for what makes the numbers of a fit doubtful, for ``summary["doubts"]``.
 
-    Gives ``kind``, ``parameters`` and what else tells of each.
+    This is the one rule by which a number that data determine is ``identified``: nothing here
+    names it. The first doubt is the first sentence of the answer, so what may cause others stands
+    before them: priors that the data contradict, then faults of the recording.
+
+    Parameters
+    ----------
+    fit, summary
+        The posterior, and what is known of it so far.
+    contradicted
+        Priors that the data contradict, see :func:`bayesfric.estimates.input_error.contradicted`.
+
+    Returns
+    -------
+    list of dict
+        ``kind``, ``parameters`` and the numbers that the words need.
     """
     if summary.sampler.status == "unusable":
         return []  # there is no posterior to doubt
@@ -47,14 +64,15 @@ def find_doubts(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     # what rests on the data at all: a limit, or what they settle with a prior's help, too
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
     found = [
-        # before what else may be wrong: it may all come of this
+        *_against_prior(contradicted),
         *strange_velocity(fit.observations),
         *_missing(summary, resting),
         *_unexplained(fit, summary),
         *doubts_before(fit.estimates[0], fit.observations),
         *_cut(summary),
         *_acceleration(fit, summary, told),
-        *_against_prior(summary),
+        *_correlated(summary, told),
+        *_unchecked(fit, summary),
     ]
     return [{"kind": one.pop("kind"), "parameters": one.pop("of", resting), **one} for one in found]
 
@@ -82,14 +100,56 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
     return summary.with_rows(changes, doubts=told, sampler=sampler)
 
 
+def _against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[dict[str, Any]]:
+    """Doubt what is made of data and a prior that contradict each other: neither supports it."""
+    if contradicted:
+        values = {name: value for name, (value, _) in contradicted.items()}
+        yield {
+            "kind": "prior",
+            "values": values,
+            "priors": {n: x for n, (_, x) in contradicted.items()},
+        }
+
+
+def _correlated(summary: Summary, told: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Doubt intervals that take correlated residuals for independent, and have no room for it."""
+    if (correlation := correlation_of(summary)) is None:
+        return
+    rows, (lag, times) = summary.rows, correlation
+    if narrow := [name for name in told if rows[name].told.sd < times * rows[name].sd]:
+        yield {"kind": "independent", "lag": lag, "times": times, "of": narrow}
+
+
+def _unchecked(fit: Fit, summary: Summary) -> Iterator[dict[str, Any]]:
+    """Doubt all numbers of a recording on which the model could not be checked."""
+    regression = summary.regression
+    if regression is not None and regression.reason == "still":
+        yield {"kind": "still"}
+    elif regression is not None and regression.reason == "few":
+        yield from few_outputs(fit.observations, len(fit.target.free))
+
+
 def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any]]:
-    """Doubt what something moves that the model lacks; where any number may be it, all."""
+    """Doubt what something moves that the model lacks; where any number may be it, all.
+
+    Intervals that have room for a finding have it to first order: what it moves by half of itself
+    is doubted all the same.
+    """
     for one in summary.findings:
-        if one.severity == "doubt":
-            of = [name for name in resting if name in one.moves]
-            told = one.model_dump() | {"kind": "missing", "what": one.kind}
-            told["of"] = of or list(resting)
-            yield {key: x for key, x in told.items() if key != "parameters"}
+        of = [name for name in resting if name in one.moves]
+        if one.severity == "note":
+            of = [name for name in of if _far(summary.rows[name], one.moves[name])]
+            if not of:
+                continue
+        told = one.model_dump() | {"kind": "missing", "what": one.kind}
+        told["of"] = of or list(resting)
+        yield {key: x for key, x in told.items() if key != "parameters"}
+
+
+def _far(row: PosteriorRow, move: float) -> bool:
+    """Whether a constant moves, by so many posterior sds, by more than half of its value."""
+    signed = row.interval[0] < 0.0 < row.interval[1] or row.period is not None
+    return not signed and abs(move) * row.sd > _FIRST_ORDER * abs(row.middle)
 
 
 def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
@@ -99,14 +159,6 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
     best, _ = best_share(fit.chain, fit.observations)
     return [told | instead(fit.chain, fit.observations, best)]
-
-
-def _against_prior(summary: Summary) -> Iterator[dict[str, Any]]:
-    """Doubt what a told prior makes of data that contradict it: neither supports the compromise."""
-    rows = {n: row for n, row in summary.joint.items() if n not in summary.references}
-    off = {name: _times(row, *told) for name, row in rows.items() if (told := _of_data(row))}
-    if off := {name: times for name, times in off.items() if times > _FAR}:
-        yield {"kind": "prior", "priors": off}
 
 
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:
@@ -161,26 +213,6 @@ def references_off(summary: Summary) -> dict[str, float]:
             sd = sd_towards(reference.value, row.middle, (row.told.low, row.told.high), row.told.sd)
             times[name] = _times(row, reference.value, reference.sd, row.middle, sd)
     return {name: far for name, far in times.items() if far > _FAR}
-
-
-def _of_data(row: PosteriorRow) -> tuple[float, float, float, float] | None:
-    """Give value and sd of a told prior that is narrow, and of what the data say without it.
-
-    As if both were normal: precisions add up, and means weighed by them. The sd is that were the
-    model right, as when the two were made one: a model error may be no more than that they differ.
-    """
-    if row.prior_default or row.prior_sd is None or row.prior_interval is None or row.period:
-        return None
-    if row.converged is False:
-        return None
-    value, sd = sum(row.prior_interval) / 2.0, row.prior_sd
-    if not 0.0 < row.sd < sd < KNOWN * abs(value):
-        return None
-    share = 1.0 - (row.sd / sd) ** 2  # that the data have in the posterior
-    if share < _LEAST_SHARE:
-        return None
-    found = value + (row.middle - value) / share
-    return value, sd, found, row.sd / share**0.5
 
 
 def _times(

@@ -91,15 +91,16 @@ def linearisation_warning(likelihood: Likelihood) -> str | None:
     return line_of("linearised", {"change": change})
 
 
-def correlation_warning(summary: Summary) -> str | None:
-    """Warn where residuals that count as independent are not, and by how much it matters."""
+def correlation_of(summary: Summary) -> tuple[float, float] | None:
+    """Give lag-one correlation of residuals that count as independent, and how much it matters.
+
+    That is the factor by which intervals are too narrow, of a first-order autoregression.
+    """
     lag = summary.noise.innovation_lag1
     # drifting positions are correlated by their model; there it says nothing
     if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
         return None
-    # the factor of a first-order autoregression
-    times = np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99)))
-    return line_of("independent", {"lag": lag, "times": times})
+    return lag, float(np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99))))
 
 
 def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:

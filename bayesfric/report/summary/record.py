@@ -411,7 +411,8 @@ class Summary(Part):
         asked = self.regression
         return verdict(
             converged=not self.sampler.problems and self.sampler.status != "unusable",
-            doubts=len(self.doubts),
+            # that nobody could check the model is an outcome of its own
+            doubts=sum(doubt.kind not in ("few", "still") for doubt in self.doubts),
             doubtful=sum(r.doubtful for n, r in self.rows.items() if not of_noise(n)),
             asked=None if asked is None or asked.reason else asked.asked,
             explained=self.fit.explained,

@@ -107,7 +107,6 @@ def summarise(
         *posterior.diagnostics.warnings,
         line_of("unseen-inertia", {"names": unseen}) if unseen else "",
         *(bound_warning(name, row) for name, row in sound.items()),
-        noise_part.correlation_warning(summary),
         noise_part.linearisation_warning(summary.likelihood),
         *(
             f"{o.name}: {text}"
