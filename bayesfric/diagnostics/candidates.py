@@ -39,6 +39,9 @@ coulomb_warming             s (1 - exp(-t/tau)); of viscous_warming v in place o
 temperature                 s and v times the recorded temperature
 load_torque                 a recorded torque on the load
 another_signal              a further recorded column, its rate, and the rate of that
+smoothed                    s low-passed to and fro, less s
+current_column              accelerations, weights, s and v, each times abs(v), v or s; T^2
+torque_constant_by_angle    T sin kq and T cos kq
 ==========================  ================================================================
 
 Load-dependent friction and backlash depend on how much of the inertia is behind the gearbox, which
@@ -66,8 +69,11 @@ from bayesfric.recordings.timing import FAR_DELAYS
 
 Sets = Mapping[str, Sequence[Array]]
 
+SMOOTHED = "smoothed"
+
 # What a transmission carries: what the load itself takes, and no friction.
 _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
+_WEIGHTS = frozenset({"first_moment", "spring", "spring_cubic"})
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
 _BEHIND = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
@@ -76,6 +82,11 @@ TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("m
 _ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
+# Cut-offs of a low-pass before logging, in bands, and its order.
+_CUTOFFS, _ORDER = tuple(2.0 ** (-k / 3.0) for k in range(15)), 4
+# Share of the amplitude that friction's reversals have above the band, below which the log holds
+# nothing there: simulated logs smoothed at half the band have 0.05, unsmoothed ones 0.4 and more.
+_SILENT = 0.1
 # Width of a push in s, at least, and how many of them a recording has at most.
 _PUSH, _PUSHES = 0.25, 60
 # Speeds, and positions beside a step, that count as one.
@@ -248,6 +259,35 @@ class Along:
         return _carried(self.chain, self.values, self.o, still=True)
 
     @cached_property
+    def regressors(self) -> Sequence[Array]:
+        """Acceleration, sign of the speed, speed, and what gravity and springs take at size one."""
+        chain, still = self.chain, replace(self.o, qdd=np.zeros_like(self.o.q))
+        sizes = np.eye(len(chain.names))
+        at = [i for i, p in enumerate(chain.parameters) if p.quantity in _WEIGHTS]
+        return self.o.qdd, self.direction, self.o.qd, *(_torque(chain, sizes[i], still) for i in at)
+
+    def smoothed_at(self) -> float:
+        """Cut-off of a low-pass before logging, Hz: half of where the log is silent; 0 for none.
+
+        Silent is the recorded torque without nine tenths of what friction's reversals hold there.
+        """
+        segments, fs = self.recording.segments, 1.0 / self.recording.period
+        signals = np.stack([self.o.torque, self.torque - self.carried])
+        silent = 0.0
+        for f in self.cutoffs:
+            fast = signals - lowpass(signals, segments, fs, f, _ORDER)
+            recorded, friction = map(_rms, fast[:, self.o.filter.centres])
+            if recorded > _SILENT * friction:
+                break
+            silent = f
+        return 0.5 * silent
+
+    @property
+    def cutoffs(self) -> Sequence[float]:
+        """Cut-offs of a low-pass before logging that are tried, Hz, from the band down."""
+        return [times * self.scales.band for times in _CUTOFFS]
+
+    @cached_property
     def clock(self) -> Array:
         """Time in durations, from -0.5 to 0.5 of the longest recording."""
         return np.asarray((self.o.stamps - self.o.stamps.mean()) / self.scales.duration)
@@ -320,6 +360,8 @@ class Kind:
         Choice of the same option that may be negative, where there is one.
     loss
         Whether it is friction, and so of the size of what the model loses.
+    of_recording
+        Whether it is a fault of the recorded torque, which no term of the model makes up for.
     """
 
     name: str
@@ -330,6 +372,7 @@ class Kind:
     positive: bool = False
     other: str = ""
     loss: bool = False
+    of_recording: bool = False
 
 
 def _late(a: Along) -> Sets:
@@ -489,6 +532,29 @@ def _another_signal(a: Along) -> Sets:
     return found
 
 
+def _smoothed(a: Along) -> Sets:
+    """Give what low-passing the log takes off Coulomb friction: all else is smooth before."""
+    segments, fs, way = a.recording.segments, 1.0 / a.recording.period, a.direction
+    return {f"{f:.3g} Hz": [lowpass(way, segments, fs, f, _ORDER) - way] for f in a.cutoffs}
+
+
+def _current_column(a: Along) -> Sets:
+    """Give regressors times what another current differs by; the estimate is that current's."""
+    own = a.regressors
+    supply = [x * np.abs(a.o.qd) for x in own]
+    power = [x * a.o.qd for x in own]
+    return {
+        "the supply's": [*supply, a.torque * np.abs(a.torque)],
+        "the supply's without a sign": [*power, a.torque**2],
+        "signed by power": [x * a.direction for x in own],
+        "without a sign": [x * np.sign(a.o.qdd) for x in own],
+    }
+
+
+def _torque_constant_by_angle(a: Along) -> Sets:
+    return {name: [a.torque * x for x in columns] for name, columns in _repeating(a).items()}
+
+
 KINDS: tuple[Kind, ...] = (
     Kind("delay", _late, lambda a: [a.rate(a.torque_rate)], option="delay"),
     Kind("torque_constant", _one(lambda a: a.torque)),
@@ -592,5 +658,8 @@ KINDS: tuple[Kind, ...] = (
     Kind("temperature", _temperature, option="temperature", choice="both", loss=True),
     Kind("load_torque", _load_torque),
     Kind("another_signal", _another_signal),
+    Kind(SMOOTHED, _smoothed, of_recording=True),
+    Kind("current_column", _current_column, of_recording=True),
+    Kind("torque_constant_by_angle", _torque_constant_by_angle, of_recording=True),
 )
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}

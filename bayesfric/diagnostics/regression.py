@@ -24,7 +24,15 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, late, scales_of
+from bayesfric.diagnostics.candidates import (
+    BY_NAME,
+    KINDS,
+    SMOOTHED,
+    Along,
+    Scales,
+    late,
+    scales_of,
+)
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -202,6 +210,9 @@ class Regression:
         self.scales = scales_of(self.chain, self.values, self.observations)
         self.data = self._columns(self.values, self.observations)
         self._groups = testable(self.data)
+        pairs = zip(self.observations, self.recordings, strict=True)
+        along = [Along(self.chain, self.values, o, r, self.scales) for o, r in pairs]
+        self._smoothed = f"{max(a.smoothed_at() for a in along):.3g} Hz"
         vectors = self._near(np.random.default_rng(draws))
         made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
         self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
@@ -399,7 +410,8 @@ class Regression:
     def _best(self, extra: list[int], choosing: bool) -> Choice:
         """Choose the candidate that explains most of those that are no chance.
 
-        A push comes last: it is taken only where nothing else is sure.
+        A push comes last: it is taken only where nothing else is sure. Of a log that holds nothing
+        above its band smoothing comes first: what the others explain of it is what is missing.
         """
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
@@ -423,6 +435,10 @@ class Regression:
         last = np.array([k == PUSH for k in kinds])
         if (allowed & ~last).any():
             allowed &= ~last
+        smoothed = [i for i, (key, _) in enumerate(self._groups) if key.kind == SMOOTHED]
+        smoothed = [i for i in smoothed if self._groups[i][0].shape == self._smoothed]
+        if smoothed and not extra:
+            allowed = np.arange(z.size) == smoothed[0]
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
