@@ -40,7 +40,8 @@ temperature                 s and v times the recorded temperature
 load_torque                 a recorded torque on the load
 another_signal              a further recorded column, its rate, and the rate of that
 smoothed                    s low-passed to and fro, less s
-current_column              accelerations, weights, s and v, each times abs(v), v or s; T^2
+current_column              x abs(v), T abs(T); x v, T^2; x s; x sign(y), of regressors x and y:
+                            dv/dt, s, v, and what gravity and springs take
 torque_constant_by_angle    T sin kq and T cos kq
 ==========================  ================================================================
 
@@ -84,8 +85,8 @@ _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
 # Cut-offs of a low-pass before logging, in bands, and its order.
 _CUTOFFS, _ORDER = tuple(2.0 ** (-k / 3.0) for k in range(15)), 4
-# Share of the amplitude that friction's reversals have above the band, below which the log holds
-# nothing there: simulated logs smoothed at half the band have 0.05, unsmoothed ones 0.4 and more.
+# Share of friction's amplitude above a frequency below which the log holds nothing there. Simulated
+# logs smoothed at half the band have 0.05 and less above the band, unsmoothed ones 0.4 and more.
 _SILENT = 0.1
 # Width of a push in s, at least, and how many of them a recording has at most.
 _PUSH, _PUSHES = 0.25, 60
@@ -123,6 +124,8 @@ class Scales:
         ``carried`` over ``inertia``: acceleration that the motor gives the load, root mean square.
     band
         Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is.
+    weighs
+        Whether gravity and springs vary by more than a thousandth of ``carried``.
     """
 
     speed: float
@@ -138,6 +141,7 @@ class Scales:
     inertia: float
     need: float
     band: float
+    weighs: bool
 
 
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
@@ -189,6 +193,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         need=_rms(carried) / inertia,
         band=max(float(o.settings["band"]) for o in observations)
         or _FASTEST / max(o.period for o in observations),
+        weighs=max(float(np.ptp(x)) for x in still_torque) > 1e-3 * _rms(carried),
     )
 
 
@@ -267,9 +272,10 @@ class Along:
         return self.o.qdd, self.direction, self.o.qd, *(_torque(chain, sizes[i], still) for i in at)
 
     def smoothed_at(self) -> float:
-        """Cut-off of a low-pass before logging, Hz: half of where the log is silent; 0 for none.
+        """Cut-off of a low-pass before logging, Hz, or up to half of it; 0 where there is none.
 
-        Silent is the recorded torque without nine tenths of what friction's reversals hold there.
+        Above twice that the recorded torque has less than a tenth of what friction's reversals
+        have. A log so smoothed tells nothing of friction there, whatever columns make up for it.
         """
         segments, fs = self.recording.segments, 1.0 / self.recording.period
         signals = np.stack([self.o.torque, self.torque - self.carried])
@@ -318,8 +324,7 @@ class Along:
         carried : ndarray
             ``(N,)`` that share of the inertia's torque, and all of gravity and springs, N m or N.
         """
-        told = float(np.ptp(self.weight)) > 1e-3 * self.scales.carried
-        for share in _BEHIND if told else (1.0,):
+        for share in _BEHIND if self.scales.weighs else (1.0,):
             carried = self.weight + share * (self.carried - self.weight)
             yield f"{share:.0%} of the inertia behind it", share, carried
 
@@ -539,15 +544,18 @@ def _smoothed(a: Along) -> Sets:
 
 
 def _current_column(a: Along) -> Sets:
-    """Give regressors times what another current differs by; the estimate is that current's."""
-    own = a.regressors
-    supply = [x * np.abs(a.o.qd) for x in own]
-    power = [x * a.o.qd for x in own]
+    """Give the regressors times what another current differs by.
+
+    The supply's is the winding's times the duty cycle, which speed and torque ask for. Regressors
+    stand in place of the model's torque, whose estimate is then wrong.
+    """
+    own, v = a.regressors, a.o.qd
+    signs = [np.sign(x) for x in (own[0], own[1], *own[3:])]
     return {
-        "the supply's": [*supply, a.torque * np.abs(a.torque)],
-        "the supply's without a sign": [*power, a.torque**2],
+        "the supply's": [*(x * np.abs(v) for x in own), a.torque * np.abs(a.torque)],
+        "the supply's without a sign": [*(x * v for x in own), a.torque**2],
         "signed by power": [x * a.direction for x in own],
-        "without a sign": [x * np.sign(a.o.qdd) for x in own],
+        "without a sign": [x * sign for sign in signs for x in own],
     }
 
 
