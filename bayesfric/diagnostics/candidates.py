@@ -80,7 +80,7 @@ _BEHIND = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
 _CYCLES = (*range(1, 9), 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
-_ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
+_ANTIRESONANCES = (0.1, 0.13, 0.17, 0.22, 0.29, 0.38, 0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
 # Cut-offs of a low-pass before logging, in bands, and its order.

@@ -173,7 +173,7 @@ def expected(a, k):
         for x in (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)
     }
     powers = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.2, 1.4, 1.6, 1.8)
-    hertz = [x * one.band for x in (0.5, 0.65, 0.8, 1.0, 1.3)]
+    hertz = [x * one.band for x in (0.1, 0.13, 0.17, 0.22, 0.29, 0.38, 0.5, 0.65, 0.8, 1.0, 1.3)]
     rung = resonating(carried, a.recording.segments, PERIOD, hertz)
     elastic = {"far above the band": [rate(rate(carried))]}
     elastic |= {f"{f:.3g} Hz": [x] for f, x in zip(hertz, rung, strict=True)}
