@@ -350,8 +350,8 @@ class Regression:
     def missing(self) -> Missing:
         """Give all candidates to be marginalised, after :meth:`steps`.
 
-        Those that were found are among them; a tone, a push or a far delay only where it was.
-        Columns are as large as all torque, of friction as what the model loses; the mean score of
+        Those that were found are among them; a tone, a push or a far delay only where it was, and
+        none that is as large as all torque where it is there. Columns are as large as all torque, of friction as what the model loses; the mean score of
         the twins is taken off, and half of it counts as spread. The noise is the one that was
         chosen before: what is taken in differs with the twins where several explain as much.
         """
@@ -367,7 +367,8 @@ class Regression:
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
         unit, whole = (np.linalg.norm(x, axis=0) for x in (rest, d.others * size))
         seen = unit > TESTABLE * whole
-        wanted = [(key.kind, tuple(own)) for key, own in self._groups] + self._placed_scans
+        groups = [(k.kind, tuple(own)) for k, own in self._groups if not BY_NAME[k.kind].least]
+        wanted = groups + self._placed_scans
         # between the shapes of a grid
         wanted += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.beside]
         kinds: dict[str, list[tuple[int, ...]]] = {}
@@ -435,6 +436,9 @@ class Regression:
         last = np.array([k == PUSH for k in kinds])
         if (allowed & ~last).any():
             allowed &= ~last
+        for i, (key, own) in enumerate(self._groups):
+            least = BY_NAME[key.kind].least
+            allowed[i] &= not least or (allowed[i] and self._share(own, extra) > least)
         smoothed = [i for i, (key, _) in enumerate(self._groups) if key.kind == SMOOTHED]
         smoothed = [i for i in smoothed if self._groups[i][0].shape == self._smoothed]
         if smoothed and not extra:
@@ -476,7 +480,7 @@ class Regression:
         best = max(w for (key, _), w in ranked if key.kind == choice.kind)
         seen = {choice.kind}
         for (key, columns), gain in ranked:
-            if key.kind in seen:
+            if key.kind in seen or BY_NAME[key.kind].least:
                 continue
             theirs = basis_of(z[:, columns])
             same = theirs.size > 0 and (
@@ -494,13 +498,20 @@ class Regression:
         before, *_ = solved(white.beside(extra), white.left, size[:split])
         both = white.beside([*extra, *own])
         after, covariance, told = solved(both, white.left, size)
-        coefficients = after[split:]
-        share = float(np.sqrt(np.mean((self.data.others[:, own] @ coefficients) ** 2)))
         return {
-            "share": share / self.scales.torque,
-            "coefficients": coefficients,
+            "share": self._share(own, extra),
+            "coefficients": after[split:],
             "moves": self._moves(after[:d] - before[:d], covariance[:d, :d], told[:d]),
         }
+
+    def _share(self, own: list[int], extra: Sequence[int]) -> float:
+        """Give the root mean square of a candidate's torque over that of all torque."""
+        white, split = self.data.whitened, self.values.size + len(extra)
+        size = np.ones(split + len(own))
+        size[: self.values.size] = self._sizes
+        coefficients = solved(white.beside([*extra, *own]), white.left, size)[0][split:]
+        torque = self.data.others[:, own] @ coefficients
+        return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
 
     def _moves(self, shift: Array, covariance: Array, told: Array) -> dict[str, float]:
         """Give what a shift ``(d,)`` of parameters is for everything that a fit reports.
