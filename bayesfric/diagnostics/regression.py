@@ -351,9 +351,10 @@ class Regression:
         """Give all candidates to be marginalised, after :meth:`steps`.
 
         Those that were found are among them; a tone, a push or a far delay only where it was, and
-        none that is as large as all torque where it is there. Columns are as large as all torque, of friction as what the model loses; the mean score of
-        the twins is taken off, and half of it counts as spread. The noise is the one that was
-        chosen before: what is taken in differs with the twins where several explain as much.
+        none that is as large as all torque where it is there. Columns are as large as all torque,
+        of friction as what the model loses; the mean score of the twins is taken off, and half of
+        it counts as spread. The noise is the one that was chosen before: what is taken in differs
+        with the twins where several explain as much.
         """
         d = replace(self.data, memory=self.noise).whitened
         base = basis_of(d.base)
