@@ -213,6 +213,7 @@ def finding(chain: Joint, step: Step) -> Finding:
     if kind is not None and negative and kind.other:
         kind, negative = replace(kind, choice=kind.other), False
     others = [BY_NAME[name] for name in rivals if name in BY_NAME and not BY_NAME[name].positive]
+    others = [other for other in others if not other.of_recording]
     if negative and others:
         kind, shape, negative = others[0], "", False
         rivals = (step.kind, *(name for name in rivals if name != kind.name))
