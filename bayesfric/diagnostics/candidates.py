@@ -40,6 +40,10 @@ coulomb_warming             s (1 - exp(-t/tau)); of viscous_warming v in place o
 temperature                 s and v times the recorded temperature
 load_torque                 a recorded torque on the load
 another_signal              a further recorded column, its rate, and the rate of that
+smoothed                    s low-passed to and fro, less s
+current_column              x abs(v), T abs(T); x v, T^2; x s; x sign(y), of regressors x and y:
+                            dv/dt, s, v, and what gravity and springs take
+torque_constant_by_angle    T sin kq and T cos kq
 ==========================  ================================================================
 
 Load-dependent friction and backlash depend on how much of the inertia is behind the gearbox, which
@@ -65,20 +69,31 @@ from bayesfric.recordings.observation import Observation
 
 Sets = Mapping[str, Sequence[Array]]
 
+SMOOTHED = "smoothed"
+
 # What a transmission carries: what the load itself takes, and no friction.
 _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
+_WEIGHTS = frozenset({"first_moment", "spring", "spring_cubic"})
 # Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
 _BEHIND = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 # Turns of the cogging, and antiresonances in bands, and so on: grids of shapes.
 _CYCLES = (*range(1, 9), 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
-_ANTIRESONANCES = (0.5, 0.65, 0.8, 1.0, 1.3)
+_ANTIRESONANCES = (0.1, 0.13, 0.17, 0.22, 0.29, 0.38, 0.5, 0.65, 0.8, 1.0, 1.3)
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
+# Cut-offs of a low-pass before logging, in bands, and its order.
+_CUTOFFS, _ORDER = tuple(2.0 ** (-k / 3.0) for k in range(15)), 4
+# Share of friction's amplitude above a frequency below which the log holds nothing there. Simulated
+# logs smoothed at half the band have 0.05 and less above the band, unsmoothed ones 0.4 and more.
+_SILENT = 0.1
 # Width of a push in s, at least, and how many of them a recording has at most.
 _PUSH, _PUSHES = 0.25, 60
 # Speeds, and positions beside a step, that count as one.
 _FAST, _STEPS, _REVERSAL = 0.95, 3.0, 1e-3
+# Share of the torque that another current makes at least: simulated ones have 0.4 and more, and
+# measured recordings of the right current fit up to 0.14.
+_ANOTHER = 0.3
 # What stands for a band where none is compared in, as a share of the rate of the outputs.
 _FASTEST = 0.3
 
@@ -111,6 +126,8 @@ class Scales:
         ``carried`` over ``inertia``: acceleration that the motor gives the load, root mean square.
     band
         Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is.
+    weighs
+        Whether gravity and springs vary by more than a thousandth of ``carried``.
     """
 
     speed: float
@@ -126,6 +143,7 @@ class Scales:
     inertia: float
     need: float
     band: float
+    weighs: bool
 
 
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
@@ -177,6 +195,7 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         need=_rms(carried) / inertia,
         band=max(float(o.settings["band"]) for o in observations)
         or _FASTEST / max(o.period for o in observations),
+        weighs=max(float(np.ptp(x)) for x in still_torque) > 1e-3 * _rms(carried),
     )
 
 
@@ -247,6 +266,36 @@ class Along:
         return _carried(self.chain, self.values, self.o, still=True)
 
     @cached_property
+    def regressors(self) -> Sequence[Array]:
+        """Acceleration, sign of the speed, speed, and what gravity and springs take at size one."""
+        chain, still = self.chain, replace(self.o, qdd=np.zeros_like(self.o.q))
+        sizes = np.eye(len(chain.names))
+        at = [i for i, p in enumerate(chain.parameters) if p.quantity in _WEIGHTS]
+        return self.o.qdd, self.direction, self.o.qd, *(_torque(chain, sizes[i], still) for i in at)
+
+    def smoothed_at(self) -> float:
+        """Cut-off of a low-pass before logging, Hz, or up to half of it; 0 where there is none.
+
+        Above twice that the recorded torque has less than a tenth of what friction's reversals
+        have. A log so smoothed tells nothing of friction there, whatever columns make up for it.
+        """
+        segments, fs = self.recording.segments, 1.0 / self.recording.period
+        signals = np.stack([self.o.torque, self.torque - self.carried])
+        silent = 0.0
+        for f in self.cutoffs:
+            fast = signals - lowpass(signals, segments, fs, f, _ORDER)
+            recorded, friction = map(_rms, fast[:, self.o.filter.centres])
+            if recorded > _SILENT * friction:
+                break
+            silent = f
+        return 0.5 * silent
+
+    @property
+    def cutoffs(self) -> Sequence[float]:
+        """Cut-offs of a low-pass before logging that are tried, Hz, from the band down."""
+        return [times * self.scales.band for times in _CUTOFFS]
+
+    @cached_property
     def clock(self) -> Array:
         """Time in durations, from -0.5 to 0.5 of the longest recording."""
         return np.asarray((self.o.stamps - self.o.stamps.mean()) / self.scales.duration)
@@ -277,8 +326,7 @@ class Along:
         carried : ndarray
             ``(N,)`` that share of the inertia's torque, and all of gravity and springs, N m or N.
         """
-        told = float(np.ptp(self.weight)) > 1e-3 * self.scales.carried
-        for share in _BEHIND if told else (1.0,):
+        for share in _BEHIND if self.scales.weighs else (1.0,):
             carried = self.weight + share * (self.carried - self.weight)
             yield f"{share:.0%} of the inertia behind it", share, carried
 
@@ -321,6 +369,11 @@ class Kind:
         Whether it is friction, and so of the size of what the model loses.
     of_speed
         Whether it is a shape of friction over speed, which the friction law of a fit takes in.
+    of_recording
+        Whether it is a fault of the recorded torque, which no term of the model makes up for.
+    least
+        Share of the torque, rms, that it has where it is there: another current differs from the
+        winding's by about as much as the torque, and so many columns fit a little of anything.
     """
 
     name: str
@@ -332,6 +385,8 @@ class Kind:
     other: str = ""
     loss: bool = False
     of_speed: bool = False
+    of_recording: bool = False
+    least: float = 0.0
 
 
 def _late(a: Along) -> Sets:
@@ -464,6 +519,32 @@ def _another_signal(a: Along) -> Sets:
     return found
 
 
+def _smoothed(a: Along) -> Sets:
+    """Give what low-passing the log takes off Coulomb friction: all else is smooth before."""
+    segments, fs, way = a.recording.segments, 1.0 / a.recording.period, a.direction
+    return {f"{f:.3g} Hz": [lowpass(way, segments, fs, f, _ORDER) - way] for f in a.cutoffs}
+
+
+def _current_column(a: Along) -> Sets:
+    """Give the regressors times what another current differs by.
+
+    The supply's is the winding's times the duty cycle, which speed and torque ask for. Regressors
+    stand in place of the model's torque, whose estimate is then wrong.
+    """
+    own, v = a.regressors, a.o.qd
+    signs = [np.sign(x) for x in (own[0], own[1], *own[3:])]
+    return {
+        "the supply's": [*(x * np.abs(v) for x in own), a.torque * np.abs(a.torque)],
+        "the supply's without a sign": [*(x * v for x in own), a.torque**2],
+        "signed by power": [x * a.direction for x in own],
+        "without a sign": [x * sign for sign in signs for x in own],
+    }
+
+
+def _torque_constant_by_angle(a: Along) -> Sets:
+    return {name: [a.torque * x for x in columns] for name, columns in _repeating(a).items()}
+
+
 KINDS: tuple[Kind, ...] = (
     Kind(
         "delay",
@@ -593,5 +674,8 @@ KINDS: tuple[Kind, ...] = (
     Kind("temperature", _temperature, option="temperature", choice="both", loss=True),
     Kind("load_torque", _load_torque),
     Kind("another_signal", _another_signal),
+    Kind(SMOOTHED, _smoothed, of_recording=True),
+    Kind("current_column", _current_column, of_recording=True, least=_ANOTHER),
+    Kind("torque_constant_by_angle", _torque_constant_by_angle, of_recording=True),
 )
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}

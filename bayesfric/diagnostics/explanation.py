@@ -79,10 +79,16 @@ class Explanation:
         return self.reason is None
 
     def noted(self, *, widened: bool) -> tuple[Finding, ...]:
-        """Give findings; of what is marginalised a note, where intervals are ``widened`` for it."""
+        """Give findings; of what is marginalised a note, where intervals are ``widened`` for it.
+
+        A fault of the recording stays a doubt: it is no term whose size could be averaged over.
+        """
         room = self.missing.kinds if self.missing and widened else {}
         return tuple(
-            replace(one, severity="note") if one.kind in room else one for one in self.findings
+            replace(one, severity="note")
+            if one.kind in room and not of_recording(one.kind)
+            else one
+            for one in self.findings
         )
 
     @property
@@ -171,6 +177,11 @@ def explain(
     )
 
 
+def of_recording(name: str) -> bool:
+    """Whether a finding is a fault of the recorded torque, by its kind."""
+    return name in BY_NAME and BY_NAME[name].of_recording
+
+
 def _sharpened(step: Step, factor: float) -> Step:
     """Count what a step moves in standard deviations that are smaller by a factor."""
     return replace(step, moves={name: factor * x for name, x in step.moves.items()})
@@ -193,7 +204,8 @@ def finding(chain: Joint, step: Step) -> Finding:
     -------
     Finding
         A ``doubt`` where it moves a reported number by more than
-        :data:`~bayesfric.diagnostics.policy.MOVES` standard deviations, else a ``note``. Not
+        :data:`~bayesfric.diagnostics.policy.MOVES` standard deviations or is a fault of the
+        recorded torque, else a ``note``. Not
         ``physical`` where what must be positive came out negative and nothing else looks like it.
     """
     kind, rivals, shape = BY_NAME.get(step.kind), step.alike, step.shape
@@ -201,13 +213,14 @@ def finding(chain: Joint, step: Step) -> Finding:
     if kind is not None and negative and kind.other:
         kind, negative = replace(kind, choice=kind.other), False
     others = [BY_NAME[name] for name in rivals if name in BY_NAME and not BY_NAME[name].positive]
+    others = [other for other in others if not other.of_recording]
     if negative and others:
         kind, shape, negative = others[0], "", False
         rivals = (step.kind, *(name for name in rivals if name != kind.name))
     far = {name: x for name, x in step.moves.items() if abs(x) > MOVES}
     return Finding(
         kind=step.kind if kind is None else kind.name,
-        severity="doubt" if far else "note",
+        severity="doubt" if far or (kind and kind.of_recording) else "note",
         statistic=step.z,
         p=step.p,
         shape=shape,

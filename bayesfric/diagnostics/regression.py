@@ -24,7 +24,14 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, Scales, scales_of
+from bayesfric.diagnostics.candidates import (
+    BY_NAME,
+    KINDS,
+    SMOOTHED,
+    Along,
+    Scales,
+    scales_of,
+)
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
     ALIKE,
@@ -203,6 +210,9 @@ class Regression:
         self.scales = scales_of(self.chain, self.values, self.observations)
         self.data = self._columns(self.values, self.observations)
         self._groups = testable(self.data)
+        pairs = zip(self.observations, self.recordings, strict=True)
+        along = [Along(self.chain, self.values, o, r, self.scales) for o, r in pairs]
+        self._smoothed = f"{max(a.smoothed_at() for a in along):.3g} Hz"
         vectors = self._near(np.random.default_rng(draws))
         made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
         self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
@@ -342,10 +352,11 @@ class Regression:
     def missing(self) -> Missing:
         """Give all candidates to be marginalised, after :meth:`steps`.
 
-        Those that were found are among them; a tone, a push or a far delay only where it was.
-        Columns are as large as all torque, of friction as what the model loses; the mean score of
-        the twins is taken off, and half of it counts as spread. The noise is the one that was
-        chosen before: what is taken in differs with the twins where several explain as much.
+        Those that were found are among them; a tone, a push or a far delay only where it was, and
+        none that is as large as all torque where it is there. Columns are as large as all torque,
+        of friction as what the model loses; the mean score of the twins is taken off, and half of
+        it counts as spread. The noise is the one that was chosen before: what is taken in differs
+        with the twins where several explain as much.
         """
         d = replace(self.data, memory=self.noise).whitened
         base = basis_of(d.base)
@@ -359,7 +370,8 @@ class Regression:
         rest, left = without(base, without(base, d.others * size)), without(base, d.left)
         unit, whole = (np.linalg.norm(x, axis=0) for x in (rest, d.others * size))
         seen = unit > TESTABLE * whole
-        wanted = [(key.kind, tuple(own)) for key, own in self._groups] + self._placed_scans
+        groups = [(k.kind, tuple(own)) for k, own in self._groups if not BY_NAME[k.kind].least]
+        wanted = groups + self._placed_scans
         # between the shapes of a grid
         wanted += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.beside]
         kinds: dict[str, list[tuple[int, ...]]] = {}
@@ -405,7 +417,8 @@ class Regression:
     def _best(self, extra: list[int], choosing: bool) -> Choice:
         """Choose the candidate that explains most of those that are no chance.
 
-        A push comes last: it is taken only where nothing else is sure.
+        A push comes last: it is taken only where nothing else is sure. Of a log that holds nothing
+        above its band smoothing comes first: what the others explain of it is what is missing.
         """
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
@@ -429,6 +442,13 @@ class Regression:
         last = np.array([k == PUSH for k in kinds])
         if (allowed & ~last).any():
             allowed &= ~last
+        for i, (key, own) in enumerate(self._groups):
+            least = BY_NAME[key.kind].least
+            allowed[i] &= not least or (allowed[i] and self._share(own, extra) > least)
+        smoothed = [i for i, (key, _) in enumerate(self._groups) if key.kind == SMOOTHED]
+        smoothed = [i for i in smoothed if self._groups[i][0].shape == self._smoothed]
+        if smoothed and not extra:
+            allowed = np.arange(z.size) == smoothed[0]
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
@@ -473,7 +493,7 @@ class Regression:
             best = max(best, choice.worth[-1])
         seen = {choice.kind}
         for (key, columns), gain in ranked:
-            if key.kind in seen:
+            if key.kind in seen or BY_NAME[key.kind].least:
                 continue
             theirs = basis_of(z[:, columns])
             same = theirs.size > 0 and (
@@ -491,13 +511,20 @@ class Regression:
         before, *_ = solved(white.beside(extra), white.left, size[:split])
         both = white.beside([*extra, *own])
         after, covariance, told = solved(both, white.left, size)
-        coefficients = after[split:]
-        share = float(np.sqrt(np.mean((self.data.others[:, own] @ coefficients) ** 2)))
         return {
-            "share": share / self.scales.torque,
-            "coefficients": coefficients,
+            "share": self._share(own, extra),
+            "coefficients": after[split:],
             "moves": self._moves(after[:d] - before[:d], covariance[:d, :d], told[:d]),
         }
+
+    def _share(self, own: list[int], extra: Sequence[int]) -> float:
+        """Give the root mean square of a candidate's torque over that of all torque."""
+        white, split = self.data.whitened, self.values.size + len(extra)
+        size = np.ones(split + len(own))
+        size[: self.values.size] = self._sizes
+        coefficients = solved(white.beside([*extra, *own]), white.left, size)[0][split:]
+        torque = self.data.others[:, own] @ coefficients
+        return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
 
     def _moves(self, shift: Array, covariance: Array, told: Array) -> dict[str, float]:
         """Give what a shift ``(d,)`` of parameters is for everything that a fit reports.

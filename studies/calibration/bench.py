@@ -7,6 +7,7 @@ whose equation is solved twenty or more times a sample.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -69,6 +70,8 @@ class Bench:
     loop: float = 0.0  # Hz of a position loop; else torque is commanded
     path: float = 0.3  # rad of each sine that a position loop goes for
     sag: float = 0.0  # share of the torque constant that is gone at the largest torque
+    # what logging makes of time, position (rad) and torque
+    fault: Callable[[Array, Array, Array], tuple[Array, Array]] | None = None
     tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
 
     def truth(self, rng: np.random.Generator) -> dict[str, float]:
@@ -214,6 +217,12 @@ def measured(
             fine = np.interp(time, samples, noise, left=noise[0], right=noise[-1]) + torque
             taps = butter(bench.maker, MAKER, fs=1.0 / (time[1] - time[0]))
             sensed = np.interp(samples, time, lfilter(*taps, fine))
+        if bench.fault:
+            turn = (
+                bench.counts / (2.0 * np.pi) * (bench.joint.ratio if bench.side == "motor" else 1)
+            )
+            position, sensed = bench.fault(samples, counts / turn, sensed)
+            columns["counts"] = turn * position
         return columns | {"torque": sensed}
     # mean over the sample about the stamp; the constant is 1 N m/A
     current = _means(torque, time, samples, bench.rate) + noise

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
 
@@ -33,6 +35,7 @@ RIGHT = (
     "sticking", "current", "knee", "knee, loaded pair",
 )  # fmt: skip
 WORST = ("sticking", "knee")
+Array = NDArray[np.float64]
 
 # An arm with its inertia before and behind the gearbox, fast enough to show both.
 _VALUES = {**PLAIN, "motor.inertia": 0.02, "load.inertia": 0.03}
@@ -145,6 +148,53 @@ COMPLIANT: dict[str, tuple[tuple[str, ...], Compliant]] = {
     },
 }
 # What no candidate is like: the list decides what intervals have room for.
+
+
+def _smooth(time: Array, x: Array, hertz: float) -> Array:
+    sections = butter(4, hertz, fs=1.0 / (time[1] - time[0]), output="sos")
+    return np.asarray(sosfiltfilt(sections, x))
+
+
+def _speed(time: Array, position: Array) -> Array:
+    return _smooth(time, np.gradient(position, time), 15.0)
+
+
+def _duty(time: Array, position: Array, torque: Array) -> Array:
+    """Give the duty cycle, of which torque and speed each take half at their largest."""
+    speed = _speed(time, position)
+    return 0.5 * torque / np.abs(torque).max() + 0.5 * speed / np.abs(speed).max()
+
+
+# Faults of the recorded torque: of smoothing by its cut-off, of a constant by its share and cycles.
+FAULTS: dict[str, tuple[tuple[str, ...], Bench]] = {
+    **{
+        f"smoothed at {f:g} Hz": (
+            ("smoothed",),
+            replace(_arm_bench, fault=lambda t, q, y, f=f: (_smooth(t, q, f), _smooth(t, y, f))),
+        )
+        for f in (1.5, 3.0, 6.0, 12.0)
+    },
+    **{
+        f"current {name}": (("current_column",), replace(_arm_bench, fault=fault))
+        for name, fault in (
+            ("of the supply", lambda t, q, y: (q, y * np.abs(_duty(t, q, y)))),
+            ("of the supply, signed by power", lambda t, q, y: (q, y * _duty(t, q, y))),
+            ("signed by power", lambda t, q, y: (q, y * np.sign(_speed(t, q)))),
+            ("without a sign", lambda _, q, y: (q, np.abs(y))),
+        )
+    },
+    **{
+        f"torque constant swings by {x:g}, {k} a turn": (
+            ("torque_constant_by_angle",),
+            replace(
+                _arm_bench,
+                fault=lambda _, q, y, x=x, k=k: (q, y / (1.0 + x * np.sin(k * q + 1.0))),
+            ),
+        )
+        for x in (0.03, 0.1)
+        for k in (1, 7)
+    },
+}
 UNLISTED: dict[str, tuple[tuple[str, ...], Bench]] = {
     name: ((), _lacking(_arm(terms=(_term("extra", column),)), **{"motor.extra": x}))
     for name, x, column in (
@@ -208,5 +258,10 @@ BENCHES: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
         f"closed loop, {name}": (kinds, replace(bench, loop=4.0))
         for name, (kinds, bench) in (LACKING | UNLISTED).items()
         if name not in USUAL
+    },
+    **FAULTS,
+    **{
+        f"closed loop, {name}": (kinds, replace(bench, loop=4.0))
+        for name, (kinds, bench) in FAULTS.items()
     },
 }

@@ -55,6 +55,7 @@ def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
         ("load_loss_by_power", [1.0, -1.0], (), "load_loss_by_power", ""),
         ("load_loss_by_power", [1.0, 1.0], (), "load_loss_by_power", 'motor.load_loss = "two"'),
         ("quadratic", [-1.0], ("power", "tone", "spring"), "spring", "load.spring = true"),
+        ("quadratic", [-1.0], ("smoothed",), "quadratic", ""),  # no fault of the log stands for it
         ("drift", [-1.0], ("spring",), "drift", ""),  # which may have any sign
     ],
 )
@@ -67,6 +68,16 @@ def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, n
     assert found.physical == (bool(hint) or kind == "drift")
     assert found.shape == ("0.5" if named == kind else "")
     assert found.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
+
+
+@pytest.mark.parametrize("kind", ["smoothed", "current_column", "torque_constant_by_angle"])
+def test_a_fault_of_the_recording_is_a_doubt_whatever_it_moves_and_however_wide_intervals_are(kind):
+    fault, term = (finding(axis(), replace(STEP, kind=k, moves={})) for k in (kind, "quadratic"))
+    assert (fault.severity, term.severity) == ("doubt", "note")
+    room = SimpleNamespace(kinds={kind: (), "quadratic": ()})
+    found = Explanation((fault, replace(term, severity="doubt")), missing=room)
+    assert [x.severity for x in found.noted(widened=True)] == ["doubt", "note"]
+    assert [x.severity for x in found.noted(widened=False)] == ["doubt", "doubt"]
 
 
 # A line of a configuration adds the column of its candidate
