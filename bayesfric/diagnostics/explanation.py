@@ -78,6 +78,12 @@ class Explanation:
         """Whether there is an answer."""
         return self.reason is None
 
+    @property
+    def put_in(self) -> tuple[Finding, ...]:
+        """Findings that a model may be completed by; none where the recording is at fault first."""
+        faulty = bool(self.findings) and of_recording(self.findings[0].kind)
+        return () if faulty else tuple(one for one in self.findings if one.put_in)
+
     def noted(self, *, widened: bool) -> tuple[Finding, ...]:
         """Give findings; of what is marginalised a note, where intervals are ``widened`` for it.
 

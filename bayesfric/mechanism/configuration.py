@@ -127,7 +127,8 @@ class MechanismOptions(_Options):
     delay: bool | None = Field(
         None,
         description="unknown time by which the recorded position comes after the torque; of a "
-        "torque that is computed from a target, by which the drive acts late on it",
+        "torque that is computed from a target, by which the drive acts late on it: then unknown "
+        "unless this is false",
     )
     elements: dict[str, ElementOptions] = Field(
         default_factory=dict,

@@ -62,11 +62,14 @@ def prepare(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
     found = _recorded(config, chain, recordings)
+    by_target = all(r.feedback is not None for r in found)
+    # no drive acts on its target at once, and what it is late by looks like viscous friction
+    open_delay = tables.mechanism.delay is None and tables.likelihood.method == "input-error"
+    chain = replace(chain, by_target=by_target, delay=chain.delay or (by_target and open_delay))
     with config.named():
         found, divided, doubted = _banded(found, chain, tables)
         # the torque's rate sizes a prior, whatever the delay is
         observations = (_timed(divided, 0.0) if chain.delay else divided).observations
-    chain = replace(chain, by_target=all(r.feedback is not None for r in found))
     if tables.mechanism.offset == "per-recording":
         chain = replace(chain, own_offsets=tuple(o.name for o in observations))
     with config.named():

@@ -231,7 +231,7 @@ class Problem:
         while True:
             left = model.explain([found.estimate], progress=progress)
             tried = {one.hint for one in taken}
-            wanted = [one for one in left.findings if one.put_in and one.hint not in tried]
+            wanted = [one for one in left.put_in if one.hint not in tried]
             for one in wanted[: MOST - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue

@@ -20,6 +20,7 @@ from bayesfric.diagnostics.before_a_fit import (
     instead,
     strange_velocity,
 )
+from bayesfric.diagnostics.explanation import of_recording
 from bayesfric.estimates.information import CORRELATED
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import quantity_of
@@ -132,11 +133,11 @@ def _unchecked(fit: Fit, summary: Summary) -> Iterator[dict[str, Any]]:
 def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any]]:
     """Doubt what something moves that the model lacks; where any number may be it, all.
 
-    Intervals that have room for a finding have it to first order: what it moves by half of itself
-    is doubted all the same.
+    A fault of the recording may be in any number. Intervals with room for a finding have it to
+    first order: what it moves by more than half of itself is doubted all the same.
     """
     for one in summary.findings:
-        of = [name for name in resting if name in one.moves]
+        of = [name for name in resting if name in one.moves and not of_recording(one.kind)]
         if one.severity == "note":
             of = [name for name in of if _far(summary.rows[name], one.moves[name])]
             if not of:
