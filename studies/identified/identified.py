@@ -174,7 +174,7 @@ def _off(number: dict[str, Any]) -> bool:
     return number["z"] is not None and abs(number["z"]) > OFF
 
 
-def kept(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> tuple[int, int]:
+def still_identified(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> tuple[int, int]:
     """Count numbers that are identified in rows ``after``, and in those ``before`` as well."""
     now = {row["number"]: row.get("numbers", {}) for row in after}
     identified = [
@@ -191,7 +191,7 @@ def kept(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> tuple[int
 
 
 HEAD = (
-    "|  | recordings | refused | numbers | identified | of these off | cause in first sentence "
+    "|  | recordings | refused | numbers | identified | of these, off | cause in first sentence "
     "| cause named at all | doubtful | median CPU s |\n|---|---|---|---|---|---|---|---|---|---|"
 )
 
@@ -213,13 +213,13 @@ def _share(part: int, total: int) -> str:
 
 
 def main() -> None:
-    """Fit what is asked for, and keep it kind by kind."""
+    """Fit the requested kinds, and write each as soon as it is done."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=int, default=40)
     parser.add_argument("--kinds", nargs="*", help="of faults, or with --right of benches")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--right", action="store_true", help="right models instead of faults")
-    parser.add_argument("--before", type=Path, help="result to count kept numbers against")
+    parser.add_argument("--before", type=Path, help="result to compare with")
     parser.add_argument("--to", type=Path)
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
@@ -240,7 +240,7 @@ def main() -> None:
     print(line("all", [row for kind in kinds for row in result[kind]]))
     if options.before:
         before = json.loads(options.before.read_text(encoding="utf-8"))
-        counts = [kept(before[kind], result[kind]) for kind in kinds if kind in before]
+        counts = [still_identified(before[kind], result[kind]) for kind in kinds if kind in before]
         still, identified = (sum(x) for x in zip(*counts, strict=True))
         print(f"identified before and now: {_share(still, identified)}")
 

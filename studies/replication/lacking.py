@@ -81,6 +81,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
                 "held": bool(low <= true <= high),
                 "wider": (high - low) / (row.interval[1] - row.interval[0]),
                 "z": float((told.value - true) / told.sd),
+                "posterior_z": float((row.middle - true) / row.sd),
             }
         )
     found = [finding.kind for finding in summary.findings]

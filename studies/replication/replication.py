@@ -4,11 +4,12 @@
 (those of the XL330 by fours: of one position gain, or of one trajectory), and compares every two of
 one joint: the difference of each number that the data of both determine, over the root of the
 summed squares of its two standard deviations, which should scatter by one. Writes
-``replication.json``.
+``replication.json``; ``--cases A B`` fits some of them again and keeps the others.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import re
@@ -179,28 +180,40 @@ def judged(z: list[float]) -> dict[str, float]:
     }
 
 
-def main() -> None:
-    tasks = [
-        (case, run, folder, text)
-        for case, runs in cases().items()
-        for run, (folder, text) in runs.items()
-    ]
-    with ProcessPoolExecutor(2) as pool:
-        fits = list(pool.map(one, tasks))
-    result: dict[str, Any] = {"fits": fits, "cases": {}}
-    every: dict[tuple[str, bool], list[float]] = {}
+def summed(fits: list[dict[str, Any]]) -> dict[str, Any]:
+    """Judge the pairs of every case, and of all together."""
+    result: dict[str, Any] = {}
+    every: dict[str, list[float]] = {}
     for case in dict.fromkeys(fit["case"] for fit in fits):
         runs = [fit for fit in fits if fit["case"] == case]
-        row = {}
+        result[case] = {}
         for kind in ("auto", "HAC", "told"):
             for doubted in (True, False):
+                key = kind if doubted else f"{kind}, undoubted"
                 z = differences(runs, kind, doubted=doubted)
-                every.setdefault((kind, doubted), []).extend(z)
-                row[kind if doubted else f"{kind}, undoubted"] = judged(z)
-        result["cases"][case] = row
-    result["cases"]["all"] = {
-        kind if doubted else f"{kind}, undoubted": judged(z) for (kind, doubted), z in every.items()
-    }
+                every.setdefault(key, []).extend(z)
+                result[case][key] = judged(z)
+    result["all"] = {key: judged(z) for key, z in every.items()}
+    return result
+
+
+def main() -> None:
+    """Fit the requested cases, and sum all up."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", nargs="*", help="to fit again; all if left out")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args()
+    path, known = HERE / "replication.json", cases()
+    requested = options.cases or list(known)
+    if unknown := set(requested) - set(known):
+        parser.error(f"there is no case {', '.join(sorted(unknown))}")
+    others = json.loads(path.read_text(encoding="utf-8"))["fits"] if options.cases else []
+    tasks = [(case, run, *known[case][run]) for case in requested for run in known[case]]
+    with ProcessPoolExecutor(options.workers) as pool:
+        fits = list(pool.map(one, tasks))
+    fits += [fit for fit in others if fit["case"] not in requested]
+    fits.sort(key=lambda fit: list(known).index(fit["case"]))
+    result = {"fits": fits, "cases": summed(fits)}
     for case, row in result["cases"].items():
         cells = [
             f"{row[k]['rms']:.2f}, {100 * row[k]['held']:.0f} % of {row[k]['n']}"
@@ -210,7 +223,7 @@ def main() -> None:
         ]
         print(f"| {case} | " + " | ".join(cells) + " |", flush=True)
     text = json.dumps(result, indent=1).replace("NaN", "null")
-    (HERE / "replication.json").write_text(text + "\n", encoding="utf-8")
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

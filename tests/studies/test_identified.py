@@ -62,7 +62,7 @@ def test_counting(identified):
     # of two numbers one is off: with 95 % confidence fewer than 97.5 % are
     assert sums["identified_off_at_most"] == pytest.approx(np.sqrt(0.95), abs=1e-3)
     later = [row(0, "doubtful", "identified"), row(1, "identified", "identified")]
-    assert identified.kept(rows, later) == (1, 2)
+    assert identified.still_identified(rows, later) == (1, 2)
 
 
 def test_a_cause_is_named_by_its_words(identified):
