@@ -82,8 +82,11 @@ def test_a_measured_fit_again(real_data, replication, run):  # noqa: ARG001
         for kind in ("auto", "told"):
             apart = abs(row["value"][kind] - old["value"][kind])
             assert apart < FAR * max(row[kind], old[kind]), (name, kind)
-            # of a skewed one, too, sds of a thousand draws are within 20 %
-            assert row[kind] == pytest.approx(old[kind], rel=0.2), (name, kind)
+        # of a skewed one, too, sds of a thousand draws are within 20 %
+        assert row["auto"] == pytest.approx(old["auto"], rel=0.2), name
+        # The chance that dircol's model lacks something is 0 to 0.4 by the seed (500 to 502), which
+        # moves this sd by up to 27 %, more than its draws do.
+        assert row["told"] == pytest.approx(old["told"], rel=0.5), name
 
 
 @pytest.mark.slow
