@@ -103,7 +103,7 @@ class Servo:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, *, rates: tuple[float, float] = (50.0, 250.0)) -> Servo:
-        """Draw one: gains over a decade, damped by 0.2 to 0.7 of what is critical."""
+        """Draw a servo: gains over a decade, damped by 0.2 to 0.7 of what is critical."""
         factors = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(TYPICAL))
         truth = {k: v * f for (k, v), f in zip(TYPICAL.items(), factors.tolist(), strict=True)}
         kp = _log_uniform(rng, 5.0, 50.0)
@@ -274,16 +274,16 @@ def short_recording(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
         duration = float(rng.uniform(0.5, 4.0)) if fault else servo.duration
         short = Servo(**vars(servo) | {"duration": duration})
         columns = _torque_columns(short, moved(short, rng), rng)
-        made = Faulty(_configuration(short, TORQUE), columns, short.truth, size=duration)
+        faulty = Faulty(_configuration(short, TORQUE), columns, short.truth, size=duration)
         if not fault:
-            return made
+            return faulty
         with TemporaryDirectory() as folder:
             try:
-                observations = made.model(Path(folder)).observations
+                observations = faulty.model(Path(folder)).observations
             except BadInput:  # too short to be read
                 continue
         if 10 <= sum(o.measured.size for o in observations) <= 60:
-            return made
+            return faulty
     raise RuntimeError("no recording left 10 to 60 outputs")
 
 
