@@ -18,6 +18,7 @@ STUDIES: dict[str, list[str]] = {
     "calibration/calibrate.py": [],
     "calibration/whole_path.py": [],
     "calibration/motion.py": [],
+    "identified/identified.py": [],
     "closed_loop/closed_loop.py": [],
     "rabbit_knee/monte_carlo.py": [],
     "replication/replication.py": [],

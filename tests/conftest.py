@@ -75,7 +75,7 @@ LONG = {
     "rollouts": """
         rollout""",
     "studies": """
-        dfki_pendulum real_recordings""",
+        dfki_pendulum identified real_recordings""",
 }
 LONG_FILES = {
     Path(__file__).parent / folder / f"test_{name}.py"

@@ -4,7 +4,7 @@
 (those of the XL330 by fours: of one position gain, or of one trajectory), and compares every two of
 one joint: the difference of each number that the data of both determine, over the root of the
 summed squares of its two standard deviations, which should scatter by one. Writes
-``replication.json``.
+``replication.json``; ``--cases A B`` fits some of them again and keeps the others.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ COLUMNS = {
 } | {"HAC": ("HAC", "", True), "identified": ("reported", "", False)}
 
 
-def table(fits: list[dict[str, Any]]) -> dict[str, Any]:
+def summed(fits: list[dict[str, Any]]) -> dict[str, Any]:
     """Judge every case, and all together."""
     cases: dict[str, Any] = {}
     every: dict[str, list[float]] = {}
@@ -242,19 +242,23 @@ def table(fits: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Fit every recording, or print what is there."""
+    """Fit the requested cases and keep the others, or print what is there."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", nargs="*", help="to fit again; all if left out")
     parser.add_argument("--table", action="store_true")
-    path = HERE / "replication.json"
-    if not parser.parse_args().table:
-        tasks = [
-            (case, run, folder, text)
-            for case, runs in cases().items()
-            for run, (folder, text) in runs.items()
-        ]
+    options = parser.parse_args()
+    path, known = HERE / "replication.json", cases()
+    requested = [] if options.table else options.cases or list(known)
+    if unknown := set(requested) - set(known):
+        parser.error(f"there is no case {', '.join(sorted(unknown))}")
+    fits = json.loads(path.read_text(encoding="utf-8"))["fits"] if path.exists() else []
+    fits = [fit for fit in fits if fit["case"] not in requested]
+    tasks = [(case, run, *known[case][run]) for case in requested for run in known[case]]
+    if tasks:
         with ProcessPoolExecutor(2) as pool:
-            fits = list(pool.map(one, tasks))
-        text = json.dumps({"fits": fits} | table(fits), indent=1).replace("NaN", "null")
+            fits += list(pool.map(one, tasks))
+        fits.sort(key=lambda fit: list(known).index(fit["case"]))
+        text = json.dumps({"fits": fits} | summed(fits), indent=1).replace("NaN", "null")
         path.write_text(text + "\n", encoding="utf-8")
     result = json.loads(path.read_text(encoding="utf-8"))
     print("| joint | " + " | ".join(COLUMNS) + " |")

@@ -97,6 +97,7 @@ def joint_of(lacking: str, seed: int) -> dict[str, Any]:
             "mae": one.at_position.mae,
             "inside": one.at_position.inside,
             "alone": one.at_position.inside_alone,
+            "alone_width": float(np.nanmedian(one.alone[1] - one.alone[0])),
             "moves": rolled.unexplained["fitted"],
         }
     return out

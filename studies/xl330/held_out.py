@@ -1,15 +1,18 @@
 """Fit twelve runs of the XL330, predict the four of the gain left out, for every gain.
 
-``python studies/xl330/held_out.py`` prints the table of README.md.
+``python studies/xl330/held_out.py`` prints a row for each gain and noise, and writes
+``held_out.json``; ``--noises A B`` for less, of which the others are kept.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.written import plain
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.inference.predictive import predict_held_out
@@ -50,14 +53,21 @@ def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
     return result.target.likelihood.noise.description, record
 
 
-def main(noises: list[str]) -> None:
-    """Print a row for each gain and noise."""
+def main() -> None:
+    """Print a row for each gain and noise, and keep it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--noises", nargs="*", default=list(NOISES), choices=list(NOISES))
+    options = parser.parse_args()
+    path = PATH.with_name("held_out.json")
+    result = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     print("| gain held out | noise | outputs | 50 % | 90 % | 99 % | rms | predicted | off by |")
     print("|---|---|---|---|---|---|---|---|---|")
-    for noise in noises:
+    for noise in options.noises:
         for gain in GAINS:
             description, record = held_out(gain, noise)
             p = record["pooled"]
+            result.setdefault(noise, {})[str(gain)] = p
+            path.write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
             shares = " | ".join(
                 f"{100 * c['share']:.0f} ± {100 * c['standard_error']:.0f} %"
                 for c in p["coverage"].values()
@@ -73,4 +83,4 @@ def main(noises: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or list(NOISES))
+    main()

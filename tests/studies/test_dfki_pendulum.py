@@ -1,10 +1,15 @@
 """A measured pendulum under six controllers, with the defaults: right, or not called data."""
 
+from functools import cache
+
+import numpy as np
 import pytest
 
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import parse_config
 from tests.conftest import REPOSITORY, imported
+
+from .bench import committed
 
 FOLDER = REPOSITORY / "studies" / "dfki-pendulum"
 
@@ -18,17 +23,28 @@ def right_or_not_data(row, cad):
     return row["verdict"] != "data" or abs(row["median"] / cad - 1.0) < 0.25
 
 
+@pytest.fixture(scope="module")
+def fit_of(study):
+    """Give what the README quotes of a recording's fit, fitted once."""
+    return cache(lambda name: study.told(study.fitted(study.configuration(name))))
+
+
+# Nothing says that a hand pushes in these two, and they are called identified.
+TOO_SURE = pytest.mark.xfail(strict=True, reason="identified, and 1.3 times CAD")
+
+
 @pytest.mark.parametrize(
     "name",
     [
         "ddp",
         "ilqr",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("dircol", "es500", "sac", "es1kg")),
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("dircol", "es500")),
+        *(pytest.param(n, marks=[pytest.mark.slow, TOO_SURE]) for n in ("sac", "es1kg")),
     ],
 )
-def test_a_measured_first_moment_is_near_cads_or_not_called_data(real_data, study, name):  # noqa: ARG001
+def test_a_measured_first_moment_is_near_cads_or_not_called_data(real_data, study, fit_of, name):  # noqa: ARG001
     """0.1.0 gave 0.009 to 0.17 kg m for 0.304, all reliable, of ddp and sac data."""
-    found = study.told(study.fitted(study.configuration(name)))
+    found = fit_of(name)
     row = found["parameters"]["load.first_moment"]
     assert right_or_not_data(row, study.CAD.get(name, 0.304))
     if name == "ddp":
@@ -38,6 +54,22 @@ def test_a_measured_first_moment_is_near_cads_or_not_called_data(real_data, stud
         assert ratio == pytest.approx(0.15 / 0.304, rel=0.1)
     if name == "ilqr":
         assert found["status"] == "tentative"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ddp", "dircol", "ilqr", "es500", "sac", "es1kg"])
+def test_fits_are_those_that_are_committed(real_data, fit_of, name):  # noqa: ARG001
+    before, again = committed("dfki-pendulum/result.json")[name], fit_of(name)
+    for key in ("status", "noise", "doubts"):
+        assert again[key] == before[key], key
+    assert again["bands"] == pytest.approx(before["bands"])
+    for parameter, new in again["parameters"].items():
+        old = before["parameters"][parameter]
+        assert new["verdict"] == old["verdict"], parameter
+        # five standard errors of the difference of medians of a thousand draws, of a normal's sds
+        sd = (old["interval"][1] - old["interval"][0]) / 3.29
+        error = sd * (np.pi / 2.0 * 2.0 / 1000.0) ** 0.5
+        assert abs(new["median"] - old["median"]) < 5.0 * error, parameter
 
 
 @pytest.mark.parametrize("file", ["es500", "sac"])

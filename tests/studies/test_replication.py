@@ -9,30 +9,27 @@ replication, lacking, fleets = (
     scripts(name, folders=["replication"]) for name in ("replication", "lacking", "fleets")
 )
 
-
-def test_measured_pairs_scatter_by_about_one():
-    every = committed("replication/replication.json")["cases"]["all"]
-    assert every["told"]["n"] > 40
-    assert 0.7 < every["told"]["rms"] < 1.4
-    assert 0.8 < every["told"]["held"] < 0.97
-    assert every["auto"]["rms"] > 3.0
+# Five standard errors of the difference of two medians of a thousand independent draws, in sds.
+FAR = 5.0 * np.sqrt(np.pi / 2.0) * np.sqrt(2.0 / 1000.0)
 
 
-def test_intervals_hold_where_a_model_lacks_something(lacking):
+def test_sums_are_of_the_fits_beside_them(replication):
+    result = committed("replication/replication.json")
+    assert {fit["case"] for fit in result["fits"]} == set(result["cases"]) - {"all"}
+    again = replication.summed(result["fits"])
+    for case, row in result["cases"].items():
+        for kind, sums in row.items():
+            for key, value in sums.items():
+                wanted = np.nan if value is None else value
+                assert again["cases"][case][kind][key] == pytest.approx(wanted, nan_ok=True), (
+                    case,
+                    kind,
+                )
+
+
+def test_every_case_that_lacks_something_is_there(lacking):
     cases = committed("replication/lacking.json")
     assert set(cases) == {case for effect in lacking.EFFECTS.values() for case in effect}
-    of = dict.fromkeys(cases, "wrong") | dict.fromkeys(lacking.NOT_LISTED, "unlisted")
-    of |= dict.fromkeys(lacking.CORRECT, "right")
-    right, wrong, unlisted = (
-        [r for n in cases if of[n] == kind for one in cases[n] for r in one["rows"]]
-        for kind in ("right", "wrong", "unlisted")
-    )
-    assert np.mean([row["plain"] for row in wrong]) < 0.7
-    assert np.mean([row["held"] for row in wrong]) > 0.9
-    assert np.mean([row["held"] for row in unlisted]) > 0.7
-    # what is right stays as it is
-    assert np.median([row["wider"] for row in right]) == pytest.approx(1.0, abs=0.01)
-    assert abs(np.mean([row["held"] for row in right]) - 0.9) < 3.0 * np.sqrt(0.09 / len(right))
 
 
 def test_fleets_hold_what_they_say():
@@ -45,20 +42,22 @@ def test_fleets_hold_what_they_say():
 
 
 def invented(case, value, sd, **more):
-    kinds = "auto", "HAC", "told"
-    row = {"value": dict.fromkeys(kinds, value), "prior": 100.0}
-    row |= {"determined": True, "doubted": False} | dict.fromkeys(kinds, sd) | more
+    kinds = "posterior", "HAC", "uncorrected", "reported"
+    row = {"value": dict.fromkeys(kinds, value), "prior": 100.0, "class": "friction"}
+    row |= {"determined": True, "status": "identified"} | dict.fromkeys(kinds, sd) | more
     return {"case": case, "rows": {"motor.viscous": row}}
 
 
 def test_differences_are_over_both_sds_and_of_what_both_determine(replication):
     runs = [invented("a", 1.0, 0.3), invented("a", 2.0, 0.4), invented("a", 5.0, 0.1, prior=0.1)]
-    assert replication.differences(runs, "told", doubted=True) == pytest.approx([-2.0])
-    runs[1]["rows"]["motor.viscous"]["doubted"] = True
-    assert replication.differences(runs, "told", doubted=False) == []
+    assert replication.differences(runs, "reported") == pytest.approx([-2.0])
+    assert replication.differences(runs, "reported", "constants") == []
+    runs[1]["rows"]["motor.viscous"]["status"] = "doubtful"
+    assert replication.differences(runs, "reported", doubted=False) == []
     judged = replication.judged([3.0, -4.0, 0.0, 0.0])
     assert judged["rms"] == pytest.approx(2.5)
     assert judged["held"] == 0.5
+    assert judged["most"] == pytest.approx(1.54, abs=0.01)  # sqrt of 9.49 over four
 
 
 def test_a_regression_has_its_exact_posterior(fleets):
@@ -72,9 +71,39 @@ def test_a_regression_has_its_exact_posterior(fleets):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("run", ["ddp", "dircol"])
+def test_a_measured_fit_again(real_data, replication, run):  # noqa: ARG001
+    """By another seed: what is committed is of today's code."""
+    case = "pendulum, controllers"
+    folder, text = replication.cases()[case][run]
+    again = replication.one((case, run, folder, text.replace("seed = 500", "seed = 501")))
+    fits = committed("replication/replication.json")["fits"]
+    (before,) = [fit for fit in fits if (fit["case"], fit["run"]) == (case, run)]
+    assert again["noise"] == before["noise"]
+    assert again["findings"] == before["findings"]
+    assert again["rows"].keys() == before["rows"].keys()
+    for name, row in again["rows"].items():
+        old = before["rows"][name]
+        for kind in ("posterior", "reported"):
+            apart = abs(row["value"][kind] - old["value"][kind])
+            assert apart < FAR * max(row[kind], old[kind]), (name, kind)
+        # of a skewed one, too, sds of a thousand draws are within 20 %
+        assert row["posterior"] == pytest.approx(old["posterior"], rel=0.2), name
+        # The chance that dircol's model lacks something is 0 to 0.4 by the seed (500 to 502), which
+        # moves this sd by up to 27 %, more than its draws do.
+        assert row["reported"] == pytest.approx(old["reported"], rel=0.5), name
+
+
+@pytest.mark.slow
 def test_a_model_that_lacks_a_term_again(lacking):
     case = lacking.EFFECTS["load loss"][1]
-    rows = [row for k in range(3) for row in lacking.one((case, k))["rows"]]
-    held, plain = (np.mean([row[name] for row in rows]) for name in ("held", "plain"))
-    assert held > max(plain, 0.8)
-    assert np.median([row["wider"] for row in rows]) > 1.5
+    for number, before in enumerate(committed("replication/lacking.json")[case][:3]):
+        again = lacking.one((case, number))
+        assert again["findings"] == before["findings"]
+        assert again["outcome"] == before["outcome"]
+        for new, old in zip(again["rows"], before["rows"], strict=True):
+            assert (new["name"], new["status"]) == (old["name"], old["status"])
+            for key in ("posterior", "reported"):
+                (value, sd, *_), (before_value, before_sd, *_) = new[key], old[key]
+                apart = abs(value - before_value)
+                assert apart < FAR * max(sd, before_sd), (number, new["name"], key)

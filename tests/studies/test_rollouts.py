@@ -34,4 +34,8 @@ def test_two_joints_again(study):
     for name in ("nothing", "Stribeck rise"):
         again = study.joint_of(name, 0)
         for loop in ("closed", "open"):
-            assert again[loop]["mae"] == pytest.approx(before[name][0][loop]["mae"], rel=0.1)
+            new, old = again[loop], before[name][0][loop]
+            # MAE is of the median of a hundred draws: five standard errors of the difference of two
+            sd = new["alone_width"] / 3.29
+            error = sd * np.sqrt(np.pi / 2.0 * 2.0 / 100.0)
+            assert abs(new["mae"] - old["mae"]) < 5.0 * error, (name, loop)
