@@ -98,7 +98,7 @@ class Chain:
     offset: bool = False
     own_offsets: tuple[str, ...] = ()
     gain: bool = False
-    delay: bool = False
+    delay: bool | None = None
     by_target: bool = False
     made_from: str = ""
     terms: tuple[Term, ...] = ()

@@ -73,8 +73,7 @@ def mechanism_table(joint: Joint) -> dict[str, Any]:
     """Write a joint as the ``[mechanism]`` table that makes it."""
     offset = "per-recording" if joint.own_offsets else joint.offset
     terms = [term.name for term in joint.terms] or None  # what is none is left out
-    delay = joint.delay or None
-    table = {"offset": offset, "gain": joint.gain, "terms": terms, "delay": delay}
+    table = {"offset": offset, "gain": joint.gain, "terms": terms, "delay": joint.delay}
     if joint.made_from in PRESETS:
         base = PRESETS[joint.made_from].chain()
         if (base.elements, base.load) == (joint.elements, joint.load):

@@ -63,9 +63,10 @@ def prepare(
         )
     found = _recorded(config, chain, recordings)
     by_target = all(r.feedback is not None for r in found)
-    # no drive acts on its target at once, and what it is late by looks like viscous friction
-    open_delay = tables.mechanism.delay is None and tables.likelihood.method == "input-error"
-    chain = replace(chain, by_target=by_target, delay=chain.delay or (by_target and open_delay))
+    if by_target and chain.delay is None and tables.likelihood.method == "input-error":
+        # no drive acts on its target at once, and what it is late by looks like viscous friction
+        chain = replace(chain, delay=True)
+    chain = replace(chain, by_target=by_target)
     with config.named():
         found, divided, doubted = _banded(found, chain, tables)
         # the torque's rate sizes a prior, whatever the delay is

@@ -142,7 +142,6 @@ FILTERS = {
     "listed": listed,
     "spent": spent_text,
     "said": lambda kind: words_of(kind).what,
-    "doubt": lambda doubt: clause(doubt.kind, doubt.model_dump()),
 }
 
 

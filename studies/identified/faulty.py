@@ -323,23 +323,20 @@ class Kind:
 # Kinds of findings, doubts and notes, keys of bayesfric/report/words.toml, that count as the cause;
 # those that no version has yet are names that one may have.
 KINDS: dict[str, Kind] = {
-    "late target": Kind(late_target, "samples", frozenset({"delay", "late_target"})),
+    "late target": Kind(late_target, "samples", frozenset({"target_delay"})),
     "current column": Kind(
         current_column,
         "",
-        frozenset(
-            {"unexplained", "torque_by_sign", "torque_constant", "saturation"}
-            | {"supply_current", "current_by_power", "absolute_current", "negative"}
-        ),
+        frozenset({"current_column"}),
     ),
-    "smoothed": Kind(smoothed, "Hz", frozenset({"smoothed", "attenuated"})),
-    "prior": Kind(wrong_prior, "prior sds", frozenset({"prior", "bound", "set bound"})),
+    "smoothed": Kind(smoothed, "Hz", frozenset({"smoothed"})),
+    "prior": Kind(wrong_prior, "prior sds", frozenset({"prior"})),
     "swing": Kind(
         swinging_current,
         "of the current",
-        frozenset({"repeating", "friction_by_angle", "torque_constant_by_angle"}),
+        frozenset({"torque_constant_by_angle"}),
     ),
-    "short": Kind(short_recording, "s", frozenset({"few", "short"})),
+    "short": Kind(short_recording, "s", frozenset({"few"})),
 }
 
 

@@ -169,7 +169,7 @@ def test_what_a_finding_moves_is_doubted_and_a_note_doubts_nothing(severity):
     one = FindingRow(kind="delay", severity=severity, statistic=9.0, moves=moves, **told)
     rows = {"a.b": row(1.0, 0.9, 1.1), "a.c": row(1.0, 0.9, 1.1)}
     summary = summary_of(rows).model_copy(update={"findings": [one]})
-    found = find_doubts(_Fit(), summary)
+    found = find_doubts(_Fit(), summary, {})
     assert [doubt["parameters"] for doubt in found] == [["a.b"]] * (severity == "doubt")
 
 

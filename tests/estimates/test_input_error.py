@@ -8,7 +8,7 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.descent import Terms, TorqueProblem, descend
 from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.input_error import input_error
+from bayesfric.estimates.input_error import contradicted, input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
@@ -98,6 +98,30 @@ def test_the_plain_axis_is_linear_least_squares(make_observation):
     for i, name in enumerate(chain.names):
         assert estimate[name].value == pytest.approx(expected[i], rel=1e-7)
         assert estimate[name].sd == pytest.approx(np.sqrt(covariance[i, i]), rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["normal", "range"])
+def test_a_prior_is_contradicted_by_so_many_sds_of_both(make_observation, kind):
+    """Linear least squares gives what the data say without it, and its sd."""
+    chain = AXIS.chain()
+    o = make_observation(chain, AXIS.values, sigma=0.02)
+    free = input_error(chain, [o], Knowledge(), FEW)["motor.viscous"]
+    for times in (2.5, 3.5):
+        if kind == "normal":
+            sd = 2.0 * free.larger_sd
+            mean = free.value - times * np.hypot(sd, free.larger_sd)
+            knowledge = Knowledge(told={"motor.viscous": (mean, sd)})
+        else:
+            knowledge = Knowledge(
+                bounds={"motor.viscous": (0.0, free.value - times * free.larger_sd)}
+            )
+        start = dict(input_error(chain, [o], knowledge, FEW).point)
+        far = contradicted(chain, [o], knowledge, FEW, start)
+        if times < 3.0:
+            assert far == {}
+        else:
+            assert far == {"motor.viscous": pytest.approx((free.value, times), rel=1e-3)}
+    assert contradicted(chain, [o], Knowledge(), FEW, start) == {}
 
 
 # Stribeck rise and a load loss: nothing to project, but to search.

@@ -1,11 +1,10 @@
-"""References far from what was found: named at once; and told priors."""
+"""References far from what was found: named at once."""
 
 import copy
 
-import numpy as np
 import pytest
 
-from bayesfric.report.summary.doubts import _against_prior, references_off
+from bayesfric.report.summary.doubts import references_off
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import loaded
@@ -36,31 +35,3 @@ def test_only_what_is_beyond_three_sds_is_told():
     del far["references"][INERTIA]["sd"]
     far["parameters"][INERTIA]["verdict"] = "prior"
     assert not references_off(Summary.read(far))
-
-
-def with_prior(data, data_sd, prior, prior_sd):
-    """Give a run whose inertia has a told normal prior: two normals, multiplied."""
-    made = copy.deepcopy(loaded())
-    made["references"] = {}
-    row = made["parameters"][INERTIA]
-    weights = data_sd**-2 + prior_sd**-2
-    middle = (data * data_sd**-2 + prior * prior_sd**-2) / weights
-    row |= {"mean": middle, "median": middle, "sd": weights**-0.5, "prior_sd": prior_sd}
-    row |= {"prior_interval": [prior - 1.645 * prior_sd, prior + 1.645 * prior_sd]}
-    row |= {"prior_default": False, "verdict": "data", "prior": "norm"}
-    return made
-
-
-def times(made):
-    """Sds between told priors and what the data say without them, of those too far apart."""
-    return next(_against_prior(Summary.read(made)), {"priors": {}})["priors"]
-
-
-def test_a_prior_that_the_data_contradict_is_told_like_a_reference():
-    made = with_prior(0.37, 0.004, 0.304, 0.01)
-    assert times(made) == pytest.approx({INERTIA: (0.37 - 0.304) / np.hypot(0.004, 0.01)})
-    # near, known by default only, or hardly known
-    assert not times(with_prior(0.33, 0.004, 0.304, 0.01))
-    made["parameters"][INERTIA]["prior_default"] = True
-    assert not times(made)
-    assert not times(with_prior(1.0, 0.004, 0.304, 0.1))

@@ -405,6 +405,15 @@ class Summary(Part):
         told = (clause(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
         return list(dict.fromkeys(told))
 
+    @property
+    def first(self) -> str:
+        """What comes first: a doubt, or what a model lacks that is incomplete; may be empty."""
+        if self.doubts:
+            return clause(self.doubts[0].kind, self.doubts[0].model_dump())
+        if self.verdict.outcome != "usable":
+            return ""
+        return clause("missing", self.findings[0].model_dump() | {"what": self.findings[0].kind})
+
     @cached_property
     def verdict(self) -> Verdict:
         """What the run comes to."""
