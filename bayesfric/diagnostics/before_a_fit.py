@@ -8,7 +8,7 @@ needs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from typing import Any
@@ -127,6 +127,20 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
         lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
         told = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
         yield {"kind": "few", **told, "seconds": lasted * wanted / outputs}
+
+
+def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[dict[str, Any]]:
+    """Doubt what is made of data and a prior that contradict each other: neither supports it.
+
+    Parameters
+    ----------
+    contradicted
+        By :func:`bayesfric.estimates.input_error.contradicted`.
+    """
+    if contradicted:
+        values = {name: value for name, (value, _) in contradicted.items()}
+        times = {name: sds for name, (_, sds) in contradicted.items()}
+        yield {"kind": "prior", "values": values, "priors": times}
 
 
 def strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:

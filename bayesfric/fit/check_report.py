@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayesfric.diagnostics.before_a_fit import doubts_before, few_outputs, little_explained
+from bayesfric.diagnostics.before_a_fit import (
+    against_prior,
+    doubts_before,
+    few_outputs,
+    little_explained,
+)
 from bayesfric.inference.noise import SCALES
 from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
@@ -68,7 +73,9 @@ def _found(model: Problem) -> dict[str, Any]:
     (totals,) = model.estimates(["least-squares"])
     known = model.evidence.knowledge
     findings = [one.as_dict() for one in explained.findings if one not in taken]
+    (point,) = model.estimates(["input-error"])
     doubts = [
+        *against_prior(model.contradicted(dict(point.point))),
         *little_explained(model.chain, model.observations),
         *doubts_before(totals, model.observations),
         *(one | {"kind": "missing", "what": one["kind"]} for one in findings),

@@ -12,7 +12,6 @@ from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.estimates.collinear_losses import collinear_losses
-from bayesfric.estimates.input_error import contradicted
 from bayesfric.fit.conclusion import Examination, conclude
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.back_emf import speed_term
@@ -102,17 +101,10 @@ def _examine(
     identified: Identification | None = None
     with suppress(BadInput):  # a simulation that fails there takes no result away
         identified = identify(start.target, median)
-    given = problem.evidence
     return Examination(
         explained=explained,
         taken=taken,
-        contradicted=contradicted(
-            given.chain,
-            given.observations,
-            given.knowledge,
-            given.options,
-            dict(start.searched.point),
-        ),
+        contradicted=problem.contradicted(dict(start.searched.point)),
         back_emf=speed_term(target, median, recordings),
         rests=[*rests_beyond(found, recordings, problem.config.tables.processing)]
         if usable

@@ -16,6 +16,7 @@ from bayesfric.base.progress import Progress, Shown, by_method, silent
 from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
+from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -198,6 +199,14 @@ class Problem:
         """Give the first of the estimates that has all parameters, or one of the input error."""
         found = next((dict(one.point) for one in estimates if one.point), None)
         return found or dict(self.estimates(["input-error"], progress=progress)[0].point)
+
+    def contradicted(self, start: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+        """Compare priors with an estimate without them, which begins at a point.
+
+        See :func:`bayesfric.estimates.input_error.contradicted`.
+        """
+        e = self.evidence
+        return contradicted(e.chain, e.observations, e.knowledge, e.options, start)
 
     def completed(
         self, *, progress: Shown = silent

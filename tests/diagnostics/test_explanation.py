@@ -132,8 +132,8 @@ def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
     assert after.summary.regression.share == pytest.approx(0.5, abs=0.01)
     assert [one.kind for one in after.summary.findings] == ["saturation"]
     one, other = (run.fit.discrepancy for run in (before, after))
-    # what is there half of the samples show nearly as all do, and what it moves on their own motion;
-    # what is not is drawn by chance
+    # what is there half of the samples show nearly as all do, and what it moves on their own
+    # motion; what is not is drawn by chance
     sds = np.sqrt(np.diag(one.covariance) + one.deviations.var(axis=0))
     np.testing.assert_allclose(other.mean / sds, one.mean / sds, rtol=0.3, atol=0.3)
 

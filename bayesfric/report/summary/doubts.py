@@ -14,6 +14,7 @@ import numpy as np
 
 from bayesfric.diagnostics.before_a_fit import (
     EXPLAINED,
+    against_prior,
     best_share,
     doubts_before,
     few_outputs,
@@ -65,7 +66,7 @@ def find_doubts(
     # what rests on the data at all: a limit, or what they settle with a prior's help, too
     resting = [name for name, row in rows.items() if row.verdict != "prior" or held(row)]
     found = [
-        *_against_prior(contradicted),
+        *against_prior(contradicted),
         *strange_velocity(fit.observations),
         *_missing(summary, resting),
         *_unexplained(fit, summary),
@@ -99,17 +100,6 @@ def put_doubts(summary: Summary, doubts: Sequence[Mapping[str, Any]]) -> Summary
         changes[name] = {"doubted": of, "undoubted": row.undoubted or row.verdict}
         changes[name] |= {"verdict": "weak"} if row.verdict == "data" else {}
     return summary.with_rows(changes, doubts=told, sampler=sampler)
-
-
-def _against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[dict[str, Any]]:
-    """Doubt what is made of data and a prior that contradict each other: neither supports it."""
-    if contradicted:
-        values = {name: value for name, (value, _) in contradicted.items()}
-        yield {
-            "kind": "prior",
-            "values": values,
-            "priors": {n: x for n, (_, x) in contradicted.items()},
-        }
 
 
 def _correlated(summary: Summary, told: Sequence[str]) -> Iterator[dict[str, Any]]:
