@@ -44,8 +44,8 @@ LONG = {
     "arm": """
         arm""",
     "commands": """
-        advise again compare doubts estimate explain fit identify little_explained
-        names own_offsets pool report resume validation voltage""",
+        advise again compare doubts estimate explain fit identify killed little_explained
+        names own_offsets pool report validation voltage""",
     "diagnostics": """
         explanation laid_beside regression self_check""",
     "estimates": """
@@ -59,7 +59,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        checkpoint discrepancy fast_moments likelihood_dense moves rests_beyond sampling
+        discrepancy fast_moments likelihood_dense moves rests_beyond sampling
         static_friction""",
     "mechanism": """
         closed_loop quantities""",

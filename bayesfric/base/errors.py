@@ -41,17 +41,11 @@ class Unfit(ValueError):
         super().__init__(f"expected {wanted}, {what}")
 
 
-class Interrupted(KeyboardInterrupt):
-    """The user asked to stop, and what was done so far is kept.
+class Interrupted(Exception):
+    """Ctrl-C or SIGTERM stopped a command that can be gone on with; its text says what is kept.
 
-    ``signal`` asked for it, Ctrl-C if there was none; ``saved`` steps of the sampler are on disk,
-    or what else is ``kept`` says; nothing if it is empty.
+    No KeyboardInterrupt: on that typer ends the process by itself, and says nothing.
     """
-
-    def __init__(self, signal: int | None, saved: int, kept: str | None = None) -> None:
-        self.signal, self.saved = signal or 2, saved
-        self.kept = f"{saved} steps are" * bool(saved) if kept is None else kept
-        super().__init__(f"interrupted, {saved} steps are kept")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:

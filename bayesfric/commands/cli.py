@@ -7,6 +7,7 @@ import io
 import json
 import os
 import shlex
+import signal
 import sys
 import warnings
 from contextlib import ExitStack, suppress
@@ -41,7 +42,6 @@ AsJson = Annotated[bool, Option("--json", help="print the machine-readable form"
 Seed = Annotated[int | None, Option(min=0, max=2**63 - 1, help="replaces the configuration's")]
 Force = Annotated[bool, Option("--force", help="keep an old run under another name")]
 OutputError = Annotated[bool, Option("--output-error", help="with that estimate; it simulates")]
-Resume = Annotated[bool, Option("--resume", help="go on with an interrupted run")]
 Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and LaTeX")]
 Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
 RunOption = Annotated[Path | None, Option("-o", "--output", help="run directory to make")]
@@ -224,7 +224,6 @@ def fit(
     config: ConfigFile,
     output: RunOption = None,
     seed: Seed = None,
-    resume: Resume = False,
     force: Force = False,
     output_error: OutputError = False,
     paper: Paper = False,
@@ -232,7 +231,7 @@ def fit(
     as_json: AsJson = False,
 ) -> None:
     """Sample the posterior and write the run directory."""
-    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "paper": paper}
+    options: dict[str, Any] = {"seed": seed, "force": force, "paper": paper}
     options["output_error"] = output_error
     _fit(config, output or Path(f"{config.stem}-run"), as_json, verbose=verbose, **options)
 
@@ -241,14 +240,13 @@ def fit(
 def demo(
     output: RunOption = None,
     seed: Seed = None,
-    resume: Resume = False,
     force: Force = False,
     paper: Paper = False,
     verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit the packaged knee: a recording SIMULATED from Table 3 of the paper."""
-    options: dict[str, Any] = {"seed": seed, "resume": resume, "force": force, "paper": paper}
+    options: dict[str, Any] = {"seed": seed, "force": force, "paper": paper}
     _fit(None, output or Path("demo-run"), as_json, verbose=verbose, **options)
 
 
@@ -415,18 +413,15 @@ def fleet(
     from bayesfric.commands.fleet import fleet as run
     from bayesfric.commands.fleet import fleet_text
 
-    try:
-        with _progress() as progress:
-            found = run(
-                plan,
-                output or Path(f"{plan.stem}-fleet"),
-                workers=workers,
-                scheduler=scheduler,
-                resume=resume,
-                progress=progress,
-            )
-    except Interrupted as stopped:
-        raise _Stopped(stopped) from None
+    with _progress() as progress:
+        found = run(
+            plan,
+            output or Path(f"{plan.stem}-fleet"),
+            workers=workers,
+            scheduler=scheduler,
+            resume=resume,
+            progress=progress,
+        )
     _print(found.as_json(), as_json, fleet_text(found))
     if found.left:
         raise typer.Exit(NOT_CONVERGED)
@@ -453,30 +448,11 @@ def _fit(
                 _print(found, as_json, fit_text(found, verbose=verbose))
             show = bars.enter_context(_progress())
 
-        try:
-            read = demo_config() if config is None else read_config(config)
-            summary = run(read, folder, progress=lambda x: show(x), found=tell, **options)
-        except Interrupted as stopped:
-            raise _Stopped(stopped) from None
-    took = f"in all {spent}"
-    if options.get("resume"):
-        took = f"this time {spent}; sampling in all {summary['sampler']['seconds']:.1f} s"
-    _print(summary, as_json, ["", f"{folder / 'report.html'}   {took}"])
+        read = demo_config() if config is None else read_config(config)
+        summary = run(read, folder, progress=lambda x: show(x), found=tell, **options)
+    _print(summary, as_json, ["", f"{folder / 'report.html'}   in all {spent}"])
     if summary["sampler"]["status"] != "reliable":
         raise typer.Exit(NOT_CONVERGED)
-
-
-class _Stopped(Exception):
-    """An interruption with something to tell; typer would end on its own on a KeyboardInterrupt."""
-
-    def __init__(self, stopped: Interrupted) -> None:
-        self.code = 128 + stopped.signal
-        text = "interrupted, nothing was written"
-        if stopped.kept:
-            again = [word for word in sys.argv[1:] if word not in ("--resume", "--force")]
-            command = shlex.join(["bayesfric", *again, "--resume"])
-            text = f"interrupted, {stopped.kept} kept; go on with: {command}"
-        super().__init__(text)
 
 
 def _model(config: Path) -> Model:
@@ -521,6 +497,8 @@ def main() -> None:
         warnings.simplefilter("ignore")
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)  # before NumPy is there to read it
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # it ends a command as Ctrl-C does
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # whatever letters it takes, none ends the command
             stream.reconfigure(errors="backslashreplace")
@@ -532,9 +510,11 @@ def main() -> None:
     except BadInput as error:
         print(f"bayesfric: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    except _Stopped as stopped:
-        print(f"bayesfric: {stopped}", file=sys.stderr)
-        sys.exit(stopped.code)
+    except Interrupted as stopped:
+        again = shlex.join([word for word in sys.argv[1:] if word != "--resume"])
+        told = f"interrupted, {stopped}; go on with: bayesfric {again} --resume"
+        print(f"bayesfric: {told}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
     except (KeyboardInterrupt, SystemExit) as end:
         # typer turns the first into the second
         if isinstance(end, SystemExit) and end.code != INTERRUPTED:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from bayesfric.base.errors import Interrupted
 from bayesfric.base.progress import Shown, silent
-from bayesfric.commands.unfinished import asked_to_stop
 from bayesfric.fleet.fleet import PLAN, Fleet, FleetRun
 from bayesfric.population.population import Interval
 from bayesfric.report.words import filled
@@ -23,18 +22,18 @@ def fleet(
 ) -> FleetRun:
     """Work through what a ``FLEET.toml`` names.
 
-    Ctrl-C and SIGTERM leave a folder to go on with.
+    :class:`Interrupted` where Ctrl-C or SIGTERM leaves a folder to go on with.
     """
     plan = Fleet.from_config(path)
-    with asked_to_stop(lambda: False) as asked:
-        try:
-            return plan.run(
-                folder, workers=workers, scheduler=scheduler, resume=resume, progress=progress
-            )
-        except KeyboardInterrupt:
-            done = sum(1 for _ in folder.glob("units/*/unit.json"))
-            kept = f"{done} of {len(plan.plan.units)} units are" if (folder / PLAN).exists() else ""
-            raise Interrupted(asked.by, saved=done, kept=kept) from None
+    try:
+        return plan.run(
+            folder, workers=workers, scheduler=scheduler, resume=resume, progress=progress
+        )
+    except KeyboardInterrupt:
+        if not (folder / PLAN).exists():
+            raise
+        done = sum(1 for _ in folder.glob("units/*/unit.json"))
+        raise Interrupted(f"{done} of {len(plan.plan.units)} units are kept") from None
 
 
 def fleet_text(found: FleetRun) -> list[str]:

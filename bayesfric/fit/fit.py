@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -21,7 +21,6 @@ from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.rests_beyond import rests_beyond
-from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 
@@ -32,7 +31,6 @@ def fit(
     *,
     output_error: bool,
     progress: Shown,
-    checkpoint: Callable[[str, Sampling], Checkpoint | None],
 ) -> Result:
     """Sample a problem as it was read, and sum it up; see :meth:`bayesfric.Model.fit`."""
     tables = problem.config.tables
@@ -42,8 +40,6 @@ def fit(
             "is for 'bayesfric pool': a fit shares all parameters between recordings",
             "ask that, or leave the table out",
         )
-    # before anything is estimated: a run of other settings is refused at once
-    kept = checkpoint("posterior", sampling)
     # choose the model
     taken: Sequence[Finding] = ()
     explained: Explanation | None = None
@@ -55,9 +51,7 @@ def fit(
     explained = explained or problem.explain(start.estimates, progress=progress)
     # sample
     with problem.config.named():
-        found = fitting.fit(
-            start.target, sampling, estimates=start.estimates, progress=progress, checkpoint=kept
-        )
+        found = fitting.fit(start.target, sampling, estimates=start.estimates, progress=progress)
     if problem.held_out:
         held_out = predict_held_out(found.target, found.posterior, problem.held_out)
         found = replace(found, held_out=held_out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from html import escape
@@ -24,8 +24,6 @@ from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.identification import Identification, identify
 from bayesfric.identifiability.local import local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
-from bayesfric.inference.sampling.checkpoint import Checkpoint
-from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
@@ -253,7 +251,6 @@ class Model(Problem):
         seed: int | None = None,
         output_error: bool = False,
         progress: Shown = silent,
-        checkpoint: Callable[[str, Sampling], Checkpoint | None] = lambda *_: None,
     ) -> Result:
         """Sample the posterior, and sum it up.
 
@@ -265,8 +262,6 @@ class Model(Problem):
             Make the output-error estimate too, as ``estimation.output_error`` asks for it.
         progress
             Called as work goes on.
-        checkpoint
-            Gives each sampling, by its name and settings, a place to keep its steps.
 
         Raises
         ------
@@ -281,7 +276,6 @@ class Model(Problem):
             sampling,
             output_error=output_error,
             progress=progress,
-            checkpoint=checkpoint,
         )
 
     def pool(self, *, seed: int | None = None, progress: Shown = silent) -> Pooled:

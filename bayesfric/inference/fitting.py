@@ -30,7 +30,6 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
 from bayesfric.inference.prior.defaults import default_prior
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
-from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
@@ -263,7 +262,6 @@ def fit(
     *,
     estimates: Sequence[Estimate] = (),
     progress: Shown = silent,
-    checkpoint: Checkpoint | None = None,
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
@@ -275,7 +273,7 @@ def fit(
         How it is sampled.
     estimates
         Already made, for the search to start from; least squares if there are none.
-    progress, checkpoint
+    progress
         See :func:`bayesfric.inference.sampling.sampling.sample`.
 
     Returns
@@ -287,8 +285,7 @@ def fit(
     ------
     BadInput
         If the motion cannot tell the totals of eq. (11) apart, the priors leave no place the search
-        could start from, a simulation's linearisation does not hold over the posterior, or a
-        checkpoint is of another target.
+        could start from, or a simulation's linearisation does not hold over the posterior.
 
     Notes
     -----
@@ -340,7 +337,7 @@ def fit(
     simulated = likelihood.method == "output-error"
     change = linearisation_change(shaped, start, rng) if simulated else None
     try:
-        posterior = sample(shaped, start, sampling, progress=progress, checkpoint=checkpoint)
+        posterior = sample(shaped, start, sampling, progress=progress)
     except RuntimeError as error:
         raise BadInput("priors", str(error), "widen the narrowest ones") from None
     return Fit(shaped, posterior, tuple(estimates), linearisation=change)

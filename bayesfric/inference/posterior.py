@@ -48,7 +48,7 @@ class Diagnostics:
         How often the likelihood was no number, warm-up included; and the share of the proposals
         after warm-up.
     seconds
-        Wall-clock time, that of interrupted runs included.
+        Wall-clock time.
     warnings
         Sentences on a sample that may have converged all the same, such as walkers that never
         moved.

@@ -8,7 +8,6 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
@@ -53,12 +52,11 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
 
 
 @lru_cache(maxsize=64)
-def _sections(order: int, cutoff: float, fs: float) -> tuple[Array, Array]:
-    """Design a Butterworth low-pass, and its state when a one has gone on for ever."""
-    from scipy.signal import butter, sosfilt_zi
+def _sections(order: int, cutoff: float, fs: float) -> Array:
+    """Design a Butterworth low-pass as second-order sections."""
+    from scipy.signal import butter
 
-    sections = np.asarray(butter(order, cutoff, fs=fs, output="sos"))
-    return sections, np.asarray(sosfilt_zi(sections))
+    return np.asarray(butter(order, cutoff, fs=fs, output="sos"))
 
 
 def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: int) -> Array:
@@ -69,39 +67,18 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
     """
     if cutoff == 0:
         return values.copy()
+    from scipy.signal import sosfiltfilt
+
     check_cutoff(cutoff, fs, "processing, lowpass")
-    sections, state = _sections(order, cutoff, fs)
+    sections = _sections(order, cutoff, fs)
     # scipy's own padding is shorter than a low cut-off's transient
     padding = max(3 * (2 * len(sections) + 1), int(np.ceil(3 * fs / cutoff)))
     result = np.array(values, dtype=np.float64, order="C")
     for row in result.reshape(-1, values.shape[-1]):
         for a, b in segments:
             if b - a > 1:
-                _there_and_back(row[a:b], sections, state, min(padding, b - a - 1))
+                row[a:b] = sosfiltfilt(sections, row[a:b], padlen=min(padding, b - a - 1))
     return result
-
-
-@njit(cache=True, error_model="numpy")
-def _there_and_back(x, sections, state, padding):  # type: ignore[no-untyped-def]
-    """Filter ``(n,)`` in place as scipy's sosfiltfilt does, of whose work most is to begin."""
-    n = x.size
-    long = np.empty(n + 2 * padding)
-    long[padding : padding + n] = x
-    for i in range(padding):  # turned about the ends
-        long[padding - 1 - i] = 2.0 * x[0] - x[i + 1]
-        long[padding + n + i] = 2.0 * x[n - 1] - x[n - 2 - i]
-    for _ in range(2):
-        first = long[0]
-        for k in range(len(sections)):
-            b0, b1, b2, _one, a1, a2 = sections[k]
-            one, two = state[k, 0] * first, state[k, 1] * first
-            for i in range(long.size):
-                now = long[i]
-                long[i] = b0 * now + one
-                one = b1 * now - a1 * long[i] + two
-                two = b2 * now - a2 * long[i]
-        long = long[::-1]
-    x[:] = long[padding : padding + n]
 
 
 @lru_cache(maxsize=64)

@@ -1,149 +1,137 @@
-"""After SIGKILL the next command clears what is left, and comes to the same bytes.
+"""A fit that a user or the machine ends leaves nothing half-written, and no lock."""
 
-``python -m tests.commands.test_killed FOLDER KILLS`` kills every command that often.
-"""
-
-import json
-import random
+import os
 import shutil
+import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
-import h5py
 import numpy as np
-import pandas as pd
 import pytest
 
-from tests.commands.bench import simulated
-from tests.commands.test_fit import CONFIG
-from tests.fleet.made import write_fleet
+from bayesfric.commands.fit import run_lock
+from bayesfric.inference.sampling import sampling
+from bayesfric.inference.target import Target
+from bayesfric.report import run_directory
+from tests.conftest import REPOSITORY
 
-FEW = CONFIG.replace("min_ess = 500", "min_ess = 1e6\nmax_steps = 100\nwalkers = 10")
-POOLED = FEW.replace("[self_check]", '[pooling]\nvary = { offset = "recording" }\n[self_check]')
-COMMANDS = {
-    "fit": ("fit", "few.toml", "-o", "run"),
-    "pool": ("pool", "pooled.toml", "--json"),
-    "fleet": ("fleet", "fleet.toml", "-o", "all", "--workers", "1"),
-    "report": ("report", "done", "--paper"),
-}
+from .bench import has, simulated
+from .test_fit import FEW, draws
 
+pytestmark = pytest.mark.usefixtures("nothing_explained", "no_figures")
 
-def started(folder, *words):
-    quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "cwd": folder}
-    return subprocess.Popen([sys.executable, "-m", "bayesfric", *words], **quiet)
-
-
-def ended(process):
-    out, err = process.communicate(timeout=600)
-    assert process.returncode in (0, 3), err
-    return out
-
-
-def made(folder):
-    """Inputs of all commands, and a finished run."""
-    simulated(folder / "few.toml", FEW)
-    simulated(folder / "pooled.toml", POOLED, "other", seed=2)
-    text = POOLED.replace('file = "small.csv"', 'file = ["small.csv", "other.csv"]')
-    (folder / "pooled.toml").write_text(text)
-    write_fleet(folder, good=2)
-    return folder
+COMMAND = ("fit", "few.toml", "-o", "run")
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# the command line in a process that ends itself as it starts to write
+KILLED = """\
+import os, signal
+from bayesfric.commands import cli
+from bayesfric.diagnostics import explanation
+from bayesfric.report import run_directory
+explanation.LEAST_OUTPUTS = 10**9
+run_directory.archived = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+cli.main()
+"""
 
 
-def prepared(where, folder):
-    """Copy the inputs: nothing of one trial is there in the next."""
-    shutil.copytree(where, folder)
-    return folder
+@pytest.fixture(autouse=True)
+def signals_are_heard():
+    """A process started in the background (nohup, a shell's ``&``) would ignore SIGINT."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
-def held(folder):
-    """What a command made, without times; the names of what is left beside it."""
-    files, left = {}, []
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if any(part.startswith(".") or part.endswith(".partial") for part in Path(name).parts):
-            left.append(name)
-        elif path.suffix == ".nc":
-            with h5py.File(path) as file:
-                files[name] = {key: np.array(x).tobytes() for key, x in file["posterior"].items()}
-        elif path.name == "summary.json":
-            told = json.loads(path.read_text())
-            told["sampler"]["seconds"] = told["self_check"] = told["source"] = None
-            files[name] = told
-        elif path.suffix == ".parquet":  # complaints name the folder
-            files[name] = pd.read_parquet(path).drop(columns="error").to_json()
-        elif path.is_file() and path.suffix in (".csv", ".tex", ".toml"):
-            files[name] = path.read_bytes()
-    return files, left
+@pytest.fixture
+def here(bench):
+    simulated(bench.folder / "few.toml", FEW)
+    return bench
 
 
-def told(out):
-    """What a pool printed, without times."""
-    try:
-        return {k: v for k, v in json.loads(out).items() if "seconds" not in k}
-    except ValueError:
-        return None
+def ended_apart(folder, *words):
+    return subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
-def gone_on(folder, name):
-    """Give the same command again, as its user would."""
-    words = list(COMMANDS[name])
-    if name == "fit" and (folder / ".run.checkpoint").exists():
-        words += ["--resume"] * bool([*(folder / ".run.checkpoint").glob("*.steps")])
-    if name == "fleet" and (folder / "all" / "fleet.toml").is_file():
-        words.append("--resume")
-    return ended(started(folder, *words))
+def in_the_likelihood(monkeypatch, stop):
+    def warm_up(warm, *_):
+        monkeypatch.setattr(Target, "__call__", stop)
+        warm.run(10)
+
+    monkeypatch.setattr(sampling, "_warm_up", warm_up)
 
 
-def killed(where, at, name, kills, rng):
-    """Kill a command at random moments; how many of them were before its end."""
-    whole = prepared(where, at / f"{name}-whole")
-    began = time.monotonic()
-    printed = told(ended(started(whole, *COMMANDS[name])))
-    lasted = time.monotonic() - began
-    expected, left = held(whole)
-    assert left == []
-    early = 0
-    for k in range(kills):
-        folder = prepared(where, at / f"{name}-{k}")
-        process = started(folder, *COMMANDS[name])
-        time.sleep(rng.uniform(0.1, 0.8) * lasted)
-        process.kill()
-        process.communicate()
-        early += process.returncode == -9
-        if name == "fit" and (folder / "run").exists() and not [*folder.glob(".run.*")]:
-            continue  # it had ended
-        assert told(gone_on(folder, name)) == printed
-        found, left = held(folder)
-        assert left == [], (name, k)
-        # what was written and not yet marked as such is kept aside
-        found = {key: x for key, x in found.items() if not key.startswith("run.old")}
-        assert found.keys() == expected.keys(), (name, k)
-        for key, value in expected.items():
-            assert found[key] == value, (name, k, key)
-        shutil.rmtree(folder)
-    return early
+def in_the_writing(monkeypatch, stop):
+    monkeypatch.setattr(run_directory, "archived", stop)
 
 
-@pytest.fixture(scope="module")
-def inputs(tmp_path_factory):
-    folder = made(tmp_path_factory.mktemp("inputs"))
-    ended(started(folder, "fit", "few.toml", "-o", "done"))
-    return folder
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("moment", [in_the_likelihood, in_the_writing])
+def test_a_stopped_fit_leaves_nothing(here, monkeypatch, moment, number):
+    before = here.held()
+    moment(monkeypatch, lambda *_: os.kill(os.getpid(), number))
+    ended = here.run(*COMMAND, "--json")
+    assert (ended.code, ended.out) == (130, "")
+    assert ended.err == "bayesfric: interrupted, nothing was written\n"
+    assert here.held() == before
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
-def test_killed_three_times(inputs, tmp_path, name):
-    killed(inputs, tmp_path, name, 3, random.Random(name))
+def test_after_a_kill_the_same_fit_comes_to_the_same_bytes(here):
+    before = set(here.held())
+    assert here.run("fit", "few.toml", "-o", "whole").code == 3
+    killed = ended_apart(here.folder, "-c", KILLED, *COMMAND)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    assert not (here.folder / "run").exists()
+    assert here.run(*COMMAND).code == 3
+    assert {path.parts[0] for path in set(here.held()) - before} == {"whole", "run"}
+    expected = draws(here.folder / "whole")
+    for name, values in draws(here.folder / "run").items():
+        np.testing.assert_array_equal(values, expected[name], err_msg=name)
 
 
-if __name__ == "__main__":
-    place, count = Path(sys.argv[1]), int(sys.argv[2])
-    ready = place / "inputs"
-    ready.mkdir(parents=True)
-    made(ready)
-    ended(started(ready, "fit", "few.toml", "-o", "done"))
-    for command in sys.argv[3:] or COMMANDS:
-        print(command, killed(ready, place, command, count, random.Random(command)), flush=True)
+def test_the_second_of_two_is_told(here):
+    before = here.held()
+    with run_lock(here.folder / "run"):
+        has(here.refused(*COMMAND), "run: another process is making this run", "wait for it")
+    assert here.held() == before
+
+
+def test_an_interrupted_import_ends_like_anything_else(tmp_path):
+    """A dataclass is made by an exec of text; after that ``-m`` would end by the signal itself."""
+    (tmp_path / "within.py").write_text(
+        "from bayesfric.commands import cli\n"
+        "cli.app = lambda **_: exec('raise KeyboardInterrupt')\n"
+        "cli.main()\n",
+        encoding="utf-8",
+    )
+    ended = ended_apart(tmp_path, "-m", "within")
+    assert ended.returncode == 130
+    assert ended.stderr == "bayesfric: interrupted, nothing was written\n"
+
+
+@pytest.fixture
+def full_disk(tmp_path):
+    """A disk of half a megabyte, of which 30 kB are free."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(place)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("only root can mount a small disk")
+    (place / "ballast").write_bytes(bytes((512 - 30) * 1024))
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def test_a_full_disk(here, full_disk):
+    ended = here.run("fit", "few.toml", "-o", full_disk / "run", "--json")
+    assert (ended.code, ended.out) == (2, "")
+    has(ended.err, "run: cannot be written (No space left on device)", "name another folder")
+    assert [path.name for path in full_disk.iterdir()] == ["ballast"]

@@ -126,7 +126,7 @@ class Proposal:
         return cls(weights, mean + means @ root.T, np.asarray(root @ roots), mean, root)
 
     def draw(self, n: int, random: np.random.RandomState) -> Array:
-        """Draw ``(n, d)`` from emcee's own generator, whose state a checkpoint keeps."""
+        """Draw ``(n, d)`` from emcee's own generator."""
         component = np.searchsorted(self._shares, random.rand(n))
         z = random.randn(n, self.dimension)
         wide = component == self.weights.size - 1

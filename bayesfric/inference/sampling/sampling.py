@@ -15,9 +15,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any
 
 import emcee
 import numpy as np
@@ -29,7 +27,6 @@ from bayesfric.base.options import Options
 from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling import convergence
-from bayesfric.inference.sampling.checkpoint import Checkpoint
 from bayesfric.inference.sampling.convergence import LONG_ENOUGH, few, hopeless, nested_rhat
 from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
@@ -121,7 +118,6 @@ def sample(
     settings: Sampling,
     *,
     progress: Shown = silent,
-    checkpoint: Checkpoint | None = None,
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
@@ -144,9 +140,6 @@ def sample(
         How many walkers, and when it is enough.
     progress
         Called after every block.
-    checkpoint
-        Keeps the steps on disk and gives back those of an interrupted run: the result is the same,
-        byte for byte.
 
     Returns
     -------
@@ -157,10 +150,8 @@ def sample(
     ------
     RuntimeError
         If nothing beside the start is possible.
-    BadInput
-        If the checkpoint's steps are of another target.
     """
-    began = time.perf_counter() - (checkpoint.seconds if checkpoint else 0.0)
+    began = time.perf_counter()
     d = target.dimension
     # emcee refuses fewer than two walkers a dimension
     least = 64 if target.likelihood.cheap else 32
@@ -174,13 +165,11 @@ def sample(
     centres = start.draw(settings.ensembles, target, rng, spread=2.0)
     around = (Start(centre, start.covariance) for centre in centres)
     positions = np.stack([one.draw(walkers, target, rng, spread=0.5) for one in around])
-    if checkpoint is not None:
-        checkpoint.begin(positions.shape[0] * walkers, d)
     # The normal at the mode to begin with, then whatever the walkers have found: until it is
     # frozen the proposal may learn, because none of these steps count.
     learning = IndependenceMove(Proposal.normal(start.mode, start.covariance))
     moves = [(learning, 0.5), *_searching(target, settings, learning.proposal, 0.5)]
-    warm = _Ensembles(target, moves, positions, random, checkpoint)
+    warm = _Ensembles(target, moves, positions, random)
     # threads that share a small matrix wait for each other: on two busy cores seven times the work
     with threadpool_limits(1, "blas"):
         half, settled = _warm_up(warm, learning, settings, rng, progress)
@@ -192,7 +181,7 @@ def sample(
             frozen = IndependenceMove(_fitted(target, learned, last=True))
             moves = [(frozen, 1.0 - _OTHERWISE)]
             moves += _searching(target, settings, frozen.proposal, _OTHERWISE)
-            main = _Ensembles(target, moves, last.positions(), random, checkpoint)
+            main = _Ensembles(target, moves, last.positions(), random)
             before, left = target.not_finite, settings.max_steps - warmup
             # where there is time for twice as many steps as are thrown away
             look = _walk(main, settings, most if 3 * most <= left else left, progress)
@@ -351,56 +340,26 @@ class _Ensembles:
         moves: list[tuple[emcee.moves.Move, float]],
         positions: Array,
         random: np.random.RandomState,
-        checkpoint: Checkpoint | None,
     ) -> None:
         self.steps = 0
-        self.target, self._checkpoint = target, checkpoint
-        self._shape = positions.shape
+        self.target, self._shape = target, positions.shape
         ensembles, walkers, d = positions.shape
         self._sampler = emcee.EnsembleSampler(
             ensembles * walkers, d, target, moves=moves, vectorize=True
         )
+        # emcee's wrapper prints a traceback of whatever ends the density, Ctrl-C included
+        self._sampler.log_prob_fn = target
         # emcee silently ignores any other way of seeding it
         self._sampler.random_state = random.get_state()
         self._state = emcee.State(positions.reshape(-1, d))
         self._random = random
 
     def run(self, steps: int) -> None:
-        """Go so many steps further; those that a checkpoint holds are not made again."""
-        end, accepted = self.steps + steps, self._sampler.backend.accepted
-        recording: AbstractContextManager[Any] = nullcontext(lambda *_: None)
-        if self._checkpoint is not None:
-            self._replay(self._checkpoint, steps)
-            recording = self._checkpoint.recording(accepted)
-        if self.steps < end:
-            walk = self._sampler.sample(
-                self._state, iterations=end - self.steps, skip_initial_state_check=True
-            )
-            with recording as record:
-                for self._state in walk:
-                    self.steps += 1
-                    record(self._state, accepted, self.target.not_finite)
+        """Go so many steps further."""
+        self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
+        self.steps += steps
         # so that what comes next goes on where this stream ends
         self._random.set_state(self._sampler.random_state)
-
-    def _replay(self, checkpoint: Checkpoint, most: int) -> None:
-        """Take steps from a checkpoint, and the generator's state with the last of them."""
-        stored = checkpoint.replay(most)
-        if stored is None:
-            return
-        backend, first = self._sampler.backend, self.steps
-        self.steps += len(stored)
-        backend.grow(len(stored), None)
-        backend.chain[first : self.steps] = stored["coordinates"]
-        backend.log_prob[first : self.steps] = stored["log_density"]
-        backend.accepted += stored["accepted"].sum(axis=0)
-        backend.iteration = self.steps
-        last = stored[-1]
-        self._state = emcee.State(last["coordinates"], log_prob=last["log_density"], copy=True)
-        stopped = checkpoint.where_it_stopped(lambda: self.target(self._state.coords))
-        if stopped is not None:
-            self._sampler.random_state = stopped
-        self.target.not_finite = int(last["not_finite"])
 
     def bring_back_lost(self, rng: np.random.Generator) -> None:
         """Move walkers that hang on to a hopelessly improbable mode next to the others.
