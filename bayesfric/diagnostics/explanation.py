@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from bayesfric.diagnostics.candidates import BY_NAME, TURNS, Kind
+from bayesfric.diagnostics.along import TURNS
+from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import (
     LEAST_OUTPUTS,

@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from bayesfric.diagnostics.along import Along, Scales, scales_of
 from bayesfric.diagnostics.candidates import (
     BY_NAME,
     KINDS,
     SMOOTHED,
-    Along,
-    Scales,
-    scales_of,
+    columns_along,
+    filtered_columns,
 )
 from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
 from bayesfric.diagnostics.policy import (
@@ -42,7 +42,7 @@ from bayesfric.diagnostics.policy import (
     TESTABLE,
     TWINS,
 )
-from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, late, tuned, waves
+from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
     HALF,
     OPEN,
@@ -77,8 +77,6 @@ _ENOUGH = 0.5
 # Most that is taken out while noise is chosen, and what each costs there: twice the log of how
 # many candidates there are.
 _PICKS, _DEAR = 8, 10.0
-# Columns that are laid out at once: as many as stand in one line of a cache.
-_LINE = 8
 # Hz below which a tone may be the noise's wander.
 _SLOW = 1.0
 
@@ -243,8 +241,8 @@ class Regression:
         """Put those of candidates beside them."""
         blocks = []
         for o, r in zip(observations, self.recordings, strict=True):
-            made = dict(_made(Along(self.chain, values, o, r, self.scales)))
-            blocks.append(_filtered(o, list(made.values())))
+            made = dict(columns_along(Along(self.chain, values, o, r, self.scales)))
+            blocks.append(filtered_columns(o, list(made.values())))
         own = self._own(values, observations)
         return replace(own, others=np.concatenate(blocks), keys=tuple(made))
 
@@ -600,28 +598,3 @@ def _alone(d: Columns, size: Array) -> tuple[Array, float]:
     unit = np.linalg.norm(rest, axis=0)
     scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
     return np.asarray(scores), math.sqrt(mean_square(left, base.shape[1]))
-
-
-def _made(along: Along) -> Iterator[tuple[Key, Array]]:
-    for kind in KINDS:
-        for shape, columns in kind.columns(along).items():
-            for number, column in enumerate(columns):
-                yield Key(kind.name, shape, number), column
-        for number, column in enumerate(kind.beside(along)):
-            yield Key(kind.name, "", number, beside=True), column
-    for delay, columns in late(along).items():
-        far = DELAYS[along.chain.by_target]
-        for number, column in enumerate(columns):
-            yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column
-
-
-def _filtered(o: Observation, columns: Sequence[Array]) -> Array:
-    """Filter columns ``(N,)``; those of other recordings, which are nothing here, are not asked."""
-    there = [i for i, column in enumerate(columns) if column.any()]
-    out = np.zeros((o.filter.n_outputs, len(columns)))
-    for first in range(0, len(there), _LINE):
-        some = there[first : first + _LINE]
-        raw = np.stack([columns[i] for i in some], axis=1)
-        raw[~np.isfinite(raw)] = 0.0
-        out[:, some] = o.filter.apply(raw.T).T
-    return out

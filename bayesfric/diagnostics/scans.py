@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesfric.diagnostics.candidates import Along
+from bayesfric.diagnostics.along import Along
 from bayesfric.diagnostics.memory import Layout
 from bayesfric.recordings.acting import commanded
 from bayesfric.recordings.arrays import Array

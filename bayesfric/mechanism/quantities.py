@@ -133,9 +133,8 @@ class Quantity:
     alone
         Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
     measurand
-        What its number is a number of: a ``constant`` has a physical value; all else is of the
-        friction ``law``, the one that the same model would be fitted to on other motions like the
-        recorded ones.
+        A ``constant`` has a physical value; all else is of the friction ``law`` that the same model
+        would be fitted to on other motions like the recorded ones.
     """
 
     name: str
@@ -448,30 +447,26 @@ QUANTITIES: dict[str, Quantity] = {
         Quantity(
             "load_difference", _NONE, r"\Delta\mu_{{{}}}",
             "half the difference of the load losses at positive and negative speed",
-            option="load_direction", role="form", lower=-_INF, start=0.0,
+            option="load_direction", role="form", lower=-_INF, start=0.0, scaled_by=1,
             slots=("load_drive_difference", "load_back_difference"), spread=lambda _: 0.1,
-            scaled_by=1,
         ),
         Quantity(
             "load_drive_difference", _NONE, r"\Delta\mu_{{{}1}}",
             "half the difference by direction of the load loss when the motor drives",
             option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
-            spread=lambda _: 0.1,
-            scaled_by=1,
+            spread=lambda _: 0.1, scaled_by=1,
         ),
         Quantity(
             "load_back_difference", _NONE, r"\Delta\mu_{{{}2}}",
             "half the difference by direction of the load loss when the load drives",
             option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
-            spread=lambda _: 0.1,
-            scaled_by=1,
+            spread=lambda _: 0.1, scaled_by=1,
         ),
         # gear friction of oil films (Hamon, Gautier and Garrec 2010)
         Quantity(
             "load_speed", ("s/rad", "s/m"), r"\mu_{{v,{}}}",
-            "growth of the load loss in proportion to speed",
-            option="load_speed", role="form", spread=lambda s: 0.3 / s.speed, start=0.0,
-            scaled_by=1,
+            "growth of the load loss in proportion to speed", option="load_speed", role="form",
+            spread=lambda s: 0.3 / s.speed, start=0.0, scaled_by=1,
         ),
         # BAM's M6
         Quantity(
@@ -488,8 +483,8 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "gravity_angle", ("rad", ""), "q_g", "angle added to q in gravity",
-            option="gravity_angle", role="form", lower=-_INF, circular=True, prior="uniform",
-            measurand="constant",
+            option="gravity_angle", role="form", lower=-_INF, circular=True,
+            prior="uniform", measurand="constant",
         ),
         Quantity(
             "spring", ("N m/rad", "N/m"), "k_{{{}}}", "torque in proportion to position",
@@ -512,8 +507,7 @@ QUANTITIES: dict[str, Quantity] = {
             "true motor torque over the torque computed from current or voltage",
             role="form", default=1.0, prior="lognorm", spread=lambda _: 0.5, measurand="constant",
         ),
-        # What is recorded with a late position is the torque of earlier on: the torque of now
-        # less what it has changed by since.
+        # with a late position the torque of earlier on is recorded
         Quantity(
             "delay", ("s", "s"), r"\delta",
             "time by which the recorded position comes after the torque",
@@ -526,7 +520,6 @@ QUANTITIES: dict[str, Quantity] = {
 LATE_TARGET = replace(
     QUANTITIES["delay"], meaning="time by which the drive acts late on its target", lower=0.0
 )
-
 # Quantities that shape terms without a slot.
 SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, scales_of
+from bayesfric.diagnostics.along import Along, scales_of
+from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.scans import TARGET_DELAY, late
 from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
 from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass

@@ -9,7 +9,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.templates import placed
-from bayesfric.diagnostics.candidates import BY_NAME, KINDS, Along, scales_of
+from bayesfric.diagnostics.along import Along, scales_of
+from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, unasked
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
 from bayesfric.diagnostics.regression import Step

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import bayesfric.diagnostics.regression as regression
-from bayesfric.diagnostics.candidates import KINDS, Along
+from bayesfric.diagnostics.along import Along
+from bayesfric.diagnostics.candidates import KINDS, filtered_columns
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.diagnostics.scans import late
@@ -97,7 +98,7 @@ def test_samples_that_are_no_number_count_for_nothing(pair):
     holed = np.where(np.arange(x.size) % 97 == 5, np.nan, x)
     many = [0.0 * x, x, holed, *[x * k for k in range(1, 12)]]
     exact = [np.where(np.isfinite(one), one, 0.0) for one in many]
-    found = regression._filtered(o, many)
+    found = filtered_columns(o, many)
     np.testing.assert_allclose(found.T, [o.filter.apply(one) for one in exact], atol=1e-12)
 
 

@@ -175,7 +175,7 @@ def test_gauge_free_quantities_do_not_change_along_the_scaling():
     [
         ((), "at least one"),
         ((Element("a"), Element("a")), "differ"),
-        ((Element("load"),), "'load'"),
+        ((Element("load"),), "one of load"),
         ((Element("a", ratio=0.0),), "a.ratio"),
         ((Element("a", ratio=float("nan")),), "a.ratio"),
     ],

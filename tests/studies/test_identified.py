@@ -66,7 +66,7 @@ def test_counting(identified):
 
 
 def test_a_cause_is_named_by_its_words(identified):
-    first = "Doubtful: the data contradict the prior given for motor.viscous (4.1)."
+    first = "Doubtful: the data contradict the prior: they would have motor.viscous (4.1)."
     assert identified.names(first, frozenset({"prior"}))
     assert not identified.names(first, frozenset({"delay", "what no version says"}))
 
