@@ -125,13 +125,17 @@ def contradicted(
         data do not determine, or physics bounds, contradicts nothing.
     """
     support = {p.name: (p.lower, p.upper) for p in chain.parameters}
+    # how wide those of a column's coefficient must be, an arm asks all its joints together
+    columns = {p.name for p in chain.parameters if p.row.option == "signals"}
     priors = {
         name: (*knowledge.bounds.get(name, support[name]), *knowledge.told.get(name, (None, 0.0)))
         for name in knowledge.free(chain)
+        if name not in columns
     }
     if all(known[:2] == support[n] and known[2] is None for n, known in priors.items()):
         return {}
-    alone = replace(knowledge, bounds={}, told={})
+    kept = {name: told for name, told in knowledge.told.items() if name in columns}
+    alone = replace(knowledge, bounds={}, told=kept)
     estimate = input_error(chain, observations, alone, options, start)
     circular = {p.name: p.circular for p in chain.parameters}
     far = {}

@@ -145,6 +145,19 @@ def line(name: str, fits: list[dict[str, Any]], others: list[dict[str, Any]]) ->
     return f"| {name} | {' | '.join(cells)} | {good} of {len(fits)} |"
 
 
+def named(cases: dict[str, list[dict[str, Any]]]) -> tuple[int, int, int]:
+    """Count recordings whose model lacks what is listed, those with a finding, and right names."""
+    total = found = first = 0
+    for case, fits in cases.items():
+        kinds, _ = BENCHES[case]
+        if kinds:
+            findings = [fit["findings"] for fit in fits]
+            total += len(fits)
+            found += sum(map(bool, findings))
+            first += sum(bool(names) and names[0] in kinds for names in findings)
+    return total, found, first
+
+
 HEAD = (
     "| lacks | constants, posterior | reported | width, median, 90 % | error, posterior sds "
     "| friction, posterior | reported | width | error | other motion's estimate held "
@@ -191,6 +204,10 @@ def main() -> None:
             others += (twins + [empty] * len(result[case]))[: len(result[case])]
         if fits:
             print(line(name, fits, others), flush=True)
+    total, found, first = named(result)
+    print(
+        f"Of {total} that lack what is listed {found} have a finding, {first} the right one first."
+    )
 
 
 if __name__ == "__main__":
