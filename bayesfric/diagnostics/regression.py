@@ -54,6 +54,7 @@ from bayesfric.diagnostics.statistics import (
     scored,
     solved,
     testable,
+    unit_scores,
     without,
 )
 from bayesfric.diagnostics.twins import NoTwin, twins
@@ -378,7 +379,7 @@ class Regression:
                 kinds.setdefault(kind, []).append(own)
         free = left.size - base.shape[1]
         power = float(left @ left)
-        scores, sds = zip(*(_alone(twin.whitened, size) for twin in self.twins), strict=True)
+        scores, sds = zip(*(unit_scores(twin.whitened, size) for twin in self.twins), strict=True)
         mean, white = np.mean(scores, axis=0), float(np.mean(sds))
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
         in_law = {kind.name for kind in KINDS if kind.of_speed}
@@ -415,8 +416,9 @@ class Regression:
     def _best(self, extra: list[int], choosing: bool) -> Choice:
         """Choose the candidate that explains most of those that are no chance.
 
-        A push comes last: it is taken only where nothing else is sure. Of a log that holds nothing
-        above its band smoothing comes first: what the others explain of it is what is missing.
+        A push comes last: it is taken only where nothing else is sure. A fault of the recording is
+        looked for first only. Of a log that holds nothing above its band it is smoothing: what the
+        others explain of it is what is missing.
         """
         if not choosing:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
@@ -440,13 +442,16 @@ class Regression:
         last = np.array([k == PUSH for k in kinds])
         if (allowed & ~last).any():
             allowed &= ~last
+        named = {(key.kind, key.shape) for key, _ in self._groups}
+        faulty = not extra and (SMOOTHED, self._smoothed) in named
         for i, (key, own) in enumerate(self._groups):
-            least = BY_NAME[key.kind].least
-            allowed[i] &= not least or (allowed[i] and self._share(own, extra) > least)
-        smoothed = [i for i, (key, _) in enumerate(self._groups) if key.kind == SMOOTHED]
-        smoothed = [i for i in smoothed if self._groups[i][0].shape == self._smoothed]
-        if smoothed and not extra:
-            allowed = np.arange(z.size) == smoothed[0]
+            kind = BY_NAME[key.kind]
+            if kind.least:
+                allowed[i] &= bool(allowed[i]) and self._share(own, extra) > kind.least
+            if faulty or key.kind == SMOOTHED:
+                allowed[i] = (key.kind, key.shape) == (SMOOTHED, self._smoothed)
+            # what a term that was taken in leaves may look like a fault
+            allowed[i] &= not (extra and kind.of_recording)
         sure = bool(allowed.any())
         best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
@@ -589,12 +594,3 @@ class Regression:
 def _memory(d: Columns, extra: Sequence[int]) -> tuple[Memory, float]:
     """Choose the memory of what is left beside ``extra``, candidates; and its criterion."""
     return memory_of(d.rest(extra), d.layout)
-
-
-def _alone(d: Columns, size: Array) -> tuple[Array, float]:
-    """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
-    base = basis_of(d.base)
-    rest, left = without(base, d.others * size), without(base, d.left)
-    unit = np.linalg.norm(rest, axis=0)
-    scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
-    return np.asarray(scores), math.sqrt(mean_square(left, base.shape[1]))

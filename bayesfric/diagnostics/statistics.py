@@ -377,3 +377,12 @@ def _extreme(u: Array) -> Array:
     small = np.maximum(-np.expm1(-np.exp(-np.minimum(g, 20.0))), 1e-12)
     logs = np.where(g > 20.0, -g, np.log(small))
     return np.asarray(-ndtri_exp(logs - math.log(2.0)))
+
+
+def unit_scores(d: Columns, size: Array) -> tuple[Array, float]:
+    """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
+    base = basis_of(d.base)
+    rest, left = without(base, d.others * size), without(base, d.left)
+    unit = np.linalg.norm(rest, axis=0)
+    scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
+    return np.asarray(scores), math.sqrt(mean_square(left, base.shape[1]))

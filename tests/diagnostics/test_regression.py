@@ -50,7 +50,8 @@ def made(effect=None, seed=0, noise=WHITE, twins=24, values=None, known=()):
     """A regression whose recording and twins are columns that are given."""
     rng = np.random.default_rng(seed)
     r = object.__new__(Regression)
-    r.chain, r.known, r._placed_scans, r._sure_kinds = AXIS, known, [], set()
+    r.chain, r.known, r._smoothed = AXIS, known, ""
+    r._placed_scans, r._sure_kinds = [], set()
     r.values = AXIS.vector(VALUES) if values is None else values
     r.scales = SimpleNamespace(torque=2.0, lost=0.5, push=0.25, names=("one", "two"))
     time = np.linspace(0.0, 7.0, 50)  # of a motion that typical loads are asked of
