@@ -23,7 +23,6 @@ STUDIES: dict[str, list[str]] = {
     "rabbit_knee/monte_carlo.py": [],
     "replication/replication.py": [],
     "replication/lacking.py": ["--recordings", "4"],
-    "replication/constants.py": [],
     "replication/pooled.py": [],
     "replication/fleets.py": [],
     "rollouts/rollouts.py": [],

@@ -194,7 +194,10 @@ def late_target(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
     servo, late = Servo.draw(rng), float(rng.uniform(0.0, 4.0))
     motion = moved(servo, rng, late=late if fault else 0.0, held=fault, disturbed=True)
     columns = _counted(servo, motion) | {"target": motion.target}
-    return Faulty(_towards_target(servo), columns, servo.truth, size=late)
+    # a target that is held is half a sample late on the line through its samples
+    delay = (late + 0.5) / servo.rate if fault else 0.0
+    truth = servo.truth | {"target.delay": delay}
+    return Faulty(_towards_target(servo), columns, truth, size=late)
 
 
 def current_column(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
