@@ -26,8 +26,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from bayesfric.results.reported import Spread
-
 HERE = Path(__file__).resolve().parent
 STUDIES = HERE.parent
 DATA = STUDIES.parents[1] / "shared" / "data"
@@ -136,20 +134,16 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
     rows = {}
     for name, row in summary.joint.items():
         robust = estimates[name].sd_robust if name in estimates else None
-        # reported without what the calibration check takes off
-        plain = row.wide or Spread(row.middle, *row.interval, row.sd)
         rows[name] = {
             "class": "constants" if name in constants else "friction",
             "value": {
                 "posterior": row.middle,
                 "HAC": row.middle,
                 "reported": row.value,
-                "uncorrected": plain.value,
             },
             "posterior": row.sd,
             "HAC": max(row.sd, robust) if robust is not None else row.sd,
             "reported": row.told.sd,
-            "uncorrected": plain.sd,
             "interval": [row.told.low, row.told.high],
             # whether its data determine it, by each of its sds, doubted or not
             "determined": row.verdict == "data" or bool(row.doubted),
@@ -220,7 +214,6 @@ COLUMNS = {
         ("posterior", "friction", True),
         ("reported", "friction", True),
         ("posterior", "constants", True),
-        ("uncorrected", "constants", True),
         ("reported", "constants", True),
     )
 } | {"HAC": ("HAC", "", True), "identified": ("reported", "", False)}

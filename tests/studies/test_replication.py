@@ -42,7 +42,7 @@ def test_fleets_hold_what_they_say():
 
 
 def invented(case, value, sd, **more):
-    kinds = "posterior", "HAC", "uncorrected", "reported"
+    kinds = "posterior", "HAC", "reported"
     row = {"value": dict.fromkeys(kinds, value), "prior": 100.0, "class": "friction"}
     row |= {"determined": True, "status": "identified"} | dict.fromkeys(kinds, sd) | more
     return {"case": case, "rows": {"motor.viscous": row}}
