@@ -496,7 +496,7 @@ class Regression:
             best = max(best, choice.worth[-1])
         seen = {choice.kind}
         for (key, columns), gain in ranked:
-            if key.kind in seen or BY_NAME[key.kind].least:
+            if key.kind in seen or BY_NAME[key.kind].of_recording:
                 continue
             theirs = basis_of(z[:, columns])
             same = theirs.size > 0 and (
