@@ -23,6 +23,7 @@ from bayesfric.diagnostics.before_a_fit import (
 )
 from bayesfric.diagnostics.explanation import of_recording
 from bayesfric.estimates.information import CORRELATED
+from bayesfric.estimates.input_error import CONTRADICTED
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
@@ -32,8 +33,6 @@ from bayesfric.report.summary.noise import correlation_of
 from bayesfric.report.summary.record import Doubt, Summary
 from bayesfric.report.summary.rows import PosteriorRow, sd_towards
 
-# Sds between a reference and what was found that are no chance.
-_FAR = 3.0
 # Share of a number beyond which first order says little of what moves it.
 _FIRST_ORDER = 0.5
 
@@ -203,7 +202,7 @@ def references_off(summary: Summary) -> dict[str, float]:
         if row is not None and row.verdict != "prior" and row.converged is not False:
             sd = sd_towards(reference.value, row.middle, (row.told.low, row.told.high), row.told.sd)
             times[name] = _times(row, reference.value, reference.sd, row.middle, sd)
-    return {name: far for name, far in times.items() if far > _FAR}
+    return {name: far for name, far in times.items() if far > CONTRADICTED}
 
 
 def _times(

@@ -22,8 +22,8 @@ from bayesfric.report.summary.rows import PosteriorRow
 
 # Standard errors by which coverage must be too low.
 _SURE = 2.0
-# Coverage of 90 % intervals below which a number is doubtful, and below which it is told.
-POOR, LOW = 0.75, 0.80
+# Coverage of 90 % intervals below which a number is doubtful.
+POOR = 0.75
 
 
 def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Groups) -> SelfCheck:
@@ -67,7 +67,7 @@ def _rows(summary: Summary) -> dict[str, SelfCheckRow]:
 
 def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     """Pick what is in too few intervals."""
-    return {n: row for n, row in _rows(summary).items() if row.coverage < LOW}
+    return {n: row for n, row in _rows(summary).items() if row.coverage < POOR}
 
 
 def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:
