@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -17,6 +18,7 @@ from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.estimates.input_error import contradicted
+from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
@@ -148,13 +150,18 @@ class Problem:
         self._estimates |= found
         return list(found.values())
 
+    @cached_property
+    def _knowledge(self) -> Knowledge:
+        """What priors say to a point estimate; the moments of some take seconds."""
+        return as_knowledge(self.chain, self.priors)
+
     @property
     def evidence(self) -> Given:
         """What point estimates are made from."""
         return Given(
             self.chain,
             self.observations,
-            as_knowledge(self.chain, self.priors),
+            self._knowledge,
             self.config.tables.estimation,
             self.trajectories,
         )
