@@ -116,7 +116,7 @@ def _unchecked(fit: Fit, summary: Summary) -> Iterator[dict[str, Any]]:
     if regression is not None and regression.reason == "still":
         yield {"kind": "still"}
     elif regression is not None and regression.reason == "few":
-        yield from few_outputs(fit.observations, len(fit.target.free))
+        yield from few_outputs(fit.observations, len(fit.chain.names))  # as it was judged
 
 
 def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -137,7 +137,7 @@ def _missing(summary: Summary, resting: Sequence[str]) -> Iterator[dict[str, Any
 
 
 def _far(row: PosteriorRow, move: float) -> bool:
-    """Whether a constant moves, by so many posterior sds, by more than half of its value."""
+    """Whether a number moves, by so many posterior sds, by more than half of its value."""
     signed = row.interval[0] < 0.0 < row.interval[1] or row.period is not None
     return not signed and abs(move) * row.sd > _FIRST_ORDER * abs(row.middle)
 
