@@ -113,7 +113,7 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
     Parameters
     ----------
     parameters
-        How many are free; :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` more outputs are
+        How many there are; :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` more outputs are
         wanted.
 
     Yields

@@ -71,7 +71,6 @@ def _found(model: Problem) -> dict[str, Any]:
     # what a fit begins to put in is no doubt; what is left then, it asks anew
     taken = explained.put_in if auto else ()
     (totals,) = model.estimates(["least-squares"])
-    known = model.evidence.knowledge
     findings = [one.as_dict() for one in explained.findings if one not in taken]
     (point,) = model.estimates(["input-error"])
     doubts = [
@@ -79,7 +78,7 @@ def _found(model: Problem) -> dict[str, Any]:
         *little_explained(model.chain, model.observations),
         *doubts_before(totals, model.observations),
         *(one | {"kind": "missing", "what": one["kind"]} for one in findings),
-        *few_outputs(model.observations, len(set(model.chain.names) - set(known.fixed))),
+        *few_outputs(model.observations, len(model.chain.names)),
     ]
     if model.chain.unseen_inertia:
         doubts.append({"kind": "unseen-inertia", "names": list(model.chain.unseen_inertia)})
