@@ -3,8 +3,10 @@
 ``python studies/replication/lacking.py`` fits recordings of :mod:`joints`, each with one thing that
 the model does not have and is not given, in three sizes and two motions (a torque that is
 commanded, and a path that a position loop follows), and counts how often intervals hold the true
-values of what model and joint share. Writes ``lacking.json``; ``--recordings N`` of each,
-``--effects A B`` for less; ``--table`` prints what is there.
+values of what model and joint share. Each joint is recorded once more in a motion like the first
+(the same amplitude and lines, other phases), for the law that friction is a number of. Writes
+``lacking.json``; ``--recordings N`` of each, ``--effects A B`` for less; ``--table`` prints what
+is there.
 """
 
 from __future__ import annotations
@@ -62,8 +64,9 @@ def true_values(truth: dict[str, float], names: list[str]) -> dict[str, float]:
 class SameTruth(np.random.Generator):
     """Draws a joint's parameters, the first draw, as in the other motion, and the rest its own."""
 
-    def __init__(self, name: str, number: int) -> None:
-        super().__init__(np.random.PCG64(np.random.SeedSequence([SEED, *name.encode(), number])))
+    def __init__(self, name: str, number: int, *again: int) -> None:
+        stream = [SEED, *name.encode(), number, *again]
+        super().__init__(np.random.PCG64(np.random.SeedSequence(stream)))
         joint = name.removeprefix(MOTIONS[1]).encode()
         self._parameters = [np.random.default_rng([SEED, *joint, number])]
 
@@ -81,6 +84,8 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
     with TemporaryDirectory() as folder:
         truth, recordings, _ = recorded(bench, SameTruth(name, number), Path(folder))
         summary = Model(bench.joint, recordings, **bench.tables).fit(seed=number).summary
+        _, alike, _ = recorded(bench, SameTruth(name, number, 1), Path(folder))
+        estimates = Model(bench.joint, alike, **bench.tables).estimate("input-error")
     constants = {p.name for p in bench.joint.parameters if p.row.measurand == "constant"}
     rows = []
     for key, true in true_values(truth, list(summary.joint)).items():
@@ -97,6 +102,8 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
                 "true": true,
                 "posterior": [row.middle, row.sd, *row.interval],
                 "reported": [told.value, told.sd, low, high],
+                # of the motion like the first: the estimate, and its sd with correlated residuals
+                "alike": [float(x) for x in estimates.loc[key, ["value", "sd_robust"]]],
             }
         )
     findings = [finding.kind for finding in summary.findings]
@@ -109,23 +116,31 @@ def holds(row: dict[str, Any], which: str) -> bool:
     return bool(low <= row["true"] <= high)
 
 
-def replicated(fits: list[dict[str, Any]], others: list[dict[str, Any]]) -> tuple[list[bool], ...]:
-    """Say of friction whether its interval holds the estimate from the joint's other motion.
+def within(row: dict[str, Any], value: float, sd: float) -> bool:
+    """Whether an interval holds another motion's estimate: their distances add as variances."""
+    middle, _, low, high = row["reported"]
+    end = high - middle if value > middle else middle - low
+    return bool(abs(value - middle) <= np.hypot(end, NINETY * sd))
 
-    The distance from the value to the interval's end, and the other posterior's, add as variances;
-    then, those of both printed intervals. The two motions are not alike: their speeds differ.
+
+def replicated(fits: list[dict[str, Any]], others: list[dict[str, Any]]) -> tuple[list[bool], ...]:
+    """Say of friction whether its interval holds what other motions of the joint give.
+
+    The estimate of a motion like the first; the posterior of the bench's other motion, whose
+    speeds differ, and that by both printed intervals.
     """
-    held: tuple[list[bool], list[bool]] = [], []
+    held: tuple[list[bool], ...] = [], [], []
     for fit, other in zip(fits, others, strict=True):
         estimates = {row["name"]: row for row in other["rows"]}
-        for row in fit["rows"]:
-            if row["class"] == "friction" and row["name"] in estimates:
-                value, sd, low, high = row["reported"]
-                there = estimates[row["name"]]
-                apart = there["posterior"][0] - value
-                end = high - value if apart > 0.0 else value - low
-                held[0].append(abs(apart) <= np.hypot(end, NINETY * there["posterior"][1]))
-                held[1].append(abs(apart) <= NINETY * np.hypot(sd, there["reported"][1]))
+        for row in (row for row in fit["rows"] if row["class"] == "friction"):
+            if np.isfinite(row["alike"]).all():
+                held[0].append(within(row, *row["alike"]))
+            if there := estimates.get(row["name"]):
+                value, sd = there["posterior"][:2]
+                held[1].append(within(row, value, sd))
+                apart = abs(value - row["reported"][0])
+                both = np.hypot(row["reported"][1], there["reported"][1])
+                held[2].append(apart <= NINETY * both)
     return held
 
 
@@ -140,7 +155,8 @@ def line(name: str, fits: list[dict[str, Any]], others: list[dict[str, Any]]) ->
         cells += [f"{np.mean([holds(row, 'reported') for row in rows]):.0%}"]
         cells += [f"{np.median(widths):.2f}, {np.quantile(widths, 0.9):.1f}"]
         cells += [f"{np.sqrt(np.mean(np.square(errors))):.1f}"]
-    held, both = replicated(fits, others)
+    alike, held, both = replicated(fits, others)
+    cells.append(f"{np.mean(alike):.0%} of {len(alike)}" if alike else "–")
     cells.append(f"{np.mean(held):.0%}, {np.mean(both):.0%} of {len(held)}" if held else "–")
     rows = [row for fit in fits for row in fit["rows"] if row["status"] == "identified"]
     cells.append(f"{len(rows)}, {sum(not holds(row, 'reported') for row in rows)}")
@@ -163,7 +179,8 @@ def named(cases: dict[str, list[dict[str, Any]]]) -> tuple[int, int, int]:
 
 HEAD = (
     "| lacks | constants, posterior | reported | width, median, 90 % | error, posterior sds "
-    "| friction, posterior | reported | width | error | other motion's held: "
+    "| friction, posterior | reported | width | error | law of a motion alike held "
+    "| of another motion: "
     "by its posterior, by both intervals | identified, missed | not doubtful |"
 )
 
