@@ -223,7 +223,7 @@ class Target(LogPosterior):
         noise = self._noise_coordinates.from_parameters(parameters[:, k:])
         return np.concatenate([model, noise], axis=1)
 
-    def straighten(self, u: Array) -> tuple[Array, Array]:
+    def to_linear(self, u: Array) -> tuple[Array, Array]:
         """Map coordinates to straight ones, in which the torque is closer to linear.
 
         Parameters
@@ -237,13 +237,13 @@ class Target(LogPosterior):
             ``(n, d)``, and ``(n,)`` the log Jacobian ``log|dv/du|``. Noise scales stay as they are.
         """
         k = len(self.free)
-        v, slope = self.coordinates.straighten(u[:, :k])
+        v, slope = self.coordinates.to_linear(u[:, :k])
         return np.concatenate([v, u[:, k:]], axis=1), slope
 
-    def bend(self, v: Array) -> Array:
-        """Undo :meth:`straighten`; not finite where there is nothing to go back to."""
+    def from_linear(self, v: Array) -> Array:
+        """Undo :meth:`to_linear`; not finite where there is nothing to go back to."""
         k = len(self.free)
-        return np.concatenate([self.coordinates.bend(v[:, :k]), v[:, k:]], axis=1)
+        return np.concatenate([self.coordinates.from_linear(v[:, :k]), v[:, k:]], axis=1)
 
     def unbounded(self, parameters: Array) -> Array:
         """Map parameters ``(n, d)`` to straight coordinates, which bounds cut and do not bend.
@@ -251,7 +251,7 @@ class Target(LogPosterior):
         There a posterior that leans on a bound is a normal one that is cut, and can be moved
         beyond.
         """
-        return self.straighten(self.from_parameters(parameters))[0]
+        return self.to_linear(self.from_parameters(parameters))[0]
 
     def from_unbounded(self, v: Array) -> Array:
         """Undo :meth:`unbounded`.
@@ -267,7 +267,7 @@ class Target(LogPosterior):
             ``(n, d)`` parameters, SI units; a row that is beyond a bound, or that the prior rules
             out, is not finite as a whole.
         """
-        u, out = self.bend(v), np.full(v.shape, np.nan)
+        u, out = self.from_linear(v), np.full(v.shape, np.nan)
         possible = np.isfinite(u).all(axis=1)
         parameters, slope = self.to_parameters(u[possible])
         parameters[~np.isfinite(slope)] = np.nan
@@ -282,7 +282,7 @@ class Target(LogPosterior):
     def friction(self) -> NDArray[np.bool_]:
         """Which unbounded coordinates ``(k,)`` are of the friction law, not physical constants."""
         measurands = {p.name: p.row.measurand for p in self.likelihood.chain.parameters}
-        own = self.coordinates.stands_for
+        own = self.coordinates.represents
         return np.array([measurands[self.free[i]] == "law" for i in own], dtype=bool)
 
     def log_prior(self, parameters: Array) -> Array:

@@ -92,7 +92,7 @@ class JointTarget(LogPosterior):
             [p.upper if p.upper < _WIDEST else np.inf for p in self.priors],
             draws.std(axis=0),
         )
-        self.straighten, self.bend = self.coordinates.straighten, self.coordinates.bend
+        self.to_linear, self.from_linear = self.coordinates.to_linear, self.coordinates.from_linear
         self.likelihood = SimpleNamespace(
             cheap=all(t.likelihood.cheap for t in targets), method="input-error"
         )

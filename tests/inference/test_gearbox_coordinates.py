@@ -124,15 +124,15 @@ def test_every_form_round_trips_and_its_jacobian_is_right(name, changes):
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 def test_straight_coordinates_round_trip_and_their_jacobian_is_right(chain):
     coordinates = choose_coordinates(chain, priors_of(chain))
-    assert coordinates.bends
+    assert coordinates.is_nonlinear
     u = coordinates.from_parameters(rows_of(chain, priors_of(chain), 30, seed=5))
-    straight, slope = coordinates.straighten(u)
-    np.testing.assert_allclose(coordinates.bend(straight), u, rtol=1e-9, atol=1e-9)
+    straight, slope = coordinates.to_linear(u)
+    np.testing.assert_allclose(coordinates.from_linear(straight), u, rtol=1e-9, atol=1e-9)
     for place, closed in zip(u, slope, strict=True):
-        numeric = numeric_log_determinant(coordinates.straighten, place)
+        numeric = numeric_log_determinant(coordinates.to_linear, place)
         assert closed == pytest.approx(numeric, abs=1e-5)
     straight[:, 0] = -straight[:, 0]  # nothing to go back to
-    assert not np.isfinite(coordinates.bend(straight)).all(axis=1).any()
+    assert not np.isfinite(coordinates.from_linear(straight)).all(axis=1).any()
 
 
 def test_the_torque_is_linear_in_the_straight_ones():
@@ -140,9 +140,9 @@ def test_the_torque_is_linear_in_the_straight_ones():
     chain = KNEE.chain()
     coordinates = choose_coordinates(chain, priors_of(chain))
     u = coordinates.from_parameters(values_of(chain)[None])
-    straight = np.repeat(coordinates.straighten(u)[0], 3, axis=0)
+    straight = np.repeat(coordinates.to_linear(u)[0], 3, axis=0)
     straight[1:, :10] *= 1.0 + np.outer([0.5, 1.0], np.linspace(-1e-3, 1e-3, 10))
-    rows, _ = coordinates.to_parameters(coordinates.bend(straight))
+    rows, _ = coordinates.to_parameters(coordinates.from_linear(straight))
     rng = np.random.default_rng(6)
     q, qd, qdd = rng.normal(size=(3, 200)) + np.array([[0.0], [0.0], [3.0]])
     first, middle, last = inverse_torque(chain, rows, q, qd, qdd)

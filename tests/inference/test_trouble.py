@@ -30,7 +30,7 @@ class Normal:
     names = ("x", "y")
     priors = ()
     likelihood = SimpleNamespace(cheap=False, method="input-error")
-    coordinates = SimpleNamespace(bends=False)
+    coordinates = SimpleNamespace(is_nonlinear=False)
 
     def __init__(self):
         self.not_finite = 0

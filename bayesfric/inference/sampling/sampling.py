@@ -411,9 +411,9 @@ class _Ensembles:
 def _fitted(target: Target, half: Array, *, last: bool) -> Proposal | ProposalInBoth:
     """Fit a proposal to steps ``(ensembles, walkers, n, d)``; also where the target is straight."""
     draws = half.reshape(-1, target.dimension)
-    if not target.coordinates.bends:
+    if not target.coordinates.is_nonlinear:
         return Proposal.fitted(draws, last=last)
-    return ProposalInBoth.fitted(draws, target.straighten, target.bend, last=last)
+    return ProposalInBoth.fitted(draws, target.to_linear, target.from_linear, last=last)
 
 
 def _searching(
@@ -421,10 +421,10 @@ def _searching(
 ) -> list[tuple[emcee.moves.Move, float]]:
     """Make the moves that go where the walkers are, in whichever coordinates a proposal suits."""
     search = DifferentialEvolutionMove(settings.ensembles)
-    if not target.coordinates.bends:
+    if not target.coordinates.is_nonlinear:
         return [(search, share)]
     straight = proposal.share if isinstance(proposal, ProposalInBoth) else 0.5
-    there = ElsewhereMove(search, target.straighten, target.bend)
+    there = ElsewhereMove(search, target.to_linear, target.from_linear)
     return [(search, share * (1.0 - straight)), (there, share * straight)]
 
 
