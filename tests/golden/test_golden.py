@@ -11,6 +11,9 @@ pytestmark = pytest.mark.slow
 
 # Of a posterior's sd. At 3,000 effective draws the ends of two runs' intervals differ by 0.055.
 CLOSE = 0.15
+# Of a printed sd that is wider than the posterior's: it follows the seed of simulated replicates,
+# by a quarter from seed to seed (EMPS: 0.62, 0.72, 0.99 kg).
+DISCREPANCY = 1.0
 EXPECTED = json.loads(golden.GOLDEN.read_text())
 
 
@@ -25,19 +28,20 @@ def test_a_run_gives_what_it_gave(name, tmp_path, request):
     differences = []
     for key, before in expected["numbers"].items():
         now = again["numbers"][key]
-        pairs = [("", now, before, before["median"], now["median"])]
+        rows = [("", before, now, before["median"], now["median"], CLOSE)]
         if "reported" in before:
-            now_, before_ = now["reported"], before["reported"]
-            if now_["status"] != before_["status"]:
-                differences.append(f"{key}: {before_['status']} is {now_['status']}")
-            pairs.append(("reported ", now_, before_, before_["value"], now_["value"]))
-        for what, after, earlier, middle, moved in pairs:
-            ends = [earlier["interval"], after["interval"]]
-            old, new = ([middle, *ends[0]], [moved, *ends[1]])
-            numbers = np.array([[np.nan if x is None else x for x in row] for row in (old, new)])
+            earlier, later = before["reported"], now["reported"]
+            if later["status"] != earlier["status"]:
+                differences.append(f"{key}: {earlier['status']} is {later['status']}")
+            wider = earlier["sd"] > 1.05 * before["sd"]
+            values = earlier["value"], later["value"]
+            rows.append(("reported ", earlier, later, *values, DISCREPANCY if wider else CLOSE))
+        for what, earlier, later, *middles, close in rows:
+            old, new = ([x, *row["interval"]] for x, row in zip(middles, (earlier, later)))
+            numbers = np.array([old, new], dtype=float)  # an open end is nan
             apart = np.abs(np.diff(numbers, axis=0)) / earlier["sd"]
-            if not (np.isnan(apart) | (apart <= CLOSE)).all():
+            if not (np.isnan(apart) | (apart <= close)).all():
                 differences.append(f"{key} {what}: {old} is {new}, sd {earlier['sd']}")
-            if not 1.0 - CLOSE < after["sd"] / earlier["sd"] < 1.0 + CLOSE:
-                differences.append(f"{key} {what}sd: {earlier['sd']} is {after['sd']}")
+            if abs(np.log(later["sd"] / earlier["sd"])) > close:
+                differences.append(f"{key} {what}sd: {earlier['sd']} is {later['sd']}")
     assert not differences, "\n".join(differences)
