@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -48,13 +48,13 @@ _LONG = re.compile(r"(?<=\.\d\d)\d+")
 _COLUMN = 300.0
 
 
-def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any) -> str:
-    """Fill a template of ``templates/``, with ``scripts`` that lie beside it; text is escaped.
+def render(template: str, **told: Any) -> str:
+    """Fill a template of ``templates/``; text is escaped.
 
     The page's policy forbids every request and every script but its own, which is
     named by its hash: what a file of the run may hold cannot act.
     """
-    style, script = _asset("page.css"), "".join(_asset(name) for name in scripts)
+    style, script = _asset("page.css"), _asset("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:; "
