@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.notebook import html_table
 from bayesfric.base.progress import Progress, Shown, by_method, progress_shown, silent
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import estimate_by
@@ -323,9 +321,9 @@ class Model(Problem):
             found = self.fit(seed=seed, output_error=output_error, progress=tell)
             return found.inference_data()
 
-    def _repr_html_(self) -> str:
-        seen = ", ".join(f"{escape(o.name)}: {len(o.time)} outputs" for o in self.observations)
-        told = [f"{o.name}: {text}" for o in self.observations for text in o.warnings]
-        rows = ((n, p.text, "default" if p.default else "given") for n, p in self.priors.items())
-        warned = "".join(f"<p>WARNING: {escape(text)}</p>" for text in told)
-        return f"<p>{seen}</p>{warned}{html_table(rows, ('parameter', 'prior', ''))}"
+    def __repr__(self) -> str:
+        lines = [f"{o.name}: {len(o.time)} outputs" for o in self.observations]
+        lines += [f"WARNING: {o.name}: {text}" for o in self.observations for text in o.warnings]
+        for name, prior in self.priors.items():
+            lines.append(f"{name} ~ {prior.text}{' (default)' if prior.default else ''}")
+        return "\n".join(lines)

@@ -137,9 +137,8 @@ class Identification:
         ]
         return found
 
-    def _repr_html_(self) -> str:
-        """Show the table in a notebook."""
-        return str(self.frame.to_html(float_format="{:.4g}".format))
+    def __repr__(self) -> str:
+        return self.frame.to_string(float_format="{:.4g}".format)
 
     @property
     def determined(self) -> list[Prospect]:

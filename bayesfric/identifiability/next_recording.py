@@ -200,9 +200,8 @@ class Ranking:
 
         return pd.json_normalize(self.as_json()["candidates"]).set_index("rank")
 
-    def _repr_html_(self) -> str:
-        """Show the table in a notebook."""
-        return str(self.frame.to_html(float_format="{:.4g}".format))
+    def __repr__(self) -> str:
+        return self.frame.to_string(float_format="{:.4g}".format)
 
 
 def _described(one: Candidate) -> dict[str, Any]:

@@ -115,9 +115,7 @@ def load_torque(
     return torque
 
 
-def load_reach(
-    chain: Chain, values: Array, *, open_scale: bool, passed: int | None = None
-) -> Array:
+def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
     """Factors from the load's torque at the joint to its loss-free torque at the motor.
 
     Parameters
@@ -128,8 +126,6 @@ def load_reach(
         ``(n, n_parameters)`` in the order of ``chain.names``.
     open_scale
         Whether nothing known fixes the scale between leg and alpha (section 4.2).
-    passed
-        How many elements, counted from the motor, the torque passes; all if left out.
 
     Returns
     -------
@@ -138,7 +134,7 @@ def load_reach(
         feels of the load while it drives and while it is driven, which no scaling changes. Of the
         true torque: ``drive.gain`` has no part in it.
     """
-    elements = chain.tables(values).elements[:, :passed]
+    elements = chain.tables(values).elements
     ratio = np.prod(elements[:, :, kernels.RATIO], axis=1)
     if not open_scale:
         return np.asarray(1.0 / ratio)

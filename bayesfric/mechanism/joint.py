@@ -12,7 +12,6 @@ from pydantic import ValidationError
 
 from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.notebook import html_table
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.inverse import inverse_torque
@@ -51,8 +50,8 @@ class Joint(Chain):
         chain = PRESETS[name].chain()
         return cls(**{one.name: getattr(chain, one.name) for one in fields(chain)})
 
-    def _repr_html_(self) -> str:
-        return html_table((p.name, p.unit, p.meaning) for p in self.parameters)
+    def __repr__(self) -> str:
+        return "\n".join(f"{p.name} ({p.unit or '1'}): {p.meaning}" for p in self.parameters)
 
     def simulate(
         self, parameters: Mapping[str, float] | None = None, **options: Any

@@ -1,4 +1,4 @@
-"""The law of a joint in formulas, of which C, Python and the page's script are made.
+"""The law of a joint in formulas, of which C and Python are made.
 
 No term is written twice. The compiled kernels' own code runs with names in place of numbers:
 what they assign becomes a statement of the same name. A column of the table of quantities, a
@@ -66,20 +66,6 @@ class Traced(NDArrayOperatorsMixin):
         raise Unwritten("a choice")
 
 
-class Varying(Traced):
-    """A parameter that has many values, and none in particular.
-
-    No shortcut for one value, such as a friction of zero, is taken: it is equal to and below
-    nothing.
-    """
-
-    def __eq__(self, other: object) -> bool:
-        return False
-
-    def __le__(self, other: object) -> bool:
-        return False
-
-
 def _formula(x: Any) -> Formula:
     if isinstance(x, Traced):
         return x.formula
@@ -141,15 +127,10 @@ def _code() -> CodeType:
 
 
 class Statements:
-    """What works out the law of a joint, one after the other.
+    """Statements that compute the law of a joint from :data:`MOTION`, in order.
 
-    They start from :data:`MOTION` and what else is given. Of a recording is nothing in them: a
-    term of temperature or of time is that of 20 degC as a recording begins, a delay is none.
-
-    Parameters
-    ----------
-    *given
-        Names that are taken besides, as those of parameters.
+    Nothing of a recording is in them: a term of temperature or of time is that of 20 degC as a
+    recording begins, a delay is none.
 
     Attributes
     ----------
@@ -159,9 +140,9 @@ class Statements:
         Functions of the kernels, to be called with names or numbers.
     """
 
-    def __init__(self, *given: str) -> None:
+    def __init__(self) -> None:
         self.all: list[tuple[str, Formula]] = []
-        self._taken = Counter((*MOTION, *given))
+        self._taken = Counter(MOTION)
         self.kernels: dict[str, Any] = dict(vars(kernels))
         self.kernels |= {"put": self.put, "where": _where, "math": np, "float": lambda x: x}
         exec(_code(), self.kernels)
@@ -193,17 +174,15 @@ class Statements:
         self.all.append((name, value.formula))
         return Traced(name)
 
-    def torque(self, chain: Chain, vector: Array, outside: Any = 0.0) -> Any:
-        """Work out the torque at the motor, without gain and offset of what is measured.
+    def torque(self, chain: Chain, vector: Array) -> Any:
+        """Compute the torque at the motor, without gain and offset of what is measured.
 
         Parameters
         ----------
         chain
             The mechanism.
         vector
-            ``(n_parameters,)``, numbers or :class:`Varying`.
-        outside
-            Torque that pushes the load from outside, at the joint.
+            ``(n_parameters,)``.
 
         Returns
         -------
@@ -217,45 +196,23 @@ class Statements:
         """
         (elements,), (load,), _ = chain.tables(vector[None])
         self.remark("load")
-        at, torque = self.at(1.0), self.weight(load, outside)
+        at = self._at(1.0)
+        q, _, a, _ = map(Traced, MOTION)
+        weight = self.kernels["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
+        torque = load[kernels.LOAD_INERTIA] * a + weight
         torque = self.put("torque", torque + self._carried(chain, vector, len(chain.elements), at))
         for k in range(len(chain.elements) - 1, -1, -1):
             element, name = elements[k], chain.elements[k].name
             self.remark(name)
-            at = self.at(chain.reaches[name])
+            at = self._at(chain.reaches[name])
             torque = self.put("torque", torque / element[kernels.RATIO])
             moving = at.direction, at.speed, at.acceleration
             torque = self.kernels["element_torque"](element, torque, *moving)
             torque = self.put("torque", torque + self._carried(chain, vector, k, at))
         return torque
 
-    def weight(self, load: Array, outside: Any) -> Any:
-        """Torque that moves the load itself, eq. (3), less what pushes it from outside.
-
-        Parameters
-        ----------
-        load
-            ``(n_slots,)``, a row of :meth:`Chain.tables`.
-        outside
-            That torque, at the joint.
-
-        Returns
-        -------
-        Traced or number
-            Known added masses are not in it.
-        """
-        q, _, a, _ = map(Traced, MOTION)
-        weight = self.kernels["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
-        return load[kernels.LOAD_INERTIA] * a + weight - outside
-
-    def at(self, reach: float) -> State:
-        """State at an element's input, of nothing carried, at time zero.
-
-        Parameters
-        ----------
-        reach
-            Speed there over the joint's.
-        """
+    def _at(self, reach: float) -> State:
+        """State at ``reach`` times the speed of the joint, of nothing carried, at time zero."""
         q, v, a, s = map(Traced, MOTION)
         position, speed = self.put("position", reach * q), self.put("speed", reach * v)
         return State(position, speed, self.put("acceleration", reach * a), s, 0.0)
@@ -280,9 +237,9 @@ class Statements:
         """Give what is asked for, a number or a formula, its name as one more statement."""
         self.all.append((name, _formula(value)))
 
-    def used(self, *read: str) -> list[tuple[str, Formula]]:
-        """Statements that some names are made of, in their order: compilers warn of others."""
-        kept, wanted = [], set(read)
+    def used(self, result: str) -> list[tuple[str, Formula]]:
+        """Statements that lead to ``result``, in their order: compilers warn of others."""
+        kept, wanted = [], {result}
         for name, formula in reversed(self.all):
             if not name or name in wanted:
                 kept.append((name, formula))

@@ -551,10 +551,6 @@ def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
 CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
     option: partial(_waves, option) for option in ("cogging", "periodic_friction")
 }
-CYCLE_PHRASES: Mapping[str, str] = {
-    "cogging": "a torque that repeats",
-    "periodic_friction": "a constant loss that depends on the angle",
-}
 
 
 def _total(name: str, symbol: str, meaning: str, *, positive: bool = False) -> Total:

@@ -14,7 +14,6 @@ from pydantic import ValidationError
 
 from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.notebook import html_table
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Source
 from bayesfric.recordings.tables.table import Table, column_cells
 
@@ -164,10 +163,9 @@ class Recording:
             keys["valid"] = self._header[keys["valid"]]
         return Source(file=file, **keys)
 
-    def _repr_html_(self) -> str:
-        """Show in a notebook which column is what."""
-        given = self.source.model_dump(mode="json", exclude_unset=True, exclude_none=True)
-        return html_table(given.items())
+    def __repr__(self) -> str:
+        keys = self.source.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        return "\n".join(f"{key}: {value}" for key, value in keys.items())
 
     @property
     def _header(self) -> dict[str | int, str]:

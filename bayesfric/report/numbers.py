@@ -7,6 +7,7 @@ posterior the nearer end of its interval does (:func:`finer`).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from decimal import ROUND_HALF_EVEN, Decimal
 
 from markupsafe import Markup, escape
@@ -39,38 +40,30 @@ def finer(middle: float, low: float, high: float, sd: float) -> float:
     return min(sd, max(near, _FINEST * far)) or sd
 
 
-def _rounded(value: float, last: int) -> Decimal:
-    """Round to a power of ten exactly as printed."""
-    found = Decimal(repr(value)).quantize(Decimal(1).scaleb(last), rounding=ROUND_HALF_EVEN)
-    # no -0.0
-    return abs(found) if found.is_zero() else found
+def _aligned(
+    sd: float, values: Sequence[float], more: Sequence[float] = ()
+) -> tuple[list[Decimal], int]:
+    """Round to the last digit that an sd sets, over a shared power of ten, which is returned too.
 
-
-def _shared_exponent(value: float, last: int) -> int:
-    """Power of ten to take out of a number and everything printed beside it."""
-    at = max(math.floor(math.log10(abs(value))) if value else last, last)
+    ``values`` set that power; ``more`` are written next to them.
+    """
+    last = last_digit(sd)
+    largest = max(map(abs, values))
+    at = max(math.floor(math.log10(largest)), last) if largest else last
     # digits that are not known must not be written as zeros
-    return 0 if _PLAIN[0] <= at < _PLAIN[1] and last <= 0 else at
+    exponent = 0 if last <= 0 and _PLAIN[0] <= at < _PLAIN[1] else at
+    unit = Decimal(1).scaleb(last)
+    rounded = [Decimal(repr(x)).quantize(unit, ROUND_HALF_EVEN) for x in (*values, *more)]
+    # 0.0 has no sign
+    return [(x if x else abs(x)).scaleb(-exponent) for x in rounded], exponent
 
 
-def _digits(value: float, last: int, exponent: int) -> str:
-    return f"{_rounded(value, last).scaleb(-exponent):f}"
-
-
-def _aligned(sd: float, *values: float) -> tuple[list[str], int]:
-    """Write values to the last digit that an sd sets, and the power of ten taken out of all."""
-    last = last_digit(sd)
-    exponent = _shared_exponent(max(map(abs, values)), last)
-    return [_digits(x, last, exponent) for x in values], exponent
-
-
-def _with_ends(value: float, low: float, high: float, sd: float) -> tuple[str, str, str, int]:
+def _with_ends(
+    value: float, low: float, high: float, sd: float
+) -> tuple[Decimal, Decimal, Decimal, int]:
     """Digits of a value and of its distances up and down, and the exponent."""
-    (middle, _), exponent = _aligned(sd, value, sd)
-    last = last_digit(sd)
-    at, up, down = (_rounded(x, last) for x in (value, high, low))
-    above, below = (f"{x.scaleb(-exponent):f}" for x in (up - at, at - down))
-    return middle, above, below, exponent
+    (middle, _, up, down), exponent = _aligned(sd, (value, sd), (high, low))
+    return middle, up - middle, middle - down, exponent
 
 
 # Media write an exact `number`; a `value` with its sd, or for a skewed posterior with its distances
@@ -99,8 +92,8 @@ def text_rounded(value: float, sd: float | None) -> str:
     """Print a value to the last digit that a standard deviation sets, exponent and all."""
     if not sd:
         return f"{value:.5g}"
-    (shown,), exponent = _aligned(sd, value)
-    return "0" if float(shown) == 0.0 else shown + _power(exponent)
+    (shown,), exponent = _aligned(sd, (value,))
+    return f"{shown:f}{_power(exponent)}" if shown else "0"
 
 
 def p_text(p_value: float) -> str:
@@ -125,22 +118,20 @@ class _Latex:
         return rf"\num{{{value:.{min(digits, 4)}g}}}"
 
     def value(self, value: float, sd: float) -> str:
-        (shown, beside), exponent = _aligned(sd, value, sd)
-        last = last_digit(sd)
-        # the uncertainty in parentheses counts last digits; above the point it is written out
-        own = "." in shown or last == exponent
-        said = int(_rounded(sd, last).scaleb(-last)) if own else beside
-        return rf"\num{{{shown}({said}){_power(exponent)}}}"
+        (shown, error), exponent = _aligned(sd, (value, sd))
+        # the uncertainty in parentheses counts last digits
+        digits = "".join(map(str, error.as_tuple().digits))
+        return rf"\num{{{shown:f}({digits}){_power(exponent)}}}"
 
     def ends(self, value: float, low: float, high: float, sd: float) -> str:
         middle, above, below, exponent = _with_ends(value, low, high, sd)
-        shown = rf"\num{{{middle}}}^{{+\num{{{above}}}}}_{{-\num{{{below}}}}}"
+        shown = rf"\num{{{middle:f}}}^{{+\num{{{above:f}}}}}_{{-\num{{{below:f}}}}}"
         return f"${shown}$" if not exponent else rf"$({shown})\times 10^{{{exponent}}}$"
 
     def interval(self, low: float, high: float, sd: float) -> str:
-        shown, exponent = _aligned(sd, low, high)
+        shown, exponent = _aligned(sd, (low, high))
         # \num groups digits as it does in the value beside it
-        ends = ", ".join(rf"\num{{{end}}}" for end in shown)
+        ends = ", ".join(rf"\num{{{end:f}}}" for end in shown)
         return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
 
 
@@ -153,17 +144,17 @@ class _Html:
         return html_number(f"{value:.{digits}g}")
 
     def value(self, value: float, sd: float) -> Markup:
-        (shown, beside), exponent = _aligned(sd, value, sd)
-        return _scaled(Markup("{} ± {}").format(_signed(shown), beside), exponent)
+        shown, exponent = _aligned(sd, (value, sd))
+        return _scaled(Markup("{} ± {}").format(*map(_signed, shown)), exponent)
 
     def ends(self, value: float, low: float, high: float, sd: float) -> Markup:
         middle, above, below, exponent = _with_ends(value, low, high, sd)
         ends = Markup('<span class="ends"><sup>+{}</sup><sub>\u2212{}</sub></span>')
-        shown = Markup("{} {}").format(_signed(middle), ends.format(above, below))
+        shown = Markup("{} {}").format(_signed(middle), ends.format(*map(_signed, (above, below))))
         return _scaled(shown, exponent)
 
     def interval(self, low: float, high: float, sd: float) -> Markup:
-        shown, exponent = _aligned(sd, low, high)
+        shown, exponent = _aligned(sd, (low, high))
         ends = Markup("[{}, {}]").format(*map(_signed, shown))
         return _scaled(ends, exponent, brackets=False)
 
@@ -175,7 +166,7 @@ TEXT, LATEX, HTML = _Text(), _Latex(), _Html()
 def html_number(text: str) -> Markup:
     """Set a number such as ``-1.2e-05`` with a minus sign and a power of ten."""
     digits, _, power = text.partition("e")
-    return _scaled(escape(_signed(digits)), int(power or 0), brackets=False)
+    return _scaled(escape(_signed(Decimal(digits))), int(power or 0), brackets=False)
 
 
 def html_unit(unit: str) -> Markup:
@@ -189,12 +180,12 @@ def html_p(p_value: float) -> Markup:
     return Markup("{} {}").format(sign, html_number(number))
 
 
-def _signed(text: str) -> str:
-    return text.replace("-", "\u2212")
+def _signed(number: Decimal) -> str:
+    return f"{number:f}".replace("-", "\u2212")
 
 
 def _scaled(shown: Markup, exponent: int, *, brackets: bool = True) -> Markup:
     if not exponent:
         return shown
-    power = Markup("\u00a0×\u00a010<sup>{}</sup>").format(_signed(str(exponent)))
+    power = Markup("\u00a0×\u00a010<sup>{}</sup>").format(_signed(Decimal(exponent)))
     return (Markup("({})").format(shown) if brackets else shown) + power

@@ -20,7 +20,6 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.calculator import FILE, calculator, calculator_json
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.page.pages import run_page
@@ -79,7 +78,6 @@ def write_run(
         drawn = draw(beside / "figures", run, kinds, progress)
         texts = summary_texts(summary, folder.name) | {
             "text/captions.md": captions(run, drawn),
-            FILE: calculator_json(calculator(fit)),
         }
         if paper:
             texts |= latex_texts(summary, folder.name)

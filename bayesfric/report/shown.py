@@ -1,4 +1,4 @@
-"""A summary that says itself, on a terminal and in a notebook."""
+"""A summary whose text is that of the terminal."""
 
 from __future__ import annotations
 

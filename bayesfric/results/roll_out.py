@@ -115,5 +115,5 @@ class RollOut:
         found.index.names = ["recording", "quantity"]
         return found
 
-    def _repr_html_(self) -> str:
-        return str(self.frame.to_html())
+    def __repr__(self) -> str:
+        return self.frame.to_string()

@@ -152,7 +152,7 @@ DAMAGED = {
     "more than all of the torque": valued("explained", "2.0"),
     "an infinite number": valued("sd", "1e400"),
 }
-for _name in ("posterior.nc", "summary.json", "config.toml", "page.json", "text/captions.md",
+for _name in ("posterior.nc", "summary.json", "config.toml", "text/captions.md",
               "figures/friction.svg"):  # fmt: skip
     DAMAGED[f"a pipe as {_name}"] = instead(_name, os.mkfifo)
     DAMAGED[f"endless {_name}"] = instead(_name, zero)

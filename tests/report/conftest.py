@@ -149,13 +149,3 @@ def slide():
 def many():
     """Four recordings, each with its own noise: 15 sampled parameters."""
     return build(recordings=4, samples=600, noise_scale="per-recording")
-
-
-@pytest.fixture(scope="session")
-def browser(tmp_path_factory):
-    """A real browser; see chromium.py."""
-    from .chromium import started  # skips where selenium is not installed
-
-    driver = started(tmp_path_factory.mktemp("profile"))
-    yield driver
-    driver.quit()

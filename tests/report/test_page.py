@@ -243,14 +243,6 @@ def test_symbols_that_cannot_be_set(symbol):
     assert html_symbol(symbol, "a<b") == "<code>a&lt;b</code>"
 
 
-def test_what_is_no_page_json_is_left_out(tmp_path):
-    for text in ("", "[]", "{}", '{"calculator": 3}', "\x00"):
-        (tmp_path / "page.json").write_text(text, encoding="utf-8")
-        page = read_page(run_page(tmp_path, knee(), "run"))
-        (section,) = page.all("section", id="calculator")
-        assert "holds no page.json" in section.text
-
-
 def test_no_number_is_a_nan(text):
     shown = re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.DOTALL)
     assert not re.search(r"\b(nan|inf|None)\b", shown)

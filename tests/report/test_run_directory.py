@@ -96,7 +96,7 @@ def test_the_files_of_the_design(run):
     found = {path.name for path in run.iterdir()}
     tables = {"summary.csv", "methods.csv"}
     folders = {"figures", "tables", "text"}
-    files = {"posterior.nc", "summary.json", "config.toml", "report.html", "page.json"}
+    files = {"posterior.nc", "summary.json", "config.toml", "report.html"}
     assert found == files | folders | tables
     drawn = {path.name for path in (run / "figures").iterdir()}
     stems = ("corner", "prediction", "methods", "friction", "residual")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -15,7 +14,6 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import opened_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
-from bayesfric.report.calculator import Calculator, read_calculator
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.forest import FOREST
@@ -33,9 +31,8 @@ from bayesfric.report.terminal import brief
 def run_page(folder: Path, summary: Readable, name: str) -> str:
     """Write the page of a run: HTML that fetches nothing.
 
-    Figures, texts, ``page.json``, configuration and the head of ``posterior.nc`` are read from the
-    run directory ``folder``; what is missing is left out. ``BadInput`` where the summary lacks
-    something.
+    Figures, texts, configuration and the head of ``posterior.nc`` are read from the run directory
+    ``folder``; what is missing is left out. ``BadInput`` where the summary lacks something.
     """
     read = Summary.read(summary, name)
     table = parameter_table(read, name)
@@ -44,14 +41,12 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
-        scripts=("page.js", "calculator.js"),
         title=name,
         summary=read,
         alerts=told,
         found=findings(table, read),
         too_slow=too_slow(),
         brief=brief(read, told),
-        law=_law(read_calculator(folder), table),
         table=table,
         notes=table.notes(marked=False),
         methods=methods,
@@ -61,24 +56,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         provenance=read_provenance(folder),
         config=_text(folder / "config.toml"),
     )
-
-
-def _law(told: Calculator | None, table: ParameterTable) -> dict[str, Any] | None:
-    """Give what the calculator is worded from, and what its script reads."""
-    if told is None:
-        return None
-    doubted = "doubted" if table.summary.doubts else ""
-    if table.summary.unexplained:
-        doubted = "wrong"
-    return {
-        **told,
-        "text": json.dumps(told, allow_nan=False),
-        "draws": max((len(x) for x in told.get("values", ()) if isinstance(x, list)), default=1),
-        "widened": table.summary.widened,
-        "unsettled": any(row.by == "open" for row in table.joint),
-        "doubted": doubted,
-        "unusable": table.summary.sampler.status == "unusable",
-    }
 
 
 def _text(path: Path) -> str:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
-from unicodedata import lookup
+from unicodedata import combining
 from urllib.parse import quote
 
 from jinja2 import Environment
-from markupsafe import Markup, escape
+from markupsafe import Markup
+from matplotlib.mathtext import get_unicode_index
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import read_text
@@ -30,16 +32,15 @@ from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
 from bayesfric.report.words import FILTERS, clause
 
-_SIGNS = {"dot": "", "cdot": "·", "times": "×", "sin": "\u2009sin\u2009", "cos": "\u2009cos\u2009"}
-_SPACES = {"!": "", **dict.fromkeys(",;: ", "\u2009")}
-_TOKEN = re.compile(
-    r"\\(?:mathrm|text|mathit|operatorname)\{((?:[^{}\\]|\\.)*)\}"
-    r"|\\([A-Za-z]+|.)|([{}_^])|([^\W\d_])|(.)",
-    re.DOTALL,
-)
-_GROUP = re.compile(r"([_^])(?:\{([^{}]*)\}|(<i>.</i>|&#?\w+;|[^{}]))")
-_BARE = re.compile(r"(?<![_^])\{([^{}]*)\}")
-_TAGS = {"_": "sub", "^": "sup"}
+# Tokens of LaTeX; words in upright letters are a single token.
+_TOKEN = re.compile(r"\\(?:mathrm|text)\{(?:\\.|[^{}\\])*\}|\\[A-Za-z]+|[_^]\{|\\?.", re.DOTALL)
+_SCRIPT = re.compile(r"(?<!\\)([_^])(\\[A-Za-z]+|[^{])")
+_GROUPS = {"_{": "sub", "^{": "sup", "{": "span"}
+_SPACE = "\u2009"
+_SIGNS = {
+    " ": "", "-": "\u2212", r"\dot": "", r"\,": _SPACE,
+    r"\sin": f"{_SPACE}sin{_SPACE}", r"\cos": f"{_SPACE}cos{_SPACE}",
+}  # fmt: skip
 _SIZE = re.compile(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"')
 # Coordinates in points: a hundredth is finer than any printer, and halves the page.
 _COORDINATES = re.compile(r'\b[dxy]="[^"]*"')
@@ -48,13 +49,13 @@ _LONG = re.compile(r"(?<=\.\d\d)\d+")
 _COLUMN = 300.0
 
 
-def render(template: str, *, scripts: Sequence[str] = ("page.js",), **told: Any) -> str:
-    """Fill a template of ``templates/``, with ``scripts`` that lie beside it; text is escaped.
+def render(template: str, **told: Any) -> str:
+    """Fill a template of ``templates/``; text is escaped.
 
     The page's policy forbids every request and every script but its own, which is
     named by its hash: what a file of the run may hold cannot act.
     """
-    style, script = _asset("page.css"), "".join(_asset(name) for name in scripts)
+    style, script = _asset("page.css"), _asset("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data:; "
@@ -88,46 +89,37 @@ def _environment() -> Environment:
 def html_symbol(symbol: str, name: str) -> Markup:
     """Set a quantity's LaTeX symbol for a page; its name as code where that cannot be.
 
-    Only ``i``, ``sub``, ``sup`` and escaped text, whatever the symbol holds.
+    Only ``i``, ``sub``, ``sup``, ``span`` and escaped text, whatever the symbol holds.
     """
     # as figures set it: words in subscripts upright, underscores of names kept
     shown = mathtext(symbol, name) if symbol else ""
     try:
-        text = _TOKEN.sub(_set, shown[1:-1] if shown.startswith("$") else "")
-    except KeyError:  # a sign that no page has
-        text = ""
-    before = None
-    while before != text:  # groups from the innermost out
-        before = text
-        text = _GROUP.sub(_scripted, text)
-        text = _BARE.sub(r"\1", text)
-    if not text or re.search(r"[{}_^]", text):
+        html = _html(shown[1:-1]) if shown.startswith("$") else ""
+    except ValueError:
+        html = ""
+    if not html:
         return Markup("<code>{}</code>").format(name)
-    return Markup(f'<span class="sym">{text.replace("</i><i>", "")}</span>')
+    return Markup(f'<span class="sym">{html.replace("</i><i>", "")}</span>')
 
 
-def _scripted(group: re.Match[str]) -> str:
-    mark, inside, single = group.groups(default="")
-    return f"<{_TAGS[mark]}>{inside}{single}</{_TAGS[mark]}>"
-
-
-def _set(token: re.Match[str]) -> str:
-    """Set all but marks and braces; those of names are written so that they are none."""
-    words, command, mark, letter, other = token.groups(default="")
-    if mark or letter:
-        return mark or f"<i>{letter}</i>"
-    if len(command) > 1:
-        return _SIGNS[command] if command in _SIGNS else _greek(command)
-    plain = re.sub(r"\\(.)", r"\1", words) + _SPACES.get(command, command)
-    plain += {" ": "", "-": "\u2212"}.get(other, other)  # a space means nothing in mathematics
-    return re.sub("[{}_^]", lambda m: f"&#{ord(m[0])};", escape(plain))
-
-
-def _greek(name: str) -> str:
-    """Give a letter by its LaTeX command; ``KeyError`` where it is none."""
-    case = "CAPITAL" if name[0].isupper() else "SMALL"
-    # as Unicode spells it
-    return lookup(f"GREEK {case} LETTER {name.upper().replace('LAMBDA', 'LAMDA')}")
+def _html(latex: str) -> str:
+    """Translate LaTeX with balanced braces; ``ValueError`` for more than scripts and signs."""
+    html, ends = "", []
+    for token in _TOKEN.findall(_SCRIPT.sub(r"\1{\2}", latex)):
+        if token in _SIGNS:
+            html += _SIGNS[token]
+        elif tag := _GROUPS.get(token):
+            html += f"<{tag}>"
+            ends.append(f"</{tag}>")
+        elif token == "}":
+            html += ends.pop()
+        elif token.endswith("}"):
+            html += escape(re.sub(r"\\(.)", r"\1", token[token.index("{") + 1 : -1]))
+        elif combining(sign := chr(get_unicode_index(token))):
+            raise ValueError(token)
+        else:
+            html += f"<i>{sign}</i>" if token.isalpha() else escape(sign)
+    return html
 
 
 @dataclass(frozen=True)

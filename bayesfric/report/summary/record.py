@@ -395,11 +395,6 @@ class Summary(Part):
         return line_of("constant", {"constant": constant, "unit": self.fit.unit})
 
     @property
-    def unexplained(self) -> bool:
-        """Whether the model explains little of what was measured."""
-        return any(doubt.kind == "unexplained" for doubt in self.doubts)
-
-    @property
     def reasons(self) -> list[str]:
         """Why numbers are doubtful, each in one clause, for print."""
         told = (clause(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
