@@ -33,7 +33,6 @@ from bayesfric.mechanism.quantities import (
     OPTION_MEANINGS,
     Motion,
 )
-from bayesfric.recordings.units import in_unit
 
 
 def _not_zero(value: float) -> float:
@@ -57,9 +56,7 @@ class _Options(BaseModel):
 class _Element(_Options):
     """One element; what is left out keeps the preset's choice, or is not there."""
 
-    ratio: Positive = Field(
-        1.0, description="input speed over output speed", json_schema_extra=in_unit("")
-    )
+    ratio: Positive = Field(1.0, description="input speed over output speed")
     motion: Motion = Field("rotary", description="whether the input turns or slides")
     subscript: str = Field("", description="LaTeX subscript of the symbols")
 
@@ -70,7 +67,6 @@ class _Load(_Options):
     gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
         STANDARD_GRAVITY,
         description="of the earth, m/s²; negative for a joint mounted upside down",
-        json_schema_extra=in_unit("m/s²"),
     )
     motion: Motion = Field("rotary", description="whether the load turns or slides")
     signals: tuple[str, ...] = Field(
