@@ -84,8 +84,7 @@ def init(
 ) -> None:
     """Write a commented configuration."""
     from bayesfric.base.written import write_beside
-    from bayesfric.commands.init import configuration, configuration_from, open_text
-    from bayesfric.commands.keys import reference_text
+    from bayesfric.commands import init as command
 
     options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
     asked, found = [name for name, given in options.items() if given], None
@@ -99,23 +98,21 @@ def init(
     if (preset == "arm") != (urdf is not None) or (urdf and not log):
         raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
     if log is not None and urdf is not None:
-        from bayesfric.commands.arm import arm_configuration
-
-        found = arm_configuration(log, urdf, table)
+        found = command.arm_configuration(log, urdf, table)
         text = found["text"]
     elif log is not None:
-        found = configuration_from(log, preset, output, table=table, joint=joint)
+        found = command.configuration_from(log, preset, output, table=table, joint=joint)
         text = found["text"]
     elif asked:
-        text = reference_text(preset, schema=schema, option=asked[0])
+        text = command.reference_text(preset, schema=schema)
     elif preset is None:
         raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
     else:
-        text = configuration(preset)
+        text = command.configuration(preset)
     if output is not None:
         write_beside({output: text}, replace=force)
     lines = [f"Written to {output}"] if output else [text]
-    lines += open_text(found) if found and output else ()
+    lines += command.open_text(found) if found and output else ()
     if schema and output:
         lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
     told = {**(found or {}), "written": str(output) if output else None, "text": text}

@@ -85,7 +85,7 @@ class Tables(Options):
         (), description="Where recordings are and what their columns mean; a table for each layout."
     )
     processing: Processing = Field(
-        Processing(), description="How recordings are filtered, differentiated and decimated:"
+        Processing(), description="How recordings are filtered, differentiated and decimated"
     )
     priors: dict[str, Any] = Field(
         default_factory=dict,
@@ -96,29 +96,29 @@ class Tables(Options):
         default_factory=dict,
         description="Values to compare results with, by name; they enter no fit. In SI units.",
     )
-    estimation: Estimation = Field(Estimation(), description="How point estimates are made:")
+    estimation: Estimation = Field(Estimation(), description="How point estimates are made")
     likelihood: LikelihoodOptions = Field(
-        LikelihoodOptions(), description="Which measured quantity the posterior explains:"
+        LikelihoodOptions(), description="Which measured quantity the posterior explains"
     )
-    noise: NoiseOptions = Field(NoiseOptions(), description="What the noise is taken for:")
-    sampling: Sampling = Field(Sampling(), description="How the posterior is sampled:")
+    noise: NoiseOptions = Field(NoiseOptions(), description="What the noise is taken for")
+    sampling: Sampling = Field(Sampling(), description="How the posterior is sampled")
     validation: Validation = Field(
         Validation(),
         description="What the fit does not see, so that 'bayesfric fit' can say how well it "
-        "predicts:",
+        "predicts",
     )
     self_check: SelfCheckOptions = Field(
         SelfCheckOptions(),
-        description="How every fit is tried on simulated recordings like its own:",
+        description="How every fit is tried on simulated recordings like its own",
     )
     pooling: PoolingOptions = Field(
         PoolingOptions(),
-        description="Only for 'bayesfric pool': parameters that differ between recordings:",
+        description="Only for 'bayesfric pool': parameters that differ between recordings",
     )
     advice: AdviceOptions = Field(
-        AdviceOptions(), description="Only for 'bayesfric identify --advise':"
+        AdviceOptions(), description="Only for 'bayesfric identify --advise'"
     )
-    simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate':")
+    simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate'")
 
 
 class Kept(BaseModel):
