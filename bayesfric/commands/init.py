@@ -116,7 +116,7 @@ def configuration_from(
         unknown.append("whether position and velocity are those of the motor or of the joint")
     others = _others(given) if preset is None else []
     return {
-        "text": configuration(given, log, file=file, table=table, channels=channels),
+        "text": configuration(given, log, file=str(file), table=table, channels=channels),
         "preset": given,
         "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
         "open": left_open,
