@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     ValidationInfo,
     create_model,
@@ -21,6 +19,7 @@ from pydantic import (
 )
 
 from bayesfric.base.errors import BadInput, Unfit, nearest
+from bayesfric.base.options import Options
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element
 from bayesfric.mechanism.joint import Joint
@@ -45,9 +44,7 @@ Cycles = Annotated[int, Field(strict=True, ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Options(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Options(Options):
     def given(self) -> dict[str, Any]:
         """Only what the configuration says, by key: what is left out is the preset's."""
         return self.model_dump(exclude_unset=True)

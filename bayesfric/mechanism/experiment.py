@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.options import Options
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
@@ -23,10 +24,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class Simulation(BaseModel):
+class Simulation(Options):
     """The ``[simulation]`` table of a configuration."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     duration: Positive = Field(10.0, le=1e5, description="of the recording, s")
     rate: Positive = Field(1000.0, le=1e6, description="samples a second")
