@@ -61,7 +61,7 @@ def _plain(value: Any, where: str) -> Any:
 def toml_value(value: Any) -> str:
     """Write one value in one line."""
     if not isinstance(value, Mapping):
-        return tomlkit.item(value).as_string()
+        return str(tomlkit.item(value).as_string())
     table = tomlkit.inline_table()
     table.update(value)
     return f"{{ {table.as_string()[1:-1]} }}"
@@ -102,7 +102,7 @@ def _put(table: Any, setting: Mapping[str, Any], extend: bool) -> bool:
     if extend and isinstance(value, list) and isinstance(current, list):
         value = [*current, *(x for x in value if x not in current)]
     body = table.value.body if isinstance(table, Table) and current is None else []
-    comments = []
+    comments: list[Any] = []
     while body and body[-1][0] is None:
         comments.insert(0, body.pop())
     table[key] = value
