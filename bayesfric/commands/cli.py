@@ -87,10 +87,10 @@ def init(
     from bayesfric.commands import init as command
 
     options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
-    asked, found = [name for name, given in options.items() if given], None
+    given = [name for name, value in options.items() if value]
     output = None if output == Path("-") else output
-    if len(asked) > 1:
-        raise BadInput(asked[1], f"is beside {asked[0]}", "ask for one")
+    if len(given) > 1:
+        raise BadInput(given[1], f"is beside {given[0]}", "ask for one")
     if force and output is None:
         raise BadInput("--force", "replaces a file", "name it with -o")
     if log is None and (table or joint):
@@ -98,25 +98,22 @@ def init(
     if (preset == "arm") != (urdf is not None) or (urdf and not log):
         raise BadInput("init arm", "wants a log and a URDF", "add --from LOG --urdf ROBOT.urdf")
     if log is not None and urdf is not None:
-        found = command.arm_configuration(log, urdf, table)
-        text = found["text"]
+        draft = command.arm_configuration(log, urdf, table)
     elif log is not None:
-        found = command.configuration_from(log, preset, output, table=table, joint=joint)
-        text = found["text"]
-    elif asked:
-        text = command.reference_text(preset, schema=schema)
+        draft = command.configuration_from(log, preset, output, table=table, joint=joint)
+    elif given:
+        draft = {"text": command.reference_text(preset, schema=schema)}
     elif preset is None:
         raise BadInput("PRESET", "is missing", "name one, or a log with --from LOG")
     else:
-        text = command.configuration(preset)
+        draft = {"text": command.configuration(preset)}
+    lines = [draft["text"]]
     if output is not None:
-        write_beside({output: text}, replace=force)
-    lines = [f"Written to {output}"] if output else [text]
-    lines += command.open_text(found) if found and output else ()
+        write_beside({output: draft["text"]}, replace=force)
+        lines = [f"Written to {output}", *command.open_text(draft)]
     if schema and output:
         lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
-    told = {**(found or {}), "written": str(output) if output else None, "text": text}
-    _print(told, as_json, lines)
+    _print({**draft, "written": str(output) if output else None}, as_json, lines)
 
 
 @app.command()

@@ -146,19 +146,19 @@ def arm_configuration(log: Path, urdf: Path, table: str | None = None) -> dict[s
     return {"text": text, "open": units | held}
 
 
-def open_text(found: dict[str, Any]) -> Iterator[str]:
+def open_text(draft: dict[str, Any]) -> Iterator[str]:
     """List for a person what to write before anything else is done."""
-    if len(found.get("joints", ())) > 1:
-        others = ", ".join(one for one in found["joints"] if one != found["joint"])
-        yield f"Joint {found['joint']}; with --joint one of: {others}"
-    if found["open"]:
+    if len(draft.get("joints", ())) > 1:
+        others = ", ".join(joint for joint in draft["joints"] if joint != draft["joint"])
+        yield f"Joint {draft['joint']}; with --joint one of: {others}"
+    if draft.get("open"):
         yield f"The log does not tell; write it where '{OPEN}' stands:"
-    for key, value in found["open"].items():
-        yield f"  {key} = {toml_value(value)}"
-    for text in found.get("unknown", ()):
+        for key, value in draft["open"].items():
+            yield f"  {key} = {toml_value(value)}"
+    for text in draft.get("unknown", ()):
         yield f"  not known: {text}"
-    for one in found.get("presets", ()):
-        yield f"  preset = {toml_value(one['preset'])} is for {one['when']}"
+    for preset in draft.get("presets", ()):
+        yield f"  preset = {toml_value(preset['preset'])} is for {preset['when']}"
 
 
 def _others(preset: str) -> list[str]:
@@ -224,8 +224,8 @@ def _tables_in(annotation: Any, place: str) -> Iterator[tuple[type[BaseModel], s
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation, place
     inner = f"{place}.NAME" if get_origin(annotation) is dict else place
-    for one in get_args(annotation):
-        yield from _tables_in(one, inner)
+    for argument in get_args(annotation):
+        yield from _tables_in(argument, inner)
 
 
 def _type(annotation: Any) -> str:
