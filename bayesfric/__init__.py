@@ -13,7 +13,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from bayesfric.base.version import __version__ as __version__
+from bayesfric.base import __version__ as __version__
 
 if TYPE_CHECKING:
     from bayesfric import plot

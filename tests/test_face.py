@@ -211,7 +211,7 @@ def test_objects_show_themselves():
     ("keywords", "told"),
     [
         ({"samplin": {}}, "samplin: unknown key; did you mean 'sampling'"),
-        ({"sampling": 3}, "sampling: got 3; give a table"),
+        ({"sampling": 3}, "sampling: got 3; it should be a table"),
         ({"likelihood": {"method": object()}}, "likelihood.method: got object"),
         ({"priors": {"motor.inertia": stats.norm}}, "priors.motor.inertia: got norm_gen"),
         ({"priors": {"motor.inertia": np.float64(-1)}}, "motor.inertia: -1 is no possible"),
@@ -287,4 +287,6 @@ def test_numbers_on_a_terminal_wait_for_no_library_of_figures_and_tables():
 def test_an_element_that_does_nothing_stays_in_the_chain():
     """Others may be added to it, and what is written down is what was given."""
     joint = bf.Joint([bf.Element("motor", inertia=True), bf.Element("gearbox")])
-    assert mechanism_table(joint)["elements"]["gearbox"] == {"ratio": 1.0}
+    assert mechanism_table(joint)["elements"]["gearbox"] == {}
+    config = config_of({"mechanism": mechanism_table(joint)})
+    assert config.tables.mechanism.joint().elements == joint.elements

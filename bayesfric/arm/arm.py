@@ -65,7 +65,7 @@ class Arm:
             text = read_toml(where)
         else:
             where = Path("Arm")
-            text = "\n".join(f"{k} = {toml_value(x, k)}" for k, x in (options or {}).items())
+            text = document_text(options or {}, where)
         self.options = checked_toml(text, where, ArmOptions, "table of an arm")
         self.bodies = Bodies(Path(urdf), self.options.gravity)
         joints = self.bodies.joints

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.bodies import UrdfJoint
-from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput
+from bayesfric.base.options import configuration_error
 from bayesfric.recordings import channels
 from bayesfric.recordings.acting import filtered_motion
 from bayesfric.recordings.arrays import Array

@@ -17,7 +17,7 @@ from bayesfric.arm.base_parameters import base_parameters
 from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.arm.together import UNLIKELY, Felt, Together, beside, moved, retold, together
-from bayesfric.base.version import __version__
+from bayesfric.base import __version__
 from bayesfric.base.written import write_beside
 from bayesfric.fit.result import Result
 from bayesfric.inference.predictive import predict_held_out

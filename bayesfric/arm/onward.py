@@ -19,8 +19,8 @@ from bayesfric.arm.exciting import Excited, exciting, limits_of
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertia import OF_ONE, completed
 from bayesfric.arm.joint_numbers import NUMBERS
+from bayesfric.base import __version__
 from bayesfric.base.progress import Shown, silent
-from bayesfric.base.version import __version__
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array

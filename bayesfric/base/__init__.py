@@ -1,1 +1,7 @@
-"""What every room stands on: errors, files opened and written, progress, templates."""
+"""What every room uses: errors, files, progress, options; and the version of the package."""
+
+__version__ = "0.1.0"
+
+# Variables of the environment that keep linear algebra to one thread, read when NumPy is imported.
+# Our matrices are small: several threads wait for each other where another process has a core.
+LINEAR_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

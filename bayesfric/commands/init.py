@@ -1,16 +1,25 @@
-"""``bayesfric init``: a commented configuration to start from; what a log does not tell is open."""
+"""``bayesfric init``: a commented configuration to start from, the table of keys, the schema."""
 
 from __future__ import annotations
 
+import json
 import os
+import textwrap
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from jinja2 import Template
+from pydantic import BaseModel
+from pydantic_core import to_jsonable_python
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import environment
+from bayesfric.fleet.plan import FleetTables
 from bayesfric.mechanism.presets import PRESETS
+from bayesfric.problem.config import Tables
 from bayesfric.problem.config_text import toml_value
 from bayesfric.recordings.recognition import Chosen, Log, recognise
 from bayesfric.recordings.tables import read_table
@@ -35,6 +44,7 @@ _CONSTANTS = {
     "current": {"torque_constant": f"{OPEN} N m/A"},
     "voltage": {"torque_constant": f"{OPEN} N m/A", "resistance": f"{OPEN} ohm"},
 }
+_WORDS = {float: "number", int: "integer", str: "text", bool: "true or false", Any: "anything"}
 
 
 def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
@@ -46,9 +56,7 @@ def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
     chain = PRESETS[preset].chain()
     # of a recorded joint most of the inertia is what the gearbox moves
     moved = () if log is None else {name.partition(".")[0] for name in chain.unseen_inertia}
-    made = environment("bayesfric.commands")
-    made.filters["toml"] = toml_value
-    return made.get_template("init.toml.j2").render(
+    return _template("init.toml.j2").render(
         meaning=PRESETS[preset].meaning,
         preset=preset,
         others=_others(preset),
@@ -62,6 +70,12 @@ def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
         sliding=_SLIDING,
         **told,
     )
+
+
+def _template(name: str) -> Template:
+    templates = environment("bayesfric.commands")
+    templates.filters["toml"] = toml_value
+    return templates.get_template(name)
 
 
 def configuration_from(
@@ -102,7 +116,7 @@ def configuration_from(
         unknown.append("whether position and velocity are those of the motor or of the joint")
     others = _others(given) if preset is None else []
     return {
-        "text": configuration(given, log, file=file, table=table, channels=channels),
+        "text": configuration(given, log, file=str(file), table=table, channels=channels),
         "preset": given,
         "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
         "open": left_open,
@@ -112,19 +126,39 @@ def configuration_from(
     }
 
 
-def open_text(found: dict[str, Any]) -> Iterator[str]:
+def arm_configuration(log: Path, urdf: Path, table: str | None = None) -> dict[str, Any]:
+    """Write an ``arm.toml``: ``text``, and the keys left ``open``.
+
+    Raises
+    ------
+    BadInput
+        If log and URDF do not go together.
+    """
+    from bayesfric.arm.arm import Arm
+    from bayesfric.arm.arm_log import layout_of
+
+    joints = Arm(urdf).bodies.joints
+    layout = layout_of(log, joints, table, in_order=True)
+    known = {"recording": layout.recording, "labels": layout.labels, "joints": list(joints)}
+    text = _template("arm.toml.j2").render(urdf=urdf, log=log, **known)
+    units = {f"{k}.unit": OPEN for k, v in layout.recording.items() if OPEN in str(v)}
+    held = {f"joints.{name}.held": OPEN for name in joints if name not in layout.labels}
+    return {"text": text, "open": units | held}
+
+
+def open_text(draft: dict[str, Any]) -> Iterator[str]:
     """List for a person what to write before anything else is done."""
-    if len(found.get("joints", ())) > 1:
-        others = ", ".join(one for one in found["joints"] if one != found["joint"])
-        yield f"Joint {found['joint']}; with --joint one of: {others}"
-    if found["open"]:
+    if len(draft.get("joints", ())) > 1:
+        others = ", ".join(joint for joint in draft["joints"] if joint != draft["joint"])
+        yield f"Joint {draft['joint']}; with --joint one of: {others}"
+    if draft.get("open"):
         yield f"The log does not tell; write it where '{OPEN}' stands:"
-    for key, value in found["open"].items():
-        yield f"  {key} = {toml_value(value)}"
-    for text in found.get("unknown", ()):
+        for key, value in draft["open"].items():
+            yield f"  {key} = {toml_value(value)}"
+    for text in draft.get("unknown", ()):
         yield f"  not known: {text}"
-    for one in found.get("presets", ()):
-        yield f"  preset = {toml_value(one['preset'])} is for {one['when']}"
+    for preset in draft.get("presets", ()):
+        yield f"  preset = {toml_value(preset['preset'])} is for {preset['when']}"
 
 
 def _others(preset: str) -> list[str]:
@@ -143,3 +177,68 @@ def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
             keys = {"column": one.column, "unit": one.unit or OPEN}
             found[channel] = keys | side | _CONSTANTS.get(channel, {})
     return found
+
+
+def reference_text(kind: str | None, *, schema: bool) -> str:
+    """Write the keys, or the JSON schema, of a configuration, or of a ``FLEET.toml``."""
+    if kind not in (None, FLEET):
+        option = "--schema" if schema else "--all-keys"
+        mend = f"leave it out, or say {FLEET} for the keys of FLEET.toml"
+        raise BadInput(str(kind), f"{option} is the same for every preset", mend)
+    model: type[BaseModel] = FleetTables if kind == FLEET else Tables
+    if not schema:
+        return keys_text(model)
+    return json.dumps(model.model_json_schema(), indent=1, ensure_ascii=False) + "\n"
+
+
+def keys_text(model: type[BaseModel]) -> str:
+    """Write every key of a file with its type, default and meaning, table by table."""
+    places = {model: [""]}
+    for table in (tables := [model]):
+        path = "" if table is model else f"{places[table][0]}."
+        for name, field in table.model_fields.items():
+            for inner, place in _tables_in(field.annotation, path + name):
+                if inner not in places:
+                    tables.append(inner)
+                places.setdefault(inner, []).append(place)
+    lines = []
+    for table in tables:
+        lines += [f"[{place}]" for place in places[table] if place]
+        for name, field in table.model_fields.items():
+            default = "required" if field.is_required() else _default(field.default)
+            lines.append(f"{name}: {_type(field.annotation)}{default and ', ' + default}")
+            lines += textwrap.wrap(
+                field.description or "", initial_indent="    ", subsequent_indent="    ", width=100
+            )
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _default(value: Any) -> str:
+    plain = isinstance(value, bool | int | float | str | tuple)
+    return f"default {json.dumps(to_jsonable_python(value))}" if plain else ""
+
+
+def _tables_in(annotation: Any, place: str) -> Iterator[tuple[type[BaseModel], str]]:
+    """Find the tables that a key may hold, and the dotted path of each."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation, place
+    inner = f"{place}.NAME" if get_origin(annotation) is dict else place
+    for argument in get_args(annotation):
+        yield from _tables_in(argument, inner)
+
+
+def _type(annotation: Any) -> str:
+    """Word what a key may hold."""
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return " or ".join(map(json.dumps, inner))
+    if origin is Annotated:
+        return _type(inner[0])
+    if origin in (list, tuple):
+        return f"list of {_type(inner[0])}"
+    if origin is dict:
+        return f"table of {_type(inner[1])}"
+    if inner:
+        return " or ".join(_type(choice) for choice in inner if choice is not NoneType)
+    return _WORDS.get(annotation, "table")

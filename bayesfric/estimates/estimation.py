@@ -5,7 +5,6 @@ from __future__ import annotations
 from pydantic import Field
 
 from bayesfric.base.options import Options
-from bayesfric.recordings.units import in_unit
 
 
 class Estimation(Options):
@@ -25,14 +24,12 @@ class Estimation(Options):
         description="CPU time that the output-error estimate may take, s; what it has by then is "
         "marked as not converged, and is another one on another machine. An output-error "
         "likelihood starts from that estimate, and allows it all it needs",
-        json_schema_extra=in_unit("s"),
     )
     segment: float | None = Field(
         None,
         gt=0,
         le=1e5,
         description="s after which the output-error simulation starts anew; chosen if left out",
-        json_schema_extra=in_unit("s"),
     )
     substeps: int | None = Field(
         None, ge=1, le=64, description="integration steps a sample; chosen if left out"
@@ -45,13 +42,11 @@ class Reference(Options):
     value: float = Field(
         allow_inf_nan=False,
         description="in SI units, as results are shown",
-        json_schema_extra=in_unit("as shown"),
     )
     sd: float | None = Field(
         None,
         gt=0,
         allow_inf_nan=False,
         description="its standard deviation, if it is known",
-        json_schema_extra=in_unit("as shown"),
     )
     source: str = Field("reference", description="where it is from, such as CAD")

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.base import __version__
 from bayesfric.base.errors import BadInput
-from bayesfric.base.version import __version__
 from bayesfric.base.written import check_free, made_beside
 from bayesfric.export.at_joint import (
     NUMBERS,

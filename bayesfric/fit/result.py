@@ -17,8 +17,8 @@ from bayesfric.problem.config_text import saved_name
 from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.tables import sha256
-from bayesfric.report import shown
 from bayesfric.report.summary.record import Summary, read_summary_file
+from bayesfric.report.terminal import PrintedSummary
 
 # Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
 # what was read from a file, may have been changed.
@@ -126,7 +126,7 @@ def summary(posterior: Any) -> Summary:
         Every number with its verdict; ``frame`` is its table; it shows as on a terminal.
     """
     if isinstance(posterior, str | Path):
-        return shown.Summary.read(read_summary_file(Path(posterior)), str(posterior))
+        return PrintedSummary.read(read_summary_file(Path(posterior)), str(posterior))
     return result_of(posterior).summary
 
 

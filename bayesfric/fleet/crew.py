@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from bayesfric.base import threads
+from bayesfric.base import LINEAR_ALGEBRA_THREADS
 from bayesfric.base.errors import BadInput
 from bayesfric.fleet.plan import ClusterOptions
 from bayesfric.fleet.work import Done, Task, do_unit
@@ -31,7 +31,7 @@ _CONNECT, _TRIALS = 10.0, 2
 # A worker is one thread; what it calls must not start more. And what was freed goes back to the
 # system: else a worker's memory grows with the number of its units.
 _ENVIRONMENT = {
-    **dict.fromkeys(threads.ALL, "1"),
+    **dict.fromkeys((*LINEAR_ALGEBRA_THREADS, "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
     "MALLOC_TRIM_THRESHOLD_": "65536",
     "MALLOC_ARENA_MAX": "2",
 }

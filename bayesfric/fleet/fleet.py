@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
 
-from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput
+from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, Shown, progress_shown
 from bayesfric.base.written import parents_made, write_beside
 from bayesfric.fleet.crew import check_engine, work_through

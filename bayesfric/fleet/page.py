@@ -13,7 +13,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from bayesfric.base.version import __version__
+from bayesfric.base import __version__
 from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.fleet.fleet_units import Unit

@@ -163,7 +163,7 @@ class Plan:
 
 def read_template(path: Path) -> Template:
     """Read a configuration whose texts hold placeholders; it is checked when they are filled."""
-    return Template(path.absolute(), read_document(read_toml(path), path, "configuration"))
+    return Template(path.absolute(), read_document(read_toml(path), path))
 
 
 def read_plan(path: Path) -> Plan:

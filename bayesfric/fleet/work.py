@@ -19,9 +19,9 @@ from typing import Any, TypedDict
 
 from filelock import FileLock
 
+from bayesfric.base import __version__
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import read_json
-from bayesfric.base.version import __version__
 from bayesfric.base.written import write_beside
 from bayesfric.fit.model import Model
 from bayesfric.fleet.results import Kept, failure, record_of

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 
 from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
-from bayesfric.recordings.units import Kilograms, Metres, in_unit
+from bayesfric.recordings.units import Kilograms, Metres
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -32,26 +32,22 @@ class AdviceOptions(Options):
         None,
         description="largest motor torque to command, N m or N; the largest of the recordings, "
         "filtered, if left out",
-        json_schema_extra=in_unit("N m or N"),
     )
     speed_limit: Positive | None = Field(
         None,
         description="fastest that the joint may become, rad/s or m/s; 1.2 times the fastest of "
         "what is used of the recordings if left out",
-        json_schema_extra=in_unit("rad/s or m/s"),
     )
     angle_limits: tuple[Finite, Finite] | None = Field(
         None,
         description="[low, high] that the joint must stay between, rad or m; if left out, what was "
         "recorded, or none where a free joint went through a whole turn",
-        json_schema_extra=in_unit("rad or m"),
     )
     duration: Positive | None = Field(
         None,
         le=600,
         description="s of a proposed recording; if left out that of the longest stretch of the "
         "recordings without a gap that is compared, at most 30",
-        json_schema_extra=in_unit("s"),
     )
     masses: tuple[Mass, ...] | None = Field(
         None,
@@ -64,7 +60,6 @@ class AdviceOptions(Options):
         le=10,
         allow_inf_nan=False,
         description="time constant of the current loop, s",
-        json_schema_extra=in_unit("s"),
     )
 
     @field_validator("angle_limits")

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     ValidationInfo,
     create_model,
@@ -21,6 +19,7 @@ from pydantic import (
 )
 
 from bayesfric.base.errors import BadInput, Unfit, nearest
+from bayesfric.base.options import Options
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element
 from bayesfric.mechanism.joint import Joint
@@ -33,7 +32,6 @@ from bayesfric.mechanism.quantities import (
     OPTION_MEANINGS,
     Motion,
 )
-from bayesfric.recordings.units import in_unit
 
 
 def _not_zero(value: float) -> float:
@@ -46,9 +44,7 @@ Cycles = Annotated[int, Field(strict=True, ge=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
-class _Options(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
+class _Options(Options):
     def given(self) -> dict[str, Any]:
         """Only what the configuration says, by key: what is left out is the preset's."""
         return self.model_dump(exclude_unset=True)
@@ -57,9 +53,7 @@ class _Options(BaseModel):
 class _Element(_Options):
     """One element; what is left out keeps the preset's choice, or is not there."""
 
-    ratio: Positive = Field(
-        1.0, description="input speed over output speed", json_schema_extra=in_unit("")
-    )
+    ratio: Positive = Field(1.0, description="input speed over output speed")
     motion: Motion = Field("rotary", description="whether the input turns or slides")
     subscript: str = Field("", description="LaTeX subscript of the symbols")
 
@@ -70,7 +64,6 @@ class _Load(_Options):
     gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
         STANDARD_GRAVITY,
         description="of the earth, m/s²; negative for a joint mounted upside down",
-        json_schema_extra=in_unit("m/s²"),
     )
     motion: Motion = Field("rotary", description="whether the load turns or slides")
     signals: tuple[str, ...] = Field(

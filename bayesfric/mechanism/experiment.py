@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.options import Options
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
@@ -18,43 +19,30 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.inputs import Inputs
 from bayesfric.recordings.measurement import Hold
-from bayesfric.recordings.units import in_unit
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
-class Simulation(BaseModel):
+class Simulation(Options):
     """The ``[simulation]`` table of a configuration."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    duration: Positive = Field(
-        10.0, le=1e5, description="of the recording, s", json_schema_extra=in_unit("s")
-    )
-    rate: Positive = Field(
-        1000.0, le=1e6, description="samples a second", json_schema_extra=in_unit("Hz")
-    )
+    duration: Positive = Field(10.0, le=1e5, description="of the recording, s")
+    rate: Positive = Field(1000.0, le=1e6, description="samples a second")
     excitation: Literal["square", "sine", "multisine", "chirp", "square-multisine"] = Field(
         "square", description="form of the commanded motor torque"
     )
     amplitude: Positive = Field(
         0.8,
         description="of the commanded torque, N m or N",
-        json_schema_extra=in_unit("N m or N"),
     )
-    frequency: Positive = Field(
-        1.0, description="of the square wave or sine, Hz", json_schema_extra=in_unit("Hz")
-    )
+    frequency: Positive = Field(1.0, description="of the square wave or sine, Hz")
     frequencies: tuple[Positive, ...] = Field(
         (0.3, 0.7, 1.3, 2.9, 5.3),
         max_length=1000,
         description="of the multisine, or first and last of the chirp, Hz",
-        json_schema_extra=in_unit("Hz"),
     )
-    lag: NotNegative = Field(
-        0.005, description="time constant of the current loop, s", json_schema_extra=in_unit("s")
-    )
+    lag: NotNegative = Field(0.005, description="time constant of the current loop, s")
     hold: Hold = Field(
         "linear",
         description="how the torque goes between samples: zero, held until the next; linear; cubic",
@@ -63,20 +51,13 @@ class Simulation(BaseModel):
         8192, ge=0, description="counts a turn of the encoder; 0 for a perfect one"
     )
     encoder_side: Literal["motor", "joint"] = Field("motor", description="shaft of the encoder")
-    torque_noise: NotNegative = Field(
-        0.02, description="standard deviation, N m or N", json_schema_extra=in_unit("N m or N")
-    )
-    added_mass: NotNegative = Field(
-        0.0, description="known mass on the load, kg", json_schema_extra=in_unit("kg")
-    )
-    radius: NotNegative = Field(
-        0.0, description="distance of that mass from the axis, m", json_schema_extra=in_unit("m")
-    )
+    torque_noise: NotNegative = Field(0.02, description="standard deviation, N m or N")
+    added_mass: NotNegative = Field(0.0, description="known mass on the load, kg")
+    radius: NotNegative = Field(0.0, description="distance of that mass from the axis, m")
     seed: int = Field(1, ge=0, lt=2**63, description="of the noise and of multisine phases")
     parameters: dict[str, float] = Field(
         default_factory=dict,
         description="true values by name, in SI units; the preset's where left out",
-        json_schema_extra=in_unit("SI"),
     )
 
     def true_values(self, chain: Chain) -> dict[str, float]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import ValidationError
 
-from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.options import configuration_error
 from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.inverse import inverse_torque

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,12 +11,10 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import from_json
 
-from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput
 from bayesfric.base.opened import read_json, read_text
-from bayesfric.base.options import Options
+from bayesfric.base.options import Options, configuration_error
 from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
@@ -35,11 +31,6 @@ from bayesfric.recordings.source import Source
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"
-# A configuration is a page of text; anything larger is some other file.
-_LARGEST = 1_000_000
-# tomllib takes time with the square of a dotted key's length
-_LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){50}""")
-_NUL = re.compile(r"(?<!\\)(?:\\\\)*\\u0000")
 
 Checked = TypeVar("Checked", bound=BaseModel)
 
@@ -85,7 +76,7 @@ class Tables(Options):
         (), description="Where recordings are and what their columns mean; a table for each layout."
     )
     processing: Processing = Field(
-        Processing(), description="How recordings are filtered, differentiated and decimated:"
+        Processing(), description="How recordings are filtered, differentiated and decimated"
     )
     priors: dict[str, Any] = Field(
         default_factory=dict,
@@ -96,29 +87,29 @@ class Tables(Options):
         default_factory=dict,
         description="Values to compare results with, by name; they enter no fit. In SI units.",
     )
-    estimation: Estimation = Field(Estimation(), description="How point estimates are made:")
+    estimation: Estimation = Field(Estimation(), description="How point estimates are made")
     likelihood: LikelihoodOptions = Field(
-        LikelihoodOptions(), description="Which measured quantity the posterior explains:"
+        LikelihoodOptions(), description="Which measured quantity the posterior explains"
     )
-    noise: NoiseOptions = Field(NoiseOptions(), description="What the noise is taken for:")
-    sampling: Sampling = Field(Sampling(), description="How the posterior is sampled:")
+    noise: NoiseOptions = Field(NoiseOptions(), description="What the noise is taken for")
+    sampling: Sampling = Field(Sampling(), description="How the posterior is sampled")
     validation: Validation = Field(
         Validation(),
         description="What the fit does not see, so that 'bayesfric fit' can say how well it "
-        "predicts:",
+        "predicts",
     )
     self_check: SelfCheckOptions = Field(
         SelfCheckOptions(),
-        description="How every fit is tried on simulated recordings like its own:",
+        description="How every fit is tried on simulated recordings like its own",
     )
     pooling: PoolingOptions = Field(
         PoolingOptions(),
-        description="Only for 'bayesfric pool': parameters that differ between recordings:",
+        description="Only for 'bayesfric pool': parameters that differ between recordings",
     )
     advice: AdviceOptions = Field(
-        AdviceOptions(), description="Only for 'bayesfric identify --advise':"
+        AdviceOptions(), description="Only for 'bayesfric identify --advise'"
     )
-    simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate':")
+    simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate'")
 
 
 class Kept(BaseModel):
@@ -157,7 +148,7 @@ class Config(BaseModel):
         fitted is there any more.
         """
         origin = self.origin
-        if origin and all(_is_there(one.file) for one in origin.recordings.values()):
+        if origin and all(one.file.exists() for one in origin.recordings.values()):
             return origin.folder
         return self.path.parent
 
@@ -168,9 +159,9 @@ class Config(BaseModel):
         ``folder`` is what file names in the configuration are relative to.
         """
         return Origin(
-            folder=_absolute(folder),
+            folder=folder.absolute(),
             recordings={
-                r.name: Kept(file=_absolute(r.path), sha256=r.sha256) for r in recordings if r.path
+                r.name: Kept(file=r.path.absolute(), sha256=r.sha256) for r in recordings if r.path
             },
         )
 
@@ -210,7 +201,7 @@ def read_config(path: Path) -> Config:
 
 def read_toml(path: Path) -> str:
     """Read the text of a TOML file; bad input where there is none."""
-    return read_text(path, "name the .toml file", largest=_LARGEST)
+    return read_text(path, "name the .toml file")
 
 
 def _origin(path: Path) -> Origin | None:
@@ -224,15 +215,6 @@ def _origin(path: Path) -> Origin | None:
         return None
 
 
-def _is_there(path: Path) -> bool:
-    return os.path.exists(path)  # noqa: PTH110  (Path.exists fails on a name that is too long)
-
-
-def _absolute(path: Path) -> Path:
-    # a name that is not UTF-8 could not be written down
-    return Path(os.fsencode(path.absolute()).decode("utf-8", "backslashreplace"))
-
-
 def parse_config(text: str, path: Path) -> Config:
     """Check a configuration's text; see :func:`read_config`."""
     tables = checked_toml(text, path, Tables, "configuration")
@@ -243,41 +225,25 @@ def parse_config(text: str, path: Path) -> Config:
     return Config(path=path, text=text, tables=tables)
 
 
-def read_document(text: str, path: Path, kind: str) -> dict[str, Any]:
-    """Read TOML that is not deep, a ``kind`` of file in messages."""
-    return _document(text, path, kind)[0]
+def read_document(text: str, path: Path) -> dict[str, Any]:
+    """Read TOML; ``path`` names it in messages."""
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:
+        what = f"is no TOML ({str(error).partition(';')[0]})"
+        mend = 'write key = value, each key once, with text in "quotes"'
+        raise BadInput(str(path), what, mend) from None
 
 
 def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
     """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
-    document, as_json = _document(text, path, kind)
+    document = read_document(text, path)
     try:
-        return model.model_validate_json(as_json, strict=True)
+        # As JSON, of which pydantic takes lists for tuples, and still does not take true for 1 or
+        # "yes" for true.
+        return model.model_validate_json(json.dumps(document, default=str), strict=True)
     except ValidationError as error:
         raise configuration_error(f"{path}: ", kind, error, document, model) from None
-
-
-def _document(text: str, path: Path, kind: str) -> tuple[dict[str, Any], str]:
-    """Read TOML, and write it as JSON."""
-    if found := _LONG_KEY.search(text):
-        line = text.count("\n", 0, found.start()) + 1
-        raise BadInput(f"{path}, line {line}", "a key has more than 50 parts", "correct the file")
-    try:
-        document = tomllib.loads(text)
-        # Checked as JSON, because pydantic then takes lists for tuples and still does not
-        # take true for 1 or "yes" for true.
-        as_json = json.dumps(document, default=str)
-    except (ValueError, RecursionError) as error:
-        what = f"is no TOML ({str(error).partition(';')[0]})"
-        mend = 'write key = value, each key once, with text in "quotes"'
-        raise BadInput(str(path), what, mend) from None
-    if _NUL.search(as_json):
-        raise BadInput(str(path), "holds a NUL character", "leave it out")
-    try:
-        from_json(as_json)
-    except ValueError:
-        raise BadInput(str(path), f"is nested too deep for a {kind}", "correct the file") from None
-    return document, as_json
 
 
 def _flatten(

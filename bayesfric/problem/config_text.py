@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import glob
-import json
-import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import tomlkit
 from pydantic import BaseModel
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import InlineTable, Table
 
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
@@ -22,7 +23,6 @@ from bayesfric.recordings.source import Source
 
 # What complaints about a model made in Python begin with.
 _MODEL = Path("Model")
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def config_of(document: Mapping[str, Any]) -> Config:
@@ -38,7 +38,33 @@ def config_of(document: Mapping[str, Any]) -> Config:
 
 def document_text(document: Mapping[str, Any], path: Path = _MODEL) -> str:
     """Write tables as the text of a configuration; ``path`` names them in messages."""
-    return "\n".join(_lines(document, path))
+    return tomlkit.dumps(_plain(document, f"{path}: "))
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Turn models, arrays and paths into what TOML holds; keys that are ``None`` are left out."""
+    value = value.tolist() if hasattr(value, "tolist") else value  # NumPy's
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json", exclude_unset=True)
+    if isinstance(value, Mapping):
+        inside = where if where.endswith(" ") else f"{where}."
+        return {str(k): _plain(v, f"{inside}{k}") for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [_plain(element, where) for element in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, bool | int | float | str):
+        return value
+    raise BadInput(where, f"got {type(value).__name__}", "give a number, text, a list or a table")
+
+
+def toml_value(value: Any) -> str:
+    """Write one value in one line."""
+    if not isinstance(value, Mapping):
+        return str(tomlkit.item(value).as_string())
+    table = tomlkit.inline_table()
+    table.update(value)
+    return f"{{ {table.as_string()[1:-1]} }}"
 
 
 def with_terms(config: Config, names: Sequence[str]) -> Config:
@@ -47,26 +73,41 @@ def with_terms(config: Config, names: Sequence[str]) -> Config:
 
 
 def with_settings(config: Config, settings: Sequence[str], *, extend: bool = True) -> Config:
-    """Give a configuration with settings, lines of dotted keys, put in; comments are lost.
+    """Give a configuration with settings, lines of dotted keys, put in; comments stay.
 
     Of a list, such as cycles a turn, what is there stays where it is to be ``extend``-ed.
     """
-    document = tomllib.loads(config.text)
+    text = config.text
     for line in settings:
-        _put(document, tomllib.loads(line), extend)
-    found = parse_config(document_text(document), config.path)
-    return found.model_copy(update={"origin": config.origin})
+        setting = tomllib.loads(line)
+        try:
+            document = tomlkit.parse(text)
+        except TOMLKitError:  # it takes a header below dotted keys for a second table of that name
+            document = tomlkit.parse(tomlkit.dumps(tomllib.loads(text)))
+        has_table = _put(document, setting, extend)
+        text = tomlkit.dumps(document)
+        if not has_table:
+            text = f"{text.rstrip()}\n\n{tomlkit.dumps(setting)}"
+    return parse_config(text, config.path).model_copy(update={"origin": config.origin})
 
 
-def _put(table: dict[str, Any], more: Mapping[str, Any], extend: bool) -> None:
-    for key, value in more.items():
-        there = table.get(key)
-        if isinstance(value, Mapping):
-            _put(table.setdefault(key, {}), value, extend)
-        elif extend and isinstance(value, list) and isinstance(there, list):
-            table[key] = [*there, *(x for x in value if x not in there)]
-        else:
-            table[key] = value
+def _put(table: Any, setting: Mapping[str, Any], extend: bool) -> bool:
+    """Set one key, ahead of the comments that end its table; False where that table is missing."""
+    ((key, value),) = setting.items()
+    current = table.get(key)
+    if isinstance(current, Mapping):
+        return _put(current, value, extend)
+    if isinstance(value, Mapping) and not isinstance(table, InlineTable):
+        return False
+    if extend and isinstance(value, list) and isinstance(current, list):
+        value = [*current, *(x for x in value if x not in current)]
+    body = table.value.body if isinstance(table, Table) and current is None else []
+    comments: list[Any] = []
+    while body and body[-1][0] is None:
+        comments.insert(0, body.pop())
+    table[key] = value
+    body += comments
+    return True
 
 
 def mechanism_table(joint: Joint) -> dict[str, Any]:
@@ -78,10 +119,7 @@ def mechanism_table(joint: Joint) -> dict[str, Any]:
         base = PRESETS[joint.made_from].chain()
         if (base.elements, base.load) == (joint.elements, joint.load):
             return {"preset": joint.made_from, **table}
-    # an empty table would be left out, and the element with it
-    elements = {
-        one.name: _chosen(one, ElementOptions) or {"ratio": one.ratio} for one in joint.elements
-    }
+    elements = {element.name: _chosen(element, ElementOptions) for element in joint.elements}
     return {**table, "load": _chosen(joint.load, LoadOptions), "elements": elements}
 
 
@@ -121,48 +159,3 @@ def prior_value(prior: Any) -> Any:
     names = (family.shapes or "").replace(",", " ").split()
     values = {**dict(zip(names, shapes, strict=True)), "loc": loc, "scale": scale}
     return {"distribution": family.name, **{key: float(x) for key, x in values.items()}}
-
-
-def _lines(document: Mapping[str, Any], path: Path) -> Iterator[str]:
-    for key, table in document.items():
-        several = isinstance(table, list)
-        for number, part in enumerate(table if several else [table], start=1):
-            where = f"{path}: {key}" + (f".{number}" if several else "")
-            yield f"[[{_key(key)}]]" if several else f"[{_key(key)}]"
-            yield from _entries(part, where)
-            yield ""
-
-
-def _entries(table: Any, where: str) -> Iterator[str]:
-    """Write the keys of a table; what is ``None`` or an empty table is left out."""
-    if isinstance(table, BaseModel):
-        table = table.model_dump(mode="json", exclude_unset=True)
-    if not isinstance(table, Mapping):
-        raise BadInput(where, f"got {table!r}", "give a table: a dict of keys")
-    for key, value in table.items():
-        if value is not None and not (isinstance(value, Mapping) and not value):
-            yield f"{_key(str(key))} = {toml_value(value, f'{where}.{key}')}"
-
-
-def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else toml_value(key)
-
-
-def toml_value(value: Any, where: str = "") -> str:
-    """Write one value; reading it gives the same number.
-
-    Raises
-    ------
-    BadInput
-        Naming ``where``, if a configuration cannot hold it.
-    """
-    value = value.tolist() if hasattr(value, "tolist") else value  # NumPy's
-    if isinstance(value, bool | int | float):
-        return repr(value).lower()
-    if isinstance(value, str | Path):
-        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(toml_value(one, where) for one in value)}]"
-    if isinstance(value, Mapping | BaseModel):
-        return f"{{ {', '.join(_entries(value, where))} }}"
-    raise BadInput(where, f"got {type(value).__name__}", "give a number, text, a list or a table")

@@ -7,7 +7,6 @@ from statistics import NormalDist
 
 import numpy as np
 
-from bayesfric.base.robust import robust_sd
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import averaged, derivative, later, lowpass
 from bayesfric.recordings.measurement import Lag, Measurement
@@ -94,7 +93,9 @@ def unkinked(values: Array, segments: Segments) -> Array:
             continue
         bend = np.zeros(b - a)
         bend[1:-1] = np.diff(values[a:b], 2)
-        seldom = NormalDist().inv_cdf(1.0 - 0.5 * _SELDOM / bend.size) * robust_sd(bend)
+        # a normal's standard deviation from the median absolute value
+        sd = 1.482602218505602 * np.median(np.abs(bend))
+        seldom = NormalDist().inv_cdf(1.0 - 0.5 * _SELDOM / bend.size) * sd
         beside = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
         kinks = (np.abs(bend) > seldom) & (np.abs(bend) >= beside) & (seldom > 0.0)
         smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))

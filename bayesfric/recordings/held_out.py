@@ -15,7 +15,6 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.timebase import LEAST_SAMPLES
-from bayesfric.recordings.units import in_unit
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
 # remembers its predecessors must have forgotten them.
@@ -39,7 +38,6 @@ class Validation(Options):
         lt=1,
         description="share of every fitted recording, at its end, that the fit does not see "
         "either; none if left out",
-        json_schema_extra=in_unit(""),
         examples=[0.2],
     )
 

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
 from bayesfric.recordings import units
-from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds, in_unit
+from bayesfric.recordings.units import Hertz, HertzOrOff, Seconds
 
 
 class Processing(Options):
@@ -45,7 +45,6 @@ class Processing(Options):
         None,
         description="Joint speed below which a sample is not used, in SI units or text such as "
         "'1 deg/s'; 1 % of the 99th percentile of the speed if left out; 0 for none.",
-        json_schema_extra=in_unit("rad/s or m/s"),
     )
     rest: bool = Field(
         False,

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.options import configuration_error
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Source
 from bayesfric.recordings.tables.table import Table, column_cells
 

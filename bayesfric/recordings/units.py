@@ -72,8 +72,6 @@ _LARGE_POWER = re.compile(r"(\*\*|\^)\s*(?!-?\d(?![\d.*^]))|[²³]{2}")
 # and of floating-point numbers, which overflow at once where (9**9)**9 would grow for ever
 _WHOLE_NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*|\.?\d+)(?:[eE][+-]?\d+)?(?![\w.])")
 _LONGEST = 80
-# Where the JSON schema of a configuration keeps a unit.
-UNIT_KEYWORD = "x-unit"
 # What ``bayesfric init --from`` writes for what a log does not tell.
 OPEN = "?"
 
@@ -192,11 +190,6 @@ def _listed(texts: Sequence[str]) -> str:
     return " times ".join(f"'{text}'" for text in texts)
 
 
-def in_unit(text: str) -> dict[str, Any]:
-    """Declare the unit of a key's numbers, ``json_schema_extra`` of its field; empty for none."""
-    return {UNIT_KEYWORD: text}
-
-
 def _number(plain: Any, *kinds: Kind, off: bool = False) -> BeforeValidator:
     """Return a validator that turns text with a unit into the SI number it is when ``plain``."""
 
@@ -212,9 +205,8 @@ def _number(plain: Any, *kinds: Kind, off: bool = False) -> BeforeValidator:
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_S, _HZ, _KG, _M = (Field(json_schema_extra=in_unit(text)) for text in ("s", "Hz", "kg", "m"))
-Seconds = Annotated[_NotNegative, _number(_NotNegative, "time"), _S]
-Hertz = Annotated[_Positive, _number(_Positive, "frequency"), _HZ]
-HertzOrOff = Annotated[_NotNegative, _number(_NotNegative, "frequency", off=True), _HZ]
-Kilograms = Annotated[_NotNegative, _number(_NotNegative, "mass"), _KG]
-Metres = Annotated[_NotNegative, _number(_NotNegative, "length"), _M]
+Seconds = Annotated[_NotNegative, _number(_NotNegative, "time")]
+Hertz = Annotated[_Positive, _number(_Positive, "frequency")]
+HertzOrOff = Annotated[_NotNegative, _number(_NotNegative, "frequency", off=True)]
+Kilograms = Annotated[_NotNegative, _number(_NotNegative, "mass")]
+Metres = Annotated[_NotNegative, _number(_NotNegative, "length")]

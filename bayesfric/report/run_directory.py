@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.base import __version__
 from bayesfric.base.progress import Progress, Shown, silent
-from bayesfric.base.version import __version__
 from bayesfric.base.written import made_beside
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit

@@ -162,6 +162,16 @@ def _next(summary: Summary) -> str:
 WIDTH = 100  # columns
 
 
+class PrintedSummary(Summary):
+    """Every number of a run; Python and a notebook show it as the terminal does."""
+
+    def __repr__(self) -> str:
+        """Print it as the terminal does."""
+        return "\n".join(fit_text(self))
+
+    __str__ = __repr__
+
+
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Word a summary for a person, line by line; ``verbose`` with all that stands behind it."""
     read = put_reported(Summary.read(summary))

@@ -1,10 +1,12 @@
 """`explain` on the command line and in Python, on a SIMULATED recording that lacks a term."""
 
+from dataclasses import replace
+
 import pytest
 
 import bayesfric as bf
 from bayesfric.fit.model import Model
-from bayesfric.problem.config import read_config
+from bayesfric.problem.config import parse_config, read_config
 from bayesfric.problem.config_text import with_settings
 
 from .bench import JOINT, has, recorded
@@ -61,12 +63,25 @@ def test_too_few_outputs_are_said_to_be(swing):
 # -- terms = "auto", and a better configuration
 
 
-def test_what_is_missing_is_put_in_and_the_file_fits(swing):
+COMMENTED = f"""# the bench in the cellar
+{JOINT.strip()}  # one axis
+
+# recorded on Monday
+{recorded()}
+"""
+
+
+def test_what_is_missing_is_put_in_comments_stay_and_the_file_fits(swing):
     path = swing.folder / "better.toml"
+    swing.config(COMMENTED)
     printed = swing.told("explain", "c.toml", "-o", "better.toml")
     assert [one["kind"] for one in printed["taken"]] == ["viscous_by_direction"]
     assert printed["findings"] == []
     better = Model.from_config(path)
+    comments = [line.partition("#")[1:] for line in COMMENTED.splitlines() if "#" in line]
+    assert [line.partition("#")[1:] for line in better.config.text.splitlines() if "#" in line] == (
+        comments
+    )
     swing.config(JOINT + BY_DIRECTION + recorded())
     assert better.chain == Model.from_config(swing.folder / "c.toml").chain
 
@@ -115,6 +130,31 @@ def test_it_is_written_beside_the_configuration_and_over_nothing(swing):
         assert ended.code == 2
         assert what in ended.err
     assert (swing.folder / "there.toml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[mechanism]\npreset = "servo-pendulum"\n# left\n',
+        'mechanism.preset = "servo-pendulum"  # left\n',
+        'mechanism = { preset = "servo-pendulum" } # left\n',
+        '[mechanism]  # left\npreset = "servo-pendulum"\nelements.motor.viscous = true\n',
+        "[mechanism.load]  # left\ninertia = true\n[priors]\n[mechanism]\n"
+        'preset = "servo-pendulum"\n',
+    ],
+)
+@pytest.mark.parametrize("table", ["motor", "gearbox"])
+def test_settings_are_put_into_toml_of_any_style(tmp_path, text, table):
+    config = parse_config(text + recorded(), tmp_path / "c.toml")
+    lines = ["mechanism.delay = true", f'mechanism.elements.{table}.viscous = "by-direction"']
+    made = with_settings(config, lines)
+    assert "# left" in made.text
+    expected = config.tables.mechanism.joint()
+    elements = [
+        replace(element, viscous="by-direction") if element.name == table else element
+        for element in expected.elements
+    ]
+    assert made.tables.mechanism.joint() == replace(expected, elements=tuple(elements), delay=True)
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,9 @@ from pydantic import BaseModel
 
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET, configuration
-from bayesfric.commands.keys import schema_of
 from bayesfric.fleet.plan import FleetTables, read_plan
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Tables, parse_config
-from bayesfric.recordings.units import UNIT_KEYWORD
 from tests.conftest import REPOSITORY
 
 from .bench import CONFIG
@@ -28,44 +26,17 @@ CONFIGURATIONS = sorted(
         *(REPOSITORY / "studies").rglob("*.toml"),
     ]
 )
-KINDS = ("configuration", "fleet")
+MODELS = {"configuration": Tables, "fleet": FleetTables}
 
 
 @pytest.fixture(scope="module")
 def validators():
-    for kind in KINDS:
-        jsonschema.Draft7Validator.check_schema(schema_of(kind))
-    return {kind: jsonschema.Draft7Validator(schema_of(kind)) for kind in KINDS}
-
-
-def fields(kind):
-    """Every key of every model of a schema, with its place."""
-    schema = schema_of(kind)
-    for place, model in {"": schema, **schema["$defs"]}.items():
-        for name, field in model.get("properties", {}).items():
-            yield f"{place}.{name}", field
-
-
-def numbers(field):
-    """Whether a key takes numbers that are not whole, by itself or in a list."""
-    inner = [field.get("items", {}), field.get("additionalProperties"), *field.get("anyOf", ())]
-    return field.get("type") == "number" or any(
-        numbers(f) for f in inner if isinstance(f, dict) and f
-    )
-
-
-def unit_told(field):
-    inner = [field.get("items", {}), *field.get("anyOf", ())]
-    return UNIT_KEYWORD in field or any(unit_told(one) for one in inner if one)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_key_has_a_meaning_and_every_number_a_unit_or_none(kind):
-    for place, field in fields(kind):
-        assert field.get("description"), f"{place}: give it a description"
-        # behind a name of priors or references stands what its parameter is counted in
-        if numbers(field) and "$ref" not in field:
-            assert unit_told(field), f"{place}: declare in_unit(...), empty for none"
+    for model in MODELS.values():
+        jsonschema.Draft202012Validator.check_schema(model.model_json_schema())
+    return {
+        kind: jsonschema.Draft202012Validator(model.model_json_schema())
+        for kind, model in MODELS.items()
+    }
 
 
 def models_in(annotation):
@@ -78,13 +49,25 @@ def models_in(annotation):
         yield from models_in(inner)
 
 
-@pytest.mark.parametrize(("model", "ending"), [(Tables, []), (FleetTables, ["fleet"])])
-def test_all_keys_are_printed(bench, model, ending):
+@pytest.mark.parametrize(("kind", "ending"), [("configuration", []), ("fleet", ["fleet"])])
+def test_every_key_is_printed_with_its_meaning(bench, kind, ending):
     printed = bench.run("init", *ending, "--all-keys")
     assert (printed.code, printed.err) == (0, "")
-    for one in models_in(model):
-        for name in one.model_fields:
-            assert f"|`{name}`|" in printed.out
+    text = " ".join(printed.out.split())
+    for model in models_in(MODELS[kind]):
+        for name, field in model.model_fields.items():
+            assert field.description, f"{model.__name__}.{name}: give it a description"
+            assert re.search(rf"^{name}: ", printed.out, re.M), name
+            assert field.description in text
+
+
+def test_type_default_and_place_of_a_key(bench):
+    printed = bench.run("init", "--all-keys").out
+    table = printed[printed.index("[processing]") :]
+    assert "order: integer, default 4\n    Order of the Butterworth filter.\n" in table
+    assert '\ndifferentiation: "exact" or "central", default "exact"\n' in table
+    assert "\n[mechanism.elements.NAME]\nratio: number, default 1.0\n" in printed
+    assert "\ncolumn: text or integer, required\n" in printed
 
 
 @pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda path: path.stem)
@@ -105,32 +88,15 @@ REFUSED = {
     "unknown word": ('"shared"', '"sharde"'),
     "half a span": ('file = "run.csv"', 'file = "run.csv"\nexclude = [[1.0]]'),
 }
-# refused by what comes after reading: the mechanism, the priors
-LATER = {
-    "unknown preset": ("motor-axis", "motor-axes"),
-    "three numbers for a range": ("[0.0, 1.0]", "[0.0, 1.0, 2.0]"),
-    "text for a prior": ("[0.0, 1.0]", '"wide"'),
-}
 
 
-@pytest.mark.parametrize("case", [*REFUSED, *LATER])
+@pytest.mark.parametrize("case", REFUSED)
 def test_what_is_refused_the_schema_refuses(case, validators, tmp_path):
-    text = CONFIG.replace(*{**REFUSED, **LATER}[case])
+    text = CONFIG.replace(*REFUSED[case])
     assert validators["configuration"].is_valid(tomllib.loads(CONFIG))
     assert not validators["configuration"].is_valid(tomllib.loads(text))
-    if case in REFUSED:
-        with pytest.raises(BadInput):
-            parse_config(text, tmp_path / "c.toml")
-
-
-def test_dotted_and_quoted_names_of_priors_and_references_suit(validators):
-    text = CONFIG + 'motor.inertia = { distribution = "gamma", a = 2.0, scale = 0.1 }\n'
-    text += 'motor.viscous = 0.1\n[references]\nmotor.inertia = { value = 1.0, source = "CAD" }\n'
-    text += '"motor.viscous" = 0.1\n'
-    validators["configuration"].validate(tomllib.loads(text))
-    assert set(parse_config(text, REPOSITORY / "c.toml").priors) == {
-        "motor.coulomb", "motor.inertia", "motor.viscous",
-    }  # fmt: skip
+    with pytest.raises(BadInput):
+        parse_config(text, tmp_path / "c.toml")
 
 
 def test_the_schema_is_written_with_the_line_that_makes_editors_use_it(bench, validators):
@@ -141,6 +107,16 @@ def test_the_schema_is_written_with_the_line_that_makes_editors_use_it(bench, va
         json.loads((bench.folder / "mine.json").read_text()) == validators["configuration"].schema
     )
     assert json.loads(bench.run("init", "fleet", "--schema").out) == validators["fleet"].schema
+
+
+def test_names_of_priors_and_references_may_be_dotted_or_quoted(validators):
+    text = CONFIG + 'motor.inertia = { distribution = "gamma", a = 2.0, scale = 0.1 }\n'
+    text += 'motor.viscous = 0.1\n[references]\nmotor.inertia = { value = 1.0, source = "CAD" }\n'
+    text += '"motor.viscous" = 0.1\n'
+    validators["configuration"].validate(tomllib.loads(text))
+    assert set(parse_config(text, REPOSITORY / "c.toml").priors) == {
+        "motor.coulomb", "motor.inertia", "motor.viscous",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

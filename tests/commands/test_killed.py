@@ -104,19 +104,6 @@ def test_the_second_of_two_is_told(here):
     assert here.held() == before
 
 
-def test_an_interrupted_import_ends_like_anything_else(tmp_path):
-    """A dataclass is made by an exec of text; after that ``-m`` would end by the signal itself."""
-    (tmp_path / "within.py").write_text(
-        "from bayesfric.commands import cli\n"
-        "cli.app = lambda **_: exec('raise KeyboardInterrupt')\n"
-        "cli.main()\n",
-        encoding="utf-8",
-    )
-    ended = ended_apart(tmp_path, "-m", "within")
-    assert ended.returncode == 130
-    assert ended.stderr == "bayesfric: interrupted, nothing was written\n"
-
-
 @pytest.fixture
 def full_disk(tmp_path):
     """A disk of half a megabyte, of which 30 kB are free."""

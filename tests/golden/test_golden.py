@@ -37,7 +37,9 @@ def test_a_run_gives_what_it_gave(name, tmp_path, request):
             values = earlier["value"], later["value"]
             rows.append(("reported ", earlier, later, *values, DISCREPANCY if wider else CLOSE))
         for what, earlier, later, *middles, close in rows:
-            old, new = ([x, *row["interval"]] for x, row in zip(middles, (earlier, later)))
+            old, new = (
+                [x, *row["interval"]] for x, row in zip(middles, (earlier, later), strict=True)
+            )
             numbers = np.array([old, new], dtype=float)  # an open end is nan
             apart = np.abs(np.diff(numbers, axis=0)) / earlier["sd"]
             if not (np.isnan(apart) | (apart <= close)).all():

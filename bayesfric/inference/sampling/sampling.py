@@ -37,7 +37,6 @@ from bayesfric.inference.sampling.proposal import Proposal, ProposalInBoth
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.units import in_unit
 
 # Ensembles further apart than this are not sampling one distribution.
 _UNUSABLE_RHAT = 1.1
@@ -94,14 +93,12 @@ class Sampling(Options):
         gt=0,
         le=1e8,
         description="independent draws wanted of every parameter",
-        json_schema_extra=in_unit(""),
     )
     max_rhat: float = Field(
         1.01,
         gt=1,
         le=2,
         description="largest nested R-hat accepted",
-        json_schema_extra=in_unit(""),
     )
     max_steps: int = Field(
         20_000,

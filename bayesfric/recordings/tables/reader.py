@@ -20,7 +20,6 @@ from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.base.opened import check_ordinary, unreadable
 from bayesfric.base.options import Options
 from bayesfric.recordings.tables.table import Table
-from bayesfric.recordings.units import in_unit
 
 
 def _name_formats(schema: dict[str, Any]) -> None:
@@ -51,7 +50,6 @@ class TableOptions(Options):
         default_factory=dict,
         description="Use only the rows in which columns equal values, such as one episode of "
         "many: { episode_index = 3 }.",
-        json_schema_extra=in_unit(""),
     )
 
     @field_validator("format")

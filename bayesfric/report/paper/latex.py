@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Mapping
 from importlib.resources import files
 
-from bayesfric.base.version import __version__
+from bayesfric.base import __version__
 
 _ESCAPED = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from bayesfric.base.configuration_errors import configuration_error
 from bayesfric.base.errors import BadInput
+from bayesfric.base.options import configuration_error
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
 from bayesfric.results.reported import Determined, Reported, Spread
 from bayesfric.results.roll_out import Input, RollOut, tells_nothing

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.base.version import __version__
+from bayesfric.base import __version__
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driven
@@ -18,7 +18,6 @@ from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.parameter import TURN
-from bayesfric.report import shown
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.conclusions import bound_warning
 from bayesfric.report.summary.derived_quantities import (
@@ -35,6 +34,7 @@ from bayesfric.report.summary.derived_quantities import (
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import EstimatedRow
 from bayesfric.report.summary.validation_part import validation_record
+from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
 
 # Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
@@ -100,7 +100,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = _with_mirrored(shown.Summary.model_validate(found), fit)
+    summary = _with_mirrored(PrintedSummary.model_validate(found), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     unseen = fit.chain.unseen_inertia
     warnings = [
