@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_json
+from bayesfric.base.safe_read import read_json
 from bayesfric.estimates.assemble import open_scalings
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import load_at_outputs

@@ -344,7 +344,7 @@ def of_config(posterior: Finished, path: Path) -> list[Recorded]:
         If it describes another mechanism than the run's, or for what cannot be used.
     """
     run = tomllib.loads(posterior.model.config.text)
-    document = read_document(read_toml(path), path, "configuration")
+    document = read_document(read_toml(path), path)
     for table in ("mechanism", "processing"):
         if table in run:
             document.setdefault(table, run[table])

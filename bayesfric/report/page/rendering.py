@@ -22,7 +22,7 @@ from jinja2 import Environment
 from markupsafe import Markup, escape
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_text
+from bayesfric.base.safe_read import read_text
 from bayesfric.base.templates import environment
 from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
