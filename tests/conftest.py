@@ -44,8 +44,8 @@ LONG = {
     "arm": """
         arm""",
     "commands": """
-        advise again compare doubts estimate explain fit identify killed little_explained
-        names own_offsets pool report validation voltage""",
+        advise again bad_runs compare doubts estimate explain fit identify killed
+        little_explained own_offsets pool report terminal_and_disk validation voltage""",
     "diagnostics": """
         explanation laid_beside regression self_check""",
     "estimates": """
@@ -54,8 +54,6 @@ LONG = {
         command mujoco""",
     "fleet": """
         cluster work""",
-    "hostile": """
-        bounds odd runs""",
     "identifiability": """
         advise""",
     "inference": """

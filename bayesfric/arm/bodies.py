@@ -28,7 +28,7 @@ from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
 from bayesfric.arm.inertia import OF_ONE as _OF_ONE
 from bayesfric.arm.inertia import inertia_of, tensor
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.opened import read_text
+from bayesfric.base.safe_read import read_text
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.mechanism.quantities import Motion
 from bayesfric.recordings.arrays import Array

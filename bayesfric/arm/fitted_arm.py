@@ -18,7 +18,7 @@ from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.arm.together import UNLIKELY, Felt, Together, beside, moved, retold, together
 from bayesfric.base import __version__
-from bayesfric.base.written import write_beside
+from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.result import Result
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.recordings.arrays import Array
@@ -283,7 +283,7 @@ class FittedArm:
             version=__version__,
         )  # fmt: skip
         files = {"arm.json": f"{told}\n", "arm.html": page}
-        write_beside({folder / name: text for name, text in files.items()}, replace=True)
+        write_files({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
 
 

@@ -40,7 +40,7 @@ ConfigFile = Annotated[Path, Argument(metavar="CONFIG", help="configuration (TOM
 RunFolder = Annotated[Path, Argument(metavar="RUN", help="run directory")]
 AsJson = Annotated[bool, Option("--json", help="print the machine-readable form")]
 Seed = Annotated[int | None, Option(min=0, max=2**63 - 1, help="replaces the configuration's")]
-Force = Annotated[bool, Option("--force", help="keep an old run under another name")]
+Force = Annotated[bool, Option("--force", help="replace an old run")]
 OutputError = Annotated[bool, Option("--output-error", help="with that estimate; it simulates")]
 Paper = Annotated[bool, Option("--paper", help="with figures as PDF and PNG, and LaTeX")]
 Verbose = Annotated[bool, Option("--verbose", help="print how numbers were made, all findings")]
@@ -83,7 +83,7 @@ def init(
     as_json: AsJson = False,
 ) -> None:
     """Write a commented configuration."""
-    from bayesfric.base.written import write_beside
+    from bayesfric.base.atomic_write import write_files
     from bayesfric.commands import init as command
 
     options = {"--schema": schema, "--all-keys": all_keys, "--from": log}
@@ -109,7 +109,7 @@ def init(
         draft = {"text": command.configuration(preset)}
     lines = [draft["text"]]
     if output is not None:
-        write_beside({output: draft["text"]}, replace=force)
+        write_files({output: draft["text"]}, replace=force)
         lines = [f"Written to {output}", *command.open_text(draft)]
     if schema and output:
         lines += [f"Editors with Taplo use it in files that begin with: #:schema ./{output.name}"]
@@ -350,26 +350,26 @@ def arm(
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_rollout import rollout as play
     from bayesfric.arm.onward import files_of, next_motion
-    from bayesfric.base.written import check_free, write_beside
+    from bayesfric.base.atomic_write import check_output_folder, write_files
 
     folder = output or Path(f"{log[0].stem}-arm")
-    check_free(folder, force=None)
+    check_output_folder(folder, force=None)
     with _progress() as progress:
         made = Arm(urdf, {} if config is None else config)
         found = made.fit(log, predict=predict, seed=seed, progress=progress)
         # what is asked for besides may be refused, and the fit is kept
         page, told, numbers = found.write(folder, full=full), found.text(), found.as_json()
         if to_files:
-            write_beside({folder / name: text for name, text in files_of(found).items()})
+            write_files({folder / name: text for name, text in files_of(found).items()})
         if roll_out is not None:
             played = play(found, seconds=roll_out, seed=seed, tell=progress)
-            write_beside({folder / "rollout.csv": played.as_csv()})
+            write_files({folder / "rollout.csv": played.as_csv()})
             told.append(played.text())
             numbers["rollout"] = played.as_json()
         if advise:
             motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
             csv, yaml = folder / "exciting.csv", folder / "exciting.yaml"
-            write_beside({csv: motion.as_csv(), yaml: motion.as_joint_trajectory()})
+            write_files({csv: motion.as_csv(), yaml: motion.as_joint_trajectory()})
             told.append(motion.text(wanted))
             numbers["next_motion"] = motion.as_json()
     _print(numbers, as_json, [*told, "", f"Written: {page}"], converged=found.reliable)

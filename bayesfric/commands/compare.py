@@ -33,14 +33,14 @@ def compare(
         return comparison(summaries, estimates=estimates)
 
     # these bring ArviZ and Matplotlib along, which the table alone does without
-    from bayesfric.base.written import check_free, made_beside
+    from bayesfric.base.atomic_write import check_output_folder, new_folder
     from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
     from bayesfric.report.figures.forest import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
     from bayesfric.report.paper.tables import methods_latex
 
-    check_free(output, force=None)
+    check_output_folder(output, force=None)
     found = comparison(summaries, estimates=estimates)
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
@@ -56,7 +56,7 @@ def compare(
     # what cannot be drawn is told before anything is written
     figure = FOREST.draw(found)
     assert figure is not None
-    with made_beside(output) as beside:
+    with new_folder(output) as beside:
         as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {
             "comparison.csv": comparison_csv(found),

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Shown, silent
-from bayesfric.base.written import write_beside
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.fit.model import Model
@@ -36,7 +36,7 @@ def explain(
     else:
         _refuse_other_place(output, model.config.path.parent)
         model, taken, found = model.completed(progress=progress)
-        write_beside({output: model.config.text})
+        write_files({output: model.config.text})
         told = {"taken": [one.as_dict() for one in taken], "written": str(output)}
     text = filled(
         "explain.txt.j2",

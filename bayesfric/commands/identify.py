@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Shown, silent
-from bayesfric.base.written import write_beside
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.fit.model import Model
 from bayesfric.identifiability.next_recording import ASSUMPTION, Ranking
@@ -52,7 +52,7 @@ def advise(
     found = model.advise(name, progress=progress)
     written = path if found.worth else None
     if written:
-        write_beside({written: _excitation(found, unit)}, replace=force)
+        write_files({written: _excitation(found, unit)}, replace=force)
     doubts, warned = _doubts(model)
     told = filled(
         "advise.txt.j2",

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.atomic_write import add_files, write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, Shown, silent
-from bayesfric.base.written import put_into, write_beside
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
@@ -32,7 +32,7 @@ def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[
     try:
         if paper:
             drawn = _for_paper(run, name, texts, progress)
-        write_beside({run / file: text for file, text in texts.items()}, replace=True)
+        write_files({run / file: text for file, text in texts.items()}, replace=True)
     except OSError as error:
         raise BadInput(
             str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
@@ -50,7 +50,7 @@ def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> 
     progress(Progress("recordings"))
     fit, summary = fit_of(run)
     texts |= latex_texts(summary, name)
-    with put_into(run / "figures") as beside:
+    with add_files(run / "figures") as beside:
         draw(beside, FinishedRun(fit, summary), IN_PAPER, progress)
         files = sorted(beside.iterdir())
     return [f"figures/{file.name}" for file in files]

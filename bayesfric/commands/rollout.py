@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from bayesfric.base.atomic_write import add_files, write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_text
 from bayesfric.base.progress import Shown
-from bayesfric.base.written import put_into, write_beside
+from bayesfric.base.safe_read import read_text
 from bayesfric.commands.report import report
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
@@ -42,7 +42,7 @@ def rollout(
     captions = read_captions(read_text(caption_file)) if caption_file.exists() else {}
     try:
         # made first: what cannot be written is not simulated
-        with put_into(run / "figures") as beside:
+        with add_files(run / "figures") as beside:
             found = played(run, config, every=every, draws=draws, seed=seed, progress=progress)
             told = rollout_part(found)
             captions[FIGURE.stem] = FIGURE.caption_of(found)
@@ -55,7 +55,7 @@ def rollout(
         {**summary, "rollout": told.as_dict()}, indent=1, ensure_ascii=False, allow_nan=False
     )
     lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
-    write_beside({run / "summary.json": f"{text}\n", caption_file: lines}, replace=True)
+    write_files({run / "summary.json": f"{text}\n", caption_file: lines}, replace=True)
     report(run)
     return told
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base import __version__
+from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.written import write_beside
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config
@@ -32,7 +32,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     if seed is not None:
         options = options.model_copy(update={"seed": seed})
     truth_file = target.with_suffix(".truth.json")
-    with suppress(OSError):  # write_beside tells of a name that cannot be
+    with suppress(OSError):  # write_files tells of a name that cannot be
         if target.is_file() and not truth_file.exists():
             raise BadInput(
                 str(target),
@@ -68,7 +68,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
         "discretisation_error": motion.step_error,
         "reversals": motion.reversals,
     }
-    write_beside(  # an older simulation is replaced
+    write_files(  # an older simulation is replaced
         {target: table.getvalue(), truth_file: json.dumps(truth, indent=1) + "\n"}, replace=True
     )
     return truth

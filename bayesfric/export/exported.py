@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base import __version__
+from bayesfric.base.atomic_write import check_output_folder, new_folder
 from bayesfric.base.errors import BadInput
-from bayesfric.base.written import check_free, made_beside
 from bayesfric.export.at_joint import (
     NUMBERS,
     RISES,
@@ -64,13 +64,13 @@ class Exported:
     def write(self, folder: Path | str, *, force: bool = False) -> list[str]:
         """Write the files and what they lose (``export.json``); give their paths.
 
-        ``force`` is whether an old folder may be kept under another name. ``BadInput`` if something
+        ``force`` is whether an old folder may be replaced. ``BadInput`` if something
         is there already, or cannot be written; nothing is left behind.
         """
         folder = Path(folder)
-        check_free(folder, force=force, marked="export.json")
+        check_output_folder(folder, force=force, marker="export.json")
         text = json.dumps(self.record, indent=1, ensure_ascii=False, allow_nan=False)
-        with made_beside(folder) as beside:
+        with new_folder(folder) as beside:
             for name, content in {**self.files, "export.json": text + "\n"}.items():
                 data = content if isinstance(content, bytes) else content.encode()
                 (beside / name).write_bytes(data)
@@ -100,7 +100,7 @@ def export(
     output
         Folder to make; nothing is written if left out.
     force
-        Keep an old one under another name.
+        Replace an old one.
     joint
         Its name in the simulator.
     at_load
@@ -124,7 +124,7 @@ def export(
     chosen = Options(joint, at_load, None if into is None else Path(into), draws)
     _check(form, chosen)
     if output is not None:
-        check_free(Path(output), force=force, marked="export.json")
+        check_output_folder(Path(output), force=force, marker="export.json")
     found = posterior if isinstance(posterior, Finished) else finished(posterior)
     found = replace(found, summary=put_reported(found.summary))
     made = _exported(found, form, chosen)

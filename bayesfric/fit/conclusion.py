@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bayesfric.base.written import plain
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked
@@ -61,7 +61,7 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
         "may_be_simulated": may_be_simulated(problem),
     }
     if examined.identified is not None:
-        directions = {"directions": plain(examined.identified.directions)}
+        directions = {"directions": jsonable(examined.identified.directions)}
         told = summary.identifiability.as_dict() | directions
         update["identifiability"] = Identifiability.model_validate(told)
     return put_reported(summary.model_copy(update=update))
@@ -92,7 +92,7 @@ def _with_back_emf(summary: Summary, term: SpeedTerm | None, recordings: int) ->
     """Put in what the nominal back-EMF's error cannot be told from, where a voltage drives."""
     if term is None:
         return summary
-    part = BackEmfPart.model_validate(plain({**vars(term), "among": recordings}))
+    part = BackEmfPart.model_validate(jsonable({**vars(term), "among": recordings}))
     changes = {
         name: {"meaning": line_of("with back-emf", {"meaning": summary.parameters[name].meaning})}
         for name in term.same_as_back_emf

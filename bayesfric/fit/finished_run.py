@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import LARGEST_NUMBER, array_of, opened_hdf5
+from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
@@ -138,12 +138,12 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
     path = run / "posterior.nc"
     groups: dict[str, dict[str, Array]] = {}
     try:
-        with opened_hdf5(path, "fit the run again") as file:
+        with open_hdf5(path, "fit the run again") as file:
             for group in ("posterior", "told"):
                 if group in file:
-                    groups[group] = {n: array_of(file[group][n]) for n in summary.parameters}
+                    groups[group] = {n: read_array(file[group][n]) for n in summary.parameters}
             if "sample_stats" in file:
-                groups["sample_stats"] = {"lp": array_of(file["sample_stats"]["lp"])}
+                groups["sample_stats"] = {"lp": read_array(file["sample_stats"]["lp"])}
     except BadInput:
         groups = {}
     if not _whole(groups):
@@ -160,10 +160,7 @@ def _whole(groups: dict[str, dict[str, Array]]) -> bool:
     """Whether there are draws, numbers of one shape a group, ``(chains, draws)``."""
     return len(next((x.shape for x in groups.get("posterior", {}).values()), ())) == 2 and all(
         len({x.shape for x in group.values()}) == 1
-        and all(
-            x.size and x.dtype.kind == "f" and (np.abs(x) < LARGEST_NUMBER).all()
-            for x in group.values()
-        )
+        and all(x.size and x.dtype.kind == "f" and np.isfinite(x).all() for x in group.values())
         for group in groups.values()
     )
 

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 from weakref import ref
 
+from bayesfric.base.atomic_write import check_output_folder
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Shown, silent
-from bayesfric.base.written import check_free
 from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.problem.config_text import saved_name
@@ -142,7 +142,7 @@ def report(posterior: Any, folder: Path | str, *, force: bool = False, paper: bo
     folder
         The run directory to make.
     force
-        Keep an old run under another name.
+        Replace an old run.
     paper
         Add LaTeX tables, methods and references, and figures as PDF and PNG.
 
@@ -158,6 +158,6 @@ def report(posterior: Any, folder: Path | str, *, force: bool = False, paper: bo
     """
     folder = Path(folder)
     result = result_of(posterior)
-    check_free(folder, force=force)
+    check_output_folder(folder, force=force)
     result.write(folder, paper=paper)
     return folder / "report.html"

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 from filelock import FileLock, Timeout
 from pydantic import BaseModel, ValidationError
 
+from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, Shown, progress_shown
-from bayesfric.base.written import parents_made, write_beside
 from bayesfric.fleet.crew import check_engine, work_through
 from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
 from bayesfric.fleet.fleet_units import read_units, units_of
@@ -165,16 +165,15 @@ class Fleet:
         _check(folder, resume=resume)
         check_engine(options)
         try:
-            with parents_made(folder):
-                folder.mkdir(exist_ok=True)
-                with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
-                    write_beside({folder / PLAN: _text(self.plan)}, replace=True)
-                    course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
-                    tasks = course.tasks(folder / UNITS)
-                    work_through(tasks, options, course.arrived)
-                    found = course.end(folder, began)
-                    (folder / LOCK).unlink(missing_ok=True)
-                    return found
+            folder.mkdir(parents=True, exist_ok=True)
+            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
+                write_files({folder / PLAN: _text(self.plan)}, replace=True)
+                course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
+                tasks = course.tasks(folder / UNITS)
+                work_through(tasks, options, course.arrived)
+                found = course.end(folder, began)
+                (folder / LOCK).unlink(missing_ok=True)
+                return found
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
@@ -273,7 +272,7 @@ class _Course:
         page = fleet_page(folder, plan.units, records, found, draw(folder, found))
         made = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {folder / "population.json": f"{made}\n", folder / "fleet.html": page}
-        write_beside(texts, replace=True)
+        write_files(texts, replace=True)
         ordered = [(unit.name, records[unit.name]) for unit in plan.units]
         failed = {name: r["error"] for name, r in ordered if r["outcome"] == FAILED}
         return FleetRun(

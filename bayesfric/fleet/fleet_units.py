@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import io
 import os
 import re
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.opened import check_ordinary, matching, read_text
+from bayesfric.base.safe_read import check_file, read_text
 from bayesfric.recordings.tables.table import check_names
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
 Value = str | float | int | bool | None
 
-# Units of a fleet, bytes of their table, characters of a text that cells are put into.
-MOST_UNITS, _LARGEST_TABLE, LONGEST_TEXT = 100_000, 2**24, 1_000_000
+# Units of a fleet, and bytes of their table.
+MOST_UNITS, _LARGEST_TABLE = 100_000, 2**24
 # What every file system takes, with room for what is put before and behind.
 _LONGEST = 180
 # A serial number such as 007 is none: it would lose its noughts.
@@ -58,9 +59,6 @@ def put_in(text: str, told: Mapping[str, str], where: str, known: str) -> str:
             raise BadInput(where, f"asks for {{{name}}}, which is empty in {known}", "fill it")
         return told[name]
 
-    length = sum(len(told.get(found[1], "")) for found in PLACEHOLDER.finditer(text))
-    if length > LONGEST_TEXT:
-        raise BadInput(where, f"becomes {length} characters long", "ask for fewer cells")
     return PLACEHOLDER.sub(one, text)
 
 
@@ -74,7 +72,7 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
     """
     import pandas as pd
 
-    size = check_ordinary(path)
+    size = check_file(path)
     try:
         text = read_text(path, largest=_LARGEST_TABLE)
         _check_count(text.count("\n") - 1, str(path))
@@ -93,7 +91,7 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
 
 
 def find_units(pattern: str, folder: Path, names: str | None, start: str = ".") -> list[Unit]:
-    """Find files such as ``logs/{robot}/{day}.csv``, a unit each; ``{file}`` is the file found.
+    """Find files such as ``logs/{robot}/{day}.csv``, a unit each; ``{file}`` is its path.
 
     ``start`` is the way to ``folder`` from where file names are relative to.
 
@@ -107,14 +105,16 @@ def find_units(pattern: str, folder: Path, names: str | None, start: str = ".") 
     if not parts or not all(part.isidentifier() and part != "file" for part in parts):
         mend = "write a word in braces for each part, such as logs/{robot}/{day}.csv"
         raise BadInput(where, "has no named parts", mend)
+    pattern = os.path.normpath(pattern)
     # brackets are letters here
     wild = PLACEHOLDER.sub("?*", pattern).replace("[", "[[]")
+    regex = _regex(pattern)
     rows = []
-    for path, names_of in sorted(matching(wild, folder, where).items()):
-        row = _parts_of(pattern, names_of)
-        if row is not None:
-            file = os.path.normpath(os.path.join(start, os.path.relpath(path, folder)))  # noqa: PTH118 (a text)
-            rows.append({**row, "file": file})
+    # Path.glob finds hidden files, and takes no absolute pattern
+    for path in sorted(glob.glob(wild, root_dir=folder, recursive=True)):  # noqa: PTH207
+        if match := regex.fullmatch(path):
+            file = os.path.normpath(os.path.join(start, os.path.relpath(folder / path, folder)))  # noqa: PTH118 (a text)
+            rows.append({**match.groupdict(), "file": file})
     if not rows:
         raise BadInput(where, f"no file in {folder} matches it", "check the pattern")
     import pandas as pd
@@ -124,23 +124,21 @@ def find_units(pattern: str, folder: Path, names: str | None, start: str = ".") 
     return units_of(frame, names, where)
 
 
-def _parts_of(pattern: str, found: Sequence[str]) -> dict[str, str] | None:
-    """Name the parts of what matches; ``None`` where one name would stand for two."""
-    parts = (part for part in pattern.split("/") if part not in ("", ".", "**"))
-    told: dict[str, str] = {}
-    for part, name in zip(parts, found, strict=True):
-        tokens = re.split(r"(\{[^{}]*\}|\*|\?)", part)
-        # as short as can be, and so without a second trial: that the whole matches is known
-        known = {"*": "(.*?)", "?": "(.)"}
-        regular = "".join(
-            "(.+?)" if one[:1] == "{" else known.get(one, re.escape(one)) for one in tokens
-        )
-        match = re.fullmatch(regular, name, re.DOTALL)
-        assert match is not None
-        for token, value in zip(tokens[1::2], match.groups(), strict=True):
-            if token[0] == "{" and told.setdefault(token[1:-1], value) != value:
-                return None
-    return told
+def _regex(pattern: str) -> re.Pattern[str]:
+    """Turn a pattern into a regular expression whose groups are its named parts."""
+    wild = {"**/": "(?:.*/)?", "*": "[^/]*", "?": "[^/]"}
+    names = list[str]()
+    regex = ""
+    for token in re.split(r"(\{\w+\}|\*\*/|\*|\?)", pattern):
+        name = token[1:-1] if token[:1] == "{" else ""
+        if name in names:  # a part that is named twice is the same in both places
+            regex += f"(?P={name})"
+        elif name:
+            names.append(name)
+            regex += f"(?P<{name}>[^/]+?)"
+        else:
+            regex += wild.get(token, re.escape(token))
+    return re.compile(regex, re.DOTALL)
 
 
 def _check_count(count: int, known: str) -> None:

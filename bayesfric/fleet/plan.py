@@ -13,7 +13,6 @@ from pydantic import Field, model_validator
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.base.options import Options
 from bayesfric.fleet.fleet_units import (
-    LONGEST_TEXT,
     PLACEHOLDER,
     Unit,
     find_units,
@@ -105,10 +104,8 @@ class Template:
         BadInput
             Naming the key, if a placeholder has no column, or an empty cell.
         """
-        left = LONGEST_TEXT
 
         def put(value: Any, place: str) -> Any:
-            nonlocal left
             inner = place and f"{place}."
             if isinstance(value, Mapping):
                 return {key: put(x, f"{inner}{key}") for key, x in value.items()}
@@ -117,10 +114,6 @@ class Template:
             if not isinstance(value, str):
                 return value
             text = put_in(value, unit.text, f"{self.path}: {place}", f"unit {unit.name!r}")
-            left -= len(text)
-            if left < 0:
-                what = f"becomes more than {LONGEST_TEXT} characters for unit {unit.name!r}"
-                raise BadInput(str(self.path), what, "ask for fewer cells")
             alone = PLACEHOLDER.fullmatch(value)
             return unit.values[alone[1]] if alone and alone[1] is not None else text
 

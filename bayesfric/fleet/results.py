@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
+from bayesfric.base.atomic_write import atomic_path
 from bayesfric.base.errors import BadInput
-from bayesfric.base.written import place_beside
 from bayesfric.fleet.fleet_units import Unit
 from bayesfric.report.summary.record import Summary
 
@@ -98,7 +97,7 @@ class Results:
             self.write()
 
     def write(self) -> None:
-        """Write all that is there beside the file, and move it into place.
+        """Write all results so far.
 
         Raises
         ------
@@ -108,13 +107,10 @@ class Results:
         import pyarrow.parquet as pq
 
         began = time.monotonic()
-        beside = place_beside(self.path)
         try:
-            pq.write_table(self.table(), beside)
-            beside.replace(self.path)
+            with atomic_path(self.path) as partial:
+                pq.write_table(self.table(), partial)
         except OSError as error:
-            with suppress(OSError):
-                beside.unlink()
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(self.path), what, "mend that, then go on with --resume") from None
         self._written = time.monotonic()

@@ -20,9 +20,9 @@ from typing import Any, TypedDict
 from filelock import FileLock
 
 from bayesfric.base import __version__
+from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_json
-from bayesfric.base.written import write_beside
+from bayesfric.base.safe_read import read_json
 from bayesfric.fit.model import Model
 from bayesfric.fleet.results import Kept, failure, record_of
 from bayesfric.problem.config import Config, parse_config
@@ -77,7 +77,7 @@ def do_unit(task: Task) -> Done:
             folder.mkdir(parents=True, exist_ok=True)
             text = json.dumps({"of": facts, "record": record}, ensure_ascii=False, allow_nan=False)
             try:
-                write_beside({folder / UNIT: f"{text}\n"})
+                write_files({folder / UNIT: f"{text}\n"})
             except BadInput as error:
                 raise OSError(str(error)) from None
         # who waits for it finds the unit done

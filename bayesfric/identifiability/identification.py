@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import percent
-from bayesfric.base.written import plain
 from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.information import Directions
 from bayesfric.identifiability.back_emf import SpeedTerm
@@ -185,7 +185,7 @@ class Identification:
             "recordings": self.recordings,
             "voltage": voltage and {**vars(voltage), "meaning": voltage.meaning},
         }
-        return dict(plain(found))
+        return dict(jsonable(found))
 
 
 def _without(record: Any, *names: str) -> dict[str, Any]:

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import percent
-from bayesfric.base.written import plain
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import Directions, directions
 from bayesfric.identifiability.advice_options import AdviceOptions
@@ -191,7 +191,7 @@ class Ranking:
         found |= {"limits": {**vars(self.limits), "masses": masses}}
         found |= {"assumption": ASSUMPTION, "verdict": self.verdict, "candidates": rows}
         found["dropped"] = [_described(one) | {"reason": why} for one, why in self.dropped]
-        return dict(plain(found))
+        return dict(jsonable(found))
 
     @property
     def frame(self) -> pd.DataFrame:

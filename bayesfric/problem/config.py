@@ -13,8 +13,8 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_json, read_text
 from bayesfric.base.options import Options, configuration_error
+from bayesfric.base.safe_read import read_json, read_text
 from bayesfric.diagnostics.self_check import SelfCheckOptions
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions

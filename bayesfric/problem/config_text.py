@@ -155,7 +155,6 @@ def prior_value(prior: Any) -> Any:
     family = getattr(prior, "dist", None)
     if family is None:
         return prior
-    shapes, loc, scale = family._parse_args(*prior.args, **prior.kwds)
-    names = (family.shapes or "").replace(",", " ").split()
-    values = {**dict(zip(names, shapes, strict=True)), "loc": loc, "scale": scale}
+    names = [*(family.shapes or "").replace(",", " ").split(), "loc", "scale"]
+    values = {**dict(zip(names, prior.args, strict=False)), **prior.kwds}
     return {"distribution": family.name, **{key: float(x) for key, x in values.items()}}

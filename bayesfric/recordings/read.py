@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import matching
 from bayesfric.recordings import channels, checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.channels import VELOCITY, Drive, Motion
@@ -288,17 +287,13 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
         if (folder / pattern).exists() or not glob.has_magic(pattern):
             paths.append(folder / pattern)
             continue
-        every = matching(pattern, folder, f"file = '{pattern}'")
-        matches = sorted(path for path in every if is_recording(path))
+        # Path.glob finds hidden files, and takes no absolute pattern
+        names = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207
+        matches = sorted(path for name in names if is_recording(path := folder / name))
         if not matches:
             what = f"no file in {folder} matches it"
             raise BadInput(f"file = '{pattern}'", what, "check the pattern and the folder")
         paths.extend(matches)
-    for path in paths:
-        try:
-            str(path).encode()
-        except UnicodeEncodeError:
-            raise BadInput(str(path), "its name is not UTF-8", "rename the file") from None
     # a file named twice, say by two patterns, would count its measurements twice
     return list(dict.fromkeys(paths))
 

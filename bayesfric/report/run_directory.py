@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base import __version__
+from bayesfric.base.atomic_write import new_folder
 from bayesfric.base.progress import Progress, Shown, silent
-from bayesfric.base.written import made_beside
 from bayesfric.inference.archive import as_chains, write_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
@@ -49,7 +49,7 @@ def write_run(
     paper: bool = False,
     progress: Shown = silent,
 ) -> None:
-    """Write a run directory that :func:`check_free` let pass.
+    """Write a run directory that :func:`check_output_folder` let pass.
 
     ``config_text`` is the configuration as read; of ``recordings`` it keeps the SHA-256; what
     the folder ``saved`` holds belongs into it. With a number of ``draws`` it is a light one:
@@ -58,7 +58,7 @@ def write_run(
     PNG.
     """
     summary = Summary.read(summary)
-    with made_beside(folder) as beside:
+    with new_folder(folder) as beside:
         if saved is not None:
             shutil.copytree(saved, beside, dirs_exist_ok=True)
         (beside / "config.toml").write_text(config_text, encoding="utf-8")

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bayesfric.base.written import plain
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.inference.predictive import predict_held_out
@@ -67,7 +67,7 @@ def main() -> None:
             description, record = held_out(gain, noise)
             p = record["pooled"]
             result.setdefault(noise, {})[str(gain)] = p
-            path.write_text(json.dumps(plain(result), indent=1) + "\n", encoding="utf-8")
+            path.write_text(json.dumps(jsonable(result), indent=1) + "\n", encoding="utf-8")
             shares = " | ".join(
                 f"{100 * c['share']:.0f} ± {100 * c['standard_error']:.0f} %"
                 for c in p["coverage"].values()

@@ -2,6 +2,8 @@
 
 import pytest
 
+from bayesfric.inference.prior.priors import DISTRIBUTIONS
+
 from .bench import CONFIG, PRIOR, RECORDING, cases, has, lines
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -10,9 +12,7 @@ pytestmark = pytest.mark.usefixtures("nothing_explained")
 # -- recordings
 
 
-@pytest.mark.parametrize(
-    ("n", "parts"), [(90, ["'run'", "trim"]), (120, ["'run'", "too short", "4 parameters"])]
-)
+@pytest.mark.parametrize(("n", "parts"), [(90, ["'run'", "trim"]), (120, ["'run'"])])
 def test_recording_too_short_for_its_processing(bench, n, parts):
     bench.recording(lines(n))
     has(bench.refused(), "c.toml", *parts)
@@ -27,41 +27,40 @@ FILE = '"run.csv"'
     ("old", "new", "parts"),
     cases(
         # which file
-        ("file-missing", FILE, '"ran.csv"', ["ran.csv", "does not exist", "give a file"]),
-        ("file-pattern", FILE, '"runs/*.csv"', ["c.toml: recordings.1", "'runs/*.csv'", "no file"]),
-        ("file-folder", FILE, '"."', ["is a folder", "give a file"]),
-        ("file-suffix", FILE, '"c.toml"', ["'.toml'", "set format to csv"]),
-        ("file-number", FILE, "3", ["c.toml: recordings.1.file: got 3"]),
-        ("file-long", FILE, f'"{"a" * 300}.csv"', ["c.toml: recordings.1.file", "too long"]),
+        ("file-missing", FILE, '"ran.csv"', ["ran.csv"]),
+        ("file-pattern", FILE, '"runs/*.csv"', ["recordings.1", "'runs/*.csv'"]),
+        ("file-folder", FILE, '"."', ["is a folder"]),
+        ("file-suffix", FILE, '"c.toml"', ["'.toml'"]),
+        ("file-number", FILE, "3", ["recordings.1.file"]),
         # units
-        ("mass-for-angle", '"rad"', '"kg"', ["run.csv", "'q'", "an angle like", "'kg'"]),
-        ("no-such-unit", '"rad"', '"radd"', ["run.csv", "'q'", "'radd' is not a known unit"]),
-        ("speed", "order = 4", 'dead_zone = "5 m/s"', ["c.toml: processing, dead_zone", "'5 m/s'"]),
+        ("mass-for-angle", '"rad"', '"kg"', ["run.csv", "'q'", "'kg'"]),
+        ("no-such-unit", '"rad"', '"radd"', ["run.csv", "'q'", "'radd'"]),
+        ("speed", "order = 4", 'dead_zone = "5 m/s"', ["dead_zone", "'5 m/s'"]),
         # unknown keys
-        ("recording", "[[recordings]]", "[[recording]]", ["recording: unknown", "'recordings'?"]),
-        ("low_pass", "order = 4", "low_pass = 20", [".low_pass: unknown key", "'lowpass'?"]),
-        ("colum", 'column = "q"', 'colum = "q"', ["recordings.1.position.colum: ", "'column'?"]),
-        ("preset", "motor-axis", "motor-axes", ["c.toml: mechanism.preset", "'motor-axis'?"]),
-        ("no-preset", "motor-axis", "arm", ["mechanism.preset", "use one of rabbit-knee, motor"]),
-        ("term", "preset", "elements.motor.inerta = true\npreset", ["r.inerta", "'inertia'?"]),
-        ("no-delay", PRIOR, '"drive.delay" = 0.004', ["priors.drive.delay", "no such parameter"]),
-        # wrong types and ranges, worded plainly
-        ("true", "order = 4", "decimate = true", ["decimate: got true"]),
-        ("windows", "order = 4", "decimate = 900", ["c.toml: recording 'run', decimate", "400"]),
-        ("nyquist", "order = 4", "lowpass = 500", ["c.toml: recording 'run', lowpass", "50 Hz"]),
-        ("seed", "seed = 1", "seed = -1", ["sampling.seed: got -1"]),
-        ("nan", "seed = 1", "max_rhat = nan", ["max_rhat: got nan"]),
-        ("noise", '"shared"', '"share"', ["noise.scale: got 'share'; did you mean 'shared'?"]),
-        ("sign", '"rad"', '"rad", sign = 2', [".sign: got 2"]),
-        ("gear", "preset", "elements.motor.ratio = -50\npreset", ["ratio: got -50"]),
-        ("column-0", 'column = "q"', "column = 0", [".column: columns are numbered from 1, got 0"]),
-        ("column-9", 'column = "q"', "column = 9", ["run.csv, column 9", "from 1 to 3"]),
-        ("two-times", "time =", 'rate = "1 kHz"\ntime =', ["recordings.1", "one of 'time'"]),
+        ("recording", "[[recordings]]", "[[recording]]", ["recording:", "'recordings'"]),
+        ("low_pass", "order = 4", "low_pass = 20", [".low_pass:", "'lowpass'"]),
+        ("colum", 'column = "q"', 'colum = "q"', ["recordings.1.position.colum:", "'column'"]),
+        ("preset", "motor-axis", "motor-axes", ["mechanism.preset", "'motor-axis'"]),
+        ("no-preset", "motor-axis", "arm", ["mechanism.preset", "rabbit-knee"]),
+        ("term", "preset", "elements.motor.inerta = true\npreset", ["inerta", "'inertia'"]),
+        ("no-delay", PRIOR, '"drive.delay" = 0.004', ["priors.drive.delay"]),
+        # wrong types and ranges
+        ("true", "order = 4", "decimate = true", ["decimate", "true"]),
+        ("windows", "order = 4", "decimate = 900", ["recording 'run', decimate", "400"]),
+        ("nyquist", "order = 4", "lowpass = 500", ["recording 'run', lowpass", "50 Hz"]),
+        ("seed", "seed = 1", "seed = -1", ["sampling.seed", "-1"]),
+        ("nan", "seed = 1", "max_rhat = nan", ["max_rhat", "nan"]),
+        ("noise", '"shared"', '"share"', ["noise.scale", "'share'", "'shared'"]),
+        ("sign", '"rad"', '"rad", sign = 2', [".sign", "2"]),
+        ("gear", "preset", "elements.motor.ratio = -50\npreset", ["ratio", "-50"]),
+        ("column-0", 'column = "q"', "column = 0", [".column"]),
+        ("column-9", 'column = "q"', "column = 9", ["run.csv, column 9", "3"]),
+        ("two-times", "time =", 'rate = "1 kHz"\ntime =', ["recordings.1", "'time'"]),
         (
             "two-drives",
             "torque =",
             'current = {column = 3, unit = "A", torque_constant = "1 N m/A"}\ntorque =',
-            ["recordings.1: got 'torque' and 'current'"],
+            ["recordings.1", "'torque'", "'current'"],
         ),
         (
             "constant",
@@ -76,32 +75,35 @@ FILE = '"run.csv"'
             '"1 N m/A", resistance = "3 N"}\n# torque =',
             ["1.voltage.resistance", "'3 N'"],
         ),
-        ("mass", "file =", 'added_mass = "2 m"\nradius = 1\nfile =', ["added_mass: got '2 m'"]),
-        ("marks", "file =", 'delimiter = ","\ndecimal = ","\nfile =', ["recordings.1", "both"]),
+        ("mass", "file =", 'added_mass = "2 m"\nradius = 1\nfile =', ["added_mass", "'2 m'"]),
+        ("marks", "file =", 'delimiter = ","\ndecimal = ","\nfile =', ["recordings.1"]),
         ("mark", "file =", 'delimiter = "::"\nfile =', ["recordings.1.delimiter"]),
         ("held", '"N m"', '"N m", held = "sometimes"', ["torque.held"]),
-        ("span", "file =", "exclude = [[1]]\nfile =", [".exclude.1: got [1]"]),
-        ("back", "file =", "exclude = [[2, 1]]\nfile =", [".exclude: a span must end after"]),
-        ("stop", "file =", "start = 3\nstop = 1\nfile =", ["c.toml: recordings.1: 'stop' (1 s)"]),
-        ("start", "file =", "start = 9\nfile =", ["run.csv: ends 3.99 s", "start = 9 s"]),
+        ("span", "file =", "exclude = [[1]]\nfile =", [".exclude.1", "[1]"]),
+        ("back", "file =", "exclude = [[2, 1]]\nfile =", [".exclude"]),
+        ("stop", "file =", "start = 3\nstop = 1\nfile =", ["recordings.1", "'stop'"]),
+        ("start", "file =", "start = 9\nfile =", ["run.csv", "start = 9 s"]),
         # what does not go together
-        ("side", "motor-axis", "rabbit-knee", ["'q'", "gear ratio is 50", 'side = "motor"']),
-        ("radius", "file =", 'added_mass = "2 kg"\nfile =', ["1.added_mass: has no radius"]),
-        ("doubled", RECORDING, RECORDING * 2, ["c.toml: recordings: 2 are called 'run'; give ea"]),
-        ("no-recording", RECORDING, "", ["c.toml: names no recording; add a [[recordings]]"]),
-        ("no-unit", ', unit = "rad"', "", ["recordings.1.position.unit: is missing; add 'unit'"]),
-        ("no-torque", "torque =", "# torque =", ["recordings.1: got none"]),
-        ("no-time", "time =", "# time =", ["c.toml: recordings.1:", "give exactly one of 'time'"]),
-        ("no-mechanism", '[mechanism]\npreset = "motor-axis"', "", ["mechanism: is missing; add"]),
-        ("nothing", 'preset = "motor-axis"', "", ["c.toml: mechanism: describes no joint; set"]),
-        ("slides", "preset", 'motion = "linear"\npreset', ["'q'", "a length like", "'rad'"]),
+        ("side", "motor-axis", "rabbit-knee", ["'q'", "50", "side"]),
+        ("radius", "file =", 'added_mass = "2 kg"\nfile =', ["1.added_mass", "radius"]),
+        ("doubled", RECORDING, RECORDING * 2, ["recordings", "'run'"]),
+        ("no-recording", RECORDING, "", ["[[recordings]]"]),
+        ("no-unit", ', unit = "rad"', "", ["recordings.1.position.unit"]),
+        ("no-torque", "torque =", "# torque =", ["recordings.1"]),
+        ("no-time", "time =", "# time =", ["recordings.1", "'time'"]),
+        ("no-mechanism", '[mechanism]\npreset = "motor-axis"', "", ["mechanism"]),
+        ("nothing", 'preset = "motor-axis"', "", ["mechanism"]),
+        ("slides", "preset", 'motion = "linear"\npreset', ["'q'", "'rad'"]),
         # no TOML
-        ("bare", '"motor-axis"', "motor-axis", ["c.toml: is no TOML", "line 2"]),
+        ("bare", '"motor-axis"', "motor-axis", ["line 2"]),
     ),
 )
 def test_configuration(bench, old, new, parts):
     bench.edit(old, new)
-    has(bench.refused(), *parts)
+    message = bench.refused()
+    files = ("c.toml:", "run.csv", "ran.csv:", ".:")
+    assert message.startswith(tuple(f"bayesfric: {file}" for file in files))
+    has(message, *parts)
 
 
 def test_mark_in_front_of_a_configuration_does_no_harm(bench):
@@ -112,17 +114,17 @@ def test_mark_in_front_of_a_configuration_does_no_harm(bench):
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
 def test_configuration_in_another_encoding(bench, encoding):
     bench.config("# Gelenk für den Prüfstand\n" + CONFIG, encoding=encoding)
-    has(bench.refused(), "c.toml: is not UTF-8", "save it as UTF-8")
+    has(bench.refused(), "c.toml", "UTF-8")
 
 
 @pytest.mark.parametrize(
     ("name", "parts"),
     cases(
-        ("missing", "d.toml", ["d.toml: does not exist"]),
-        ("folder", ".", ["is a folder; name the .toml file"]),
-        ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml: cannot be read (Not a directory)"]),
-        ("endless", "/dev/zero", ["is no ordinary file"]),
-        ("long", "c" * 300, ["cannot be read (File name too long)"]),
+        ("missing", "d.toml", ["d.toml"]),
+        ("folder", ".", ["is a folder"]),
+        ("below-a-file", "run.csv/c.toml", ["run.csv/c.toml"]),
+        ("device", "/dev/null", ["/dev/null"]),
+        ("long", "c" * 300, ["c" * 300]),
     ),
 )
 @pytest.mark.parametrize("command", ["check", "fit"])
@@ -136,16 +138,16 @@ def test_configuration_that_cannot_be_read(bench, command, name, parts):
 @pytest.mark.parametrize(
     ("prior", "parts"),
     cases(
-        ("reversed", '"motor.inertia" = [2, 1]', ["[2, 1] is no range"]),
-        ("outside", '"motor.inertia" = [-1, 1]', ["[-1, 1] reaches outside", "0 or more"]),
-        ("true", '"motor.inertia" = true', ["true/false is no prior"]),
-        ("nan", '"motor.inertia" = nan', ["nan is no possible value"]),
-        ("to-inf", '"motor.inertia" = [0, inf]', ["[0, inf] is no range"]),
-        ("three", '"motor.inertia" = [1, 2, 3]', ["[1, 2, 3] is no prior"]),
-        ("all-fixed", "motor = {inertia=1, viscous=1, coulomb=1}\noffset = 0", ["leave at le"]),
-        ("unknown", '"motor.inerta" = 1', ["no such parameter; did you mean 'motor.inertia'?"]),
-        ("noise-fixed", '"noise.sigma" = 0.1', ["noise.sigma: cannot be fixed"]),
-        ("no-family", '"motor.inertia" = {dist = "norm"}', ["inertia: its table names no distr"]),
+        ("reversed", '"motor.inertia" = [2, 1]', ["motor.inertia", "[2, 1]"]),
+        ("outside", '"motor.inertia" = [-1, 1]', ["motor.inertia", "[-1, 1]"]),
+        ("true", '"motor.inertia" = true', ["motor.inertia"]),
+        ("nan", '"motor.inertia" = nan', ["motor.inertia", "nan"]),
+        ("to-inf", '"motor.inertia" = [0, inf]', ["motor.inertia", "[0, inf]"]),
+        ("three", '"motor.inertia" = [1, 2, 3]', ["motor.inertia", "[1, 2, 3]"]),
+        ("all-fixed", "motor = {inertia=1, viscous=1, coulomb=1}\noffset = 0", []),
+        ("unknown", '"motor.inerta" = 1', ["motor.inerta", "'motor.inertia'"]),
+        ("noise-fixed", '"noise.sigma" = 0.1', ["noise.sigma"]),
+        ("no-family", '"motor.inertia" = {dist = "norm"}', ["motor.inertia"]),
     ),
 )
 def test_prior(bench, prior, parts):
@@ -156,13 +158,14 @@ def test_prior(bench, prior, parts):
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     cases(
-        ("family", '"normal", loc = 1', ["'normal' is no continuous distribution of scipy.stats"]),
-        ("number", "3", ["3 is no continuous distribution of scipy.stats"]),
-        ("argument", '"norm", mean = 1', ["norm takes no 'mean'; use one of loc, scale"]),
-        ("misspelt", '"norm", scal = 1', ["norm takes no 'scal'; did you mean 'scale'?"]),
-        ("shape", '"gamma", scale = 1', ["gamma needs 'a'; add a = ..."]),
-        ("true", '"norm", scale = true', [".scale: got true"]),
-        ("no-mass", '"norm", loc = -100, scale = 1', ["lies outside", "0 or more"]),
+        ("family", '"normal", loc = 1', ["'normal'", *DISTRIBUTIONS]),
+        ("not-listed", '"rice", b = 1', ["'rice'", *DISTRIBUTIONS]),
+        ("number", "3", ["3", *DISTRIBUTIONS]),
+        ("argument", '"norm", mean = 1', ["'mean'", "loc, scale"]),
+        ("misspelt", '"norm", scal = 1', ["'scal'", "'scale'"]),
+        ("shape", '"gamma", scale = 1', ["'a'"]),
+        ("true", '"norm", scale = true', [".scale", "true"]),
+        ("no-mass", '"norm", loc = -100, scale = 1', []),
     ),
 )
 def test_distribution(bench, arguments, parts):

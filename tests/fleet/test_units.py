@@ -53,6 +53,12 @@ def test_a_glob_names_parts(tmp_path):
     (tmp_path / "logs/r3/r3/x.csv").touch()
     (only,) = find_units("logs/{robot}/{robot}/{day}.csv", tmp_path, "{robot}")
     assert only.name == "r3"
+    # folders that no part names, and hidden files that nobody means
+    (tmp_path / "logs/._x.csv").touch()
+    names = [u.name for u in find_units("**/{joint}/{day}.csv", tmp_path / "logs", None)]
+    assert names == ["hip-01", "knee-01", "knee-12", "r3-x"]
+    (hip,) = find_units(f"{tmp_path}/logs/*/h?p/{{day}}.csv", tmp_path, None)
+    assert hip.values["file"] == "logs/r1/hip/01.csv"
 
 
 @pytest.mark.parametrize(

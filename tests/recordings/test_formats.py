@@ -12,7 +12,7 @@ from scipy.io import savemat
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Position, units
 from bayesfric.recordings.tables import read_table, sha256
-from tests.hostile import good
+from tests.recordings import file_formats
 
 from .samples import lines, numbered, read, source, swing, write
 
@@ -106,13 +106,13 @@ def structs():
 @pytest.mark.parametrize(
     ("form", "table", "data"),
     [
-        ("parquet", None, good.content("parquet", data=content() | {"note": ["x"] * 200})),
-        *(("mat", None, good.content("deflated.mat", data=shaped(*s)))
+        ("parquet", None, file_formats.content("parquet", data=content() | {"note": ["x"] * 200})),
+        *(("mat", None, file_formats.content("deflated.mat", data=shaped(*s)))
           for s in ((-1,), (-1, 1), (1, -1))),
         ("mat", "log.joint", structs()),
-        ("npy", None, good.content("npy", data=content())),
-        ("npz", None, good.content("npz", data=content())),
-        ("npz", None, good.content("deflated.npz", data=content())),
+        ("npy", None, file_formats.content("npy", data=content())),
+        ("npz", None, file_formats.content("npz", data=content())),
+        ("npz", None, file_formats.content("deflated.npz", data=content())),
         ("json", None, nested([])),
         ("json", "log.joint", nested(["log", "joint"])),
         ("json", None, nested([], rows=True)),

@@ -13,8 +13,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import bayesfric
+from bayesfric.base.atomic_write import check_output_folder
 from bayesfric.base.errors import BadInput
-from bayesfric.base.written import check_free
 from bayesfric.commands.fit import fit
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
@@ -278,19 +278,20 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, made, monkeypatch):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_force_keeps_what_was_there(tmp_path, made):
+def test_force_replaces_a_run(tmp_path, made):
     folder = tmp_path / "run"
-    for text in ("# one\n", "# two\n", "# three\n"):
-        check_free(folder, force=True)
+    for text in ("# one\n", "# two\n"):
+        check_output_folder(folder, force=True)
         write(folder, made, text)
-    kept = {path.name: (path / "config.toml").read_text() for path in tmp_path.iterdir()}
-    assert kept == {"run": "# three\n", "run.old1": "# one\n", "run.old2": "# two\n"}
-    assert set(held(tmp_path / "run.old1")) == set(held(folder))
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    assert (folder / "config.toml").read_text() == "# two\n"
+    with pytest.raises(BadInput, match=r"is not empty.*--force"):
+        check_output_folder(folder, force=False)
 
 
-def test_force_does_not_move_what_is_no_run(tmp_path):
+def test_force_does_not_replace_what_is_not_a_run(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "thesis.tex").write_text("dear reader")
     with pytest.raises(BadInput, match=r"holds no .summary\.json"):
-        check_free(tmp_path / "run", force=True)
+        check_output_folder(tmp_path / "run", force=True)
     assert set(map(str, held(tmp_path))) == {"run", "run/thesis.tex"}

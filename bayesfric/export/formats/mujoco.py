@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.opened import read_text
+from bayesfric.base.safe_read import read_text
 from bayesfric.export.format import Content, Files, Format
 from bayesfric.export.written_law import law, unwritten
 

@@ -11,7 +11,7 @@ from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
 
 # Distributions that state no value, only a range.
-_RANGES = frozenset({"uniform", "loguniform", "halfnorm", "reciprocal"})
+_RANGES = frozenset({"uniform", "loguniform", "halfnorm"})
 
 
 def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:

@@ -6,21 +6,16 @@ does it stand for? Distributions are cut to the parameter's support and normalis
 
 from __future__ import annotations
 
-import json
 import math
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.opened import LARGEST_NUMBER
 from bayesfric.mechanism.parameter import TURN, turned
 from bayesfric.recordings.arrays import Array
 
@@ -35,28 +30,13 @@ _LEAST_MASS = 1e-6
 # Sd over value of a told prior that is there because the value is known.
 KNOWN = 0.2
 
-
-# Quick whatever the arguments.
-_QUICK = {
+# Distributions of scipy.stats that a prior may be: of closed form, quick whatever the arguments.
+DISTRIBUTIONS = (
     "norm", "halfnorm", "lognorm", "loguniform", "uniform", "expon", "triang", "truncnorm", "t",
     "cauchy", "halfcauchy", "laplace", "logistic", "gamma", "invgamma", "beta", "weibull_min",
-}  # fmt: skip
-# What a fit asks of a prior, in a process of its own, which the system ends after a second or two
-# of the processor's: some of SciPy's loops take hours, and nothing else ends them.
-_TRIAL = """
-import json, resource, sys, time
-import numpy as np
-from scipy import stats
-kind, arguments, ends = json.loads(sys.argv[1])
-last = int(time.process_time()) + 2
-resource.setrlimit(resource.RLIMIT_CPU, (last, last))
-frozen = getattr(stats, kind)(**arguments)
-with np.errstate(all="ignore"):
-    low, high = frozen.cdf(ends)
-    x = frozen.ppf(low + (high - low) * np.linspace(2e-5, 1.0 - 2e-5, 200))
-    frozen.logpdf(x), frozen.mean(), frozen.std()
-"""
-
+)  # fmt: skip
+# The largest number in a prior; it can still be squared.
+_LARGEST = 1e100
 
 Side = Literal["lower", "upper"]
 
@@ -250,8 +230,8 @@ def read_prior(
     name
         Of the parameter, for messages.
     text
-        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (a name in
-        :mod:`scipy.stats`) and its arguments; SI units.
+        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (one of
+        ``DISTRIBUTIONS``, a name in :mod:`scipy.stats`) and its arguments; SI units.
     lower, upper
         Support of the parameter, which cuts a distribution.
     default
@@ -263,9 +243,8 @@ def read_prior(
     Raises
     ------
     BadInput
-        If the prior cannot be, names no SciPy distribution, takes longer than a second or two to
-        evaluate, or a value or range lies outside the support, or all of a distribution but a
-        millionth does.
+        If the prior is impossible or its distribution is not among ``DISTRIBUTIONS``; if a value or
+        range lies outside the support, or all of a distribution but a millionth does.
     """
     where = f"priors.{name}"
     span = f"{name} {_span(lower, upper)}"
@@ -313,19 +292,13 @@ def _range(
 def _named(
     where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
-    """Read a distribution of :mod:`scipy.stats` and cut it to the support.
-
-    Unfamiliar ones are tried in a process of their own first. BadInput as for :func:`read_prior`.
-    """
+    """Read a distribution of :mod:`scipy.stats` and cut it to the support."""
     arguments = dict(text)
     kind = arguments.pop("distribution", None)
-    family = getattr(stats, kind, None) if isinstance(kind, str) else None
-    if not isinstance(family, stats.rv_continuous):
-        raise BadInput(
-            where,
-            f"{kind!r} is no continuous distribution of scipy.stats",
-            'use for example {distribution = "norm", loc = 0.4, scale = 0.05}',
-        )
+    if kind not in DISTRIBUTIONS:
+        hint = f"use one of {', '.join(DISTRIBUTIONS)}"
+        raise BadInput(where, f"there is no distribution {kind!r}", hint)
+    family = getattr(stats, kind)
     shapes = [name.strip() for name in (family.shapes or "").split(",") if name.strip()]
     for key, value in arguments.items():
         if key not in (known := [*shapes, "loc", "scale"]):
@@ -335,9 +308,6 @@ def _named(
     if missing := [name for name in shapes if name not in arguments]:
         raise BadInput(where, f"{kind} needs {missing[0]!r}", f"add {missing[0]} = ...")
     shown = ", ".join(f"{key}={_number(value)}" for key, value in arguments.items())
-    if kind not in _QUICK and not _quick(json.dumps([kind, arguments, [lower, upper]])):
-        what = f"the density of {kind}({shown}) is not to be had in a second"
-        raise BadInput(where, what, "take one of closed form, such as norm or lognorm")
     try:
         with np.errstate(all="ignore"):
             frozen = family(**{key: float(value) for key, value in arguments.items()})
@@ -357,18 +327,11 @@ def _named(
     return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass)
 
 
-@cache
-def _quick(told: str) -> bool:
-    """Whether a distribution, its name, arguments and ends as JSON, is evaluated in a moment."""
-    done = subprocess.run([sys.executable, "-c", _TRIAL, told], capture_output=True, check=False)
-    return done.returncode == 0
-
-
 def _finite(value: Any) -> float | None:
     """Take a finite number that can still be squared, and nothing else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value) if abs(value) <= LARGEST_NUMBER else None
+    return float(value) if abs(value) <= _LARGEST else None
 
 
 def _number(value: Any) -> str:
@@ -387,10 +350,8 @@ def _span(lower: float, upper: float) -> str:
 class JointPrior:
     """Independent priors of several parameters, evaluated together.
 
-    A step of the sampler asks for the density of some hundred vectors. One parameter at a
-    time, the calls alone cost more than the likelihood of a long recording. Here all normal,
-    half-normal, log-normal, log-uniform and uniform ones are one sum over columns; the others are
-    asked one by one.
+    Normal, half-normal and uniform densities, which most parameters have, are one sum over
+    columns; the others are evaluated one by one.
 
     Parameters
     ----------
@@ -399,42 +360,22 @@ class JointPrior:
     """
 
     def __init__(self, priors: Sequence[Prior]) -> None:
-        self._lower = np.array([p.lower for p in priors])
-        self._upper = np.array([p.upper for p in priors])
+        self._lower = np.array([prior.lower for prior in priors])
+        self._upper = np.array([prior.upper for prior in priors])
         self._constant = 0.0
-        # Every common family is, up to a constant, -z²/2 - L with z of x or of its logarithm
-        # L, and one of the two missing in some.
-        straight: list[tuple[int, float, float]] = []
-        logarithmic: list[tuple[int, float, float]] = []
-        falling: list[tuple[int, float, float]] = []
+        # a column whose scale is infinite adds nothing to the sum of squares
+        self._loc, self._scale = np.zeros(len(priors)), np.full(len(priors), np.inf)
         self._others: list[tuple[int, Prior]] = []
         for j, prior in enumerate(priors):
             family = prior.distribution.dist.name
-            shapes, loc, scale = prior.distribution.dist._parse_args(
-                *prior.distribution.args, **prior.distribution.kwds
-            )
-            half_log = 0.5 * math.log(2.0 * math.pi)
-            if family in ("norm", "halfnorm"):
-                straight.append((j, loc, scale))
-                self._constant -= math.log(scale) + half_log
-                self._constant += math.log(2.0) if family == "halfnorm" else 0.0
-            elif family == "lognorm":
-                logarithmic.append((j, math.log(scale), float(shapes[0])))
-                falling.append((j, loc, 1.0))
-                self._constant -= math.log(shapes[0]) + half_log
-            elif family == "loguniform":
-                falling.append((j, loc, 1.0))
-                self._constant -= math.log(math.log(shapes[1] / shapes[0]))
-            elif family == "uniform":
-                self._constant -= math.log(scale)
-            else:
+            if family not in ("norm", "halfnorm", "uniform"):
                 self._others.append((j, prior))
                 continue
-            self._constant -= math.log(prior.mass)
-        self._straight = _columns(straight)
-        self._falling = _columns(falling)
-        places = {j: i for i, (j, _, _) in enumerate(falling)}
-        self._logarithmic = _columns([(places[j], m, s) for j, m, s in logarithmic])
+            loc, scale = _loc_scale(*prior.distribution.args, **prior.distribution.kwds)
+            self._constant -= math.log(scale) + math.log(prior.mass)
+            if family != "uniform":
+                self._loc[j], self._scale[j] = loc, scale
+                self._constant -= 0.5 * math.log((2.0 if family == "norm" else 0.5) * math.pi)
 
     def log_density(self, x: Array) -> Array:
         """Log of the joint density.
@@ -449,29 +390,15 @@ class JointPrior:
         ndarray
             ``(n,)``, normalised; ``-inf`` where any value is outside its support.
         """
+        inside = np.all((x >= self._lower) & (x <= self._upper) & np.isfinite(x), axis=1)
         with np.errstate(all="ignore"):
-            total = np.full(x.shape[0], self._constant)
-            columns, loc, scale = self._straight
-            if columns.size:
-                total -= 0.5 * np.sum(((x[:, columns] - loc) / scale) ** 2, axis=1)
-            columns, loc, _ = self._falling
-            if columns.size:
-                logs = np.log(x[:, columns] - loc)
-                total -= np.sum(logs, axis=1)
-                columns, middle, sd = self._logarithmic
-                if columns.size:
-                    total -= 0.5 * np.sum(((logs[:, columns] - middle) / sd) ** 2, axis=1)
-            inside = np.all((x >= self._lower) & (x <= self._upper), axis=1)
-            # at the very edge some closed forms are 0 - inf - inf: no number, no density
-            total = np.where(inside & ~np.isnan(total), total, -np.inf)
-            for j, prior in self._others:
-                total = total + prior.log_density(x[:, j])
+            squares = np.sum(((x - self._loc) / self._scale) ** 2, axis=1)
+        total = np.where(inside, self._constant - 0.5 * squares, -np.inf)
+        for j, prior in self._others:
+            total = total + prior.log_density(x[:, j])
         return np.asarray(total)
 
 
-def _columns(rows: Sequence[tuple[float, float, float]]) -> tuple[NDArray[np.int64], Array, Array]:
-    """Turn rows that begin with a column's number into arrays, the numbers whole."""
-    if not rows:
-        return (np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-    table = np.array(rows, dtype=np.float64)
-    return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
+def _loc_scale(loc: float = 0.0, scale: float = 1.0) -> tuple[float, float]:
+    """Take the arguments of a SciPy distribution without shape parameters."""
+    return loc, scale

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import array_of
+from bayesfric.base.safe_read import read_array
 from bayesfric.recordings.tables.json_text import inside
-from bayesfric.recordings.tables.matlab_elements import check_elements
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
@@ -72,7 +71,7 @@ def _values(dataset: Any, where: str, matlab: bool) -> NDArray[Any]:
     if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
         return np.empty(0)
     try:
-        values = array_of(dataset)
+        values = read_array(dataset)
     except ValueError as error:
         mend = "save the recording's values alone, one row a sample, in one file"
         raise BadInput(where, f"holds {error}", mend) from None
@@ -96,7 +95,6 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
-    check_elements(path.read_bytes())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
         content = loadmat(path, simplify_cells=True)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from bayesfric.base.errors import BadInput, Unfit
-from bayesfric.base.opened import check_ordinary, unreadable
 from bayesfric.base.options import Options
+from bayesfric.base.safe_read import check_file, unreadable
 from bayesfric.recordings.tables.table import Table
 
 
@@ -101,7 +101,7 @@ def read_table(path: Path, options: TableOptions) -> Table:
     reader = reader or by_suffix.get(path.suffix.lower())
     if reader is None or not _is_folder_of(reader, path):
         mend = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag"
-        if check_ordinary(path, mend) == 0:
+        if check_file(path, mend) == 0:
             raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
     if reader is None:
         what = f"the suffix '{path.suffix}' says nothing about its format"

@@ -1,7 +1,7 @@
 """A table of numbers as it stands in a file, with names for what is wrong in it.
 
-Promised to hostile input: a cell that is no plain finite number is refused with its column, row
-and line, whatever pandas, NumPy or Python would make of it.
+A cell that is not a plain finite number is refused with its column, row and line, whatever pandas,
+NumPy or Python would make of it.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import array_of, opened_hdf5
+from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.population.population import (
@@ -54,7 +54,7 @@ def read_draws(run: Path, summary: Summary) -> RunDraws:
     known = {**summary.parameters, **summary.derived}
     names = [name for name, row in known.items() if row.gauge_free is not False]
     try:
-        with opened_hdf5(run / "posterior.nc") as file:
+        with open_hdf5(run / "posterior.nc") as file:
             groups = ("told",) if "told" in file else ("posterior", "derived")
             stored = [file[group] for group in groups if group in file]
             found = {
@@ -69,7 +69,7 @@ def read_draws(run: Path, summary: Summary) -> RunDraws:
 
 def _flat(stored: Any) -> Array:
     """Lay chains and draws of a data set out in a row, evenly thinned where there are many."""
-    x = np.asarray(array_of(stored), dtype=np.float64).ravel()
+    x = np.asarray(read_array(stored), dtype=np.float64).ravel()
     if x.size == 0:
         raise ValueError("no draws")
     return x[:: -(-x.size // _MOST)]

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import opened_hdf5, parse_json, read_text
+from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import PooledQuantity
@@ -119,7 +119,7 @@ class Provenance(Part):
 def read_provenance(run: Path) -> Provenance | None:
     """Read the root attributes of a run's ``posterior.nc``, and no draws; ``None`` without them."""
     try:
-        with opened_hdf5(run / "posterior.nc") as file:
+        with open_hdf5(run / "posterior.nc") as file:
             told = {key: parse_json(key, file.attrs[key]) for key in ("versions", "recordings")}
             spans = parse_json("spans", file.attrs.get("spans", "{}"))
             return Provenance(**told, seed=str(file.attrs["seed"]), spans=spans)

@@ -24,7 +24,7 @@ from markupsafe import Markup
 from matplotlib.mathtext import get_unicode_index
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_text
+from bayesfric.base.safe_read import read_text
 from bayesfric.base.templates import environment
 from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section

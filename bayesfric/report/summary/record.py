@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, FiniteFloat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.opened import read_json
+from bayesfric.base.safe_read import read_json
 from bayesfric.estimates.point_estimate import Method
 from bayesfric.report.summary.rows import (
     EstimatedRow,
