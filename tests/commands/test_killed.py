@@ -29,7 +29,7 @@ from bayesfric.commands import cli
 from bayesfric.diagnostics import explanation
 from bayesfric.report import run_directory
 explanation.LEAST_OUTPUTS = 10**9
-run_directory.archived = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+run_directory.posterior_tree = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 cli.main()
 """
 
@@ -70,7 +70,7 @@ def in_the_likelihood(monkeypatch, stop):
 
 
 def in_the_writing(monkeypatch, stop):
-    monkeypatch.setattr(run_directory, "archived", stop)
+    monkeypatch.setattr(run_directory, "posterior_tree", stop)
 
 
 @pytest.mark.parametrize("number", SIGNALS)

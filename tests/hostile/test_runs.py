@@ -226,7 +226,7 @@ OPENS = {
 # the gate, and what the table's gate has let through
 THROUGH = {"base/opened", "recordings/tables", "recordings/source"}
 # what they wrote themselves in this process, or write
-OWN = {"inference/archive", "commands/cli"}
+OWN = {"commands/cli"}
 
 
 def test_nothing_else_opens_a_file():
