@@ -171,8 +171,7 @@ def _told(row: PosteriorRow) -> bool:
     """
     if row.at_bound is not None:
         return False
-    # older files do not tell what else would be said of what is doubted
-    return (row.undoubted or ("data" if row.doubted else row.verdict)) == "data"
+    return (row.undoubted or row.verdict) == "data"
 
 
 def _likelihood(
