@@ -53,7 +53,7 @@ LONG = {
     "export": """
         command mujoco""",
     "fleet": """
-        cluster work""",
+        cluster workers""",
     "hostile": """
         bounds odd runs""",
     "identifiability": """

@@ -406,7 +406,7 @@ def fleet(
     ] = None,
     workers: Annotated[int | None, Option(min=1, help="processes; one a core if left out")] = None,
     scheduler: Annotated[str | None, Option(help="address of a running Dask scheduler")] = None,
-    resume: Annotated[bool, Option("--resume", help="do what is missing, or has changed")] = False,
+    resume: Annotated[bool, Option("--resume", help="do what is missing or failed")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit many units by one template, and say what population they are."""

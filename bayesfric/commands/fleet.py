@@ -32,7 +32,7 @@ def fleet(
     except KeyboardInterrupt:
         if not (folder / PLAN).exists():
             raise
-        done = sum(1 for _ in folder.glob("units/*/unit.json"))
+        done = sum(1 for _ in folder.glob("units/*/unit.toml"))
         raise Interrupted(f"{done} of {len(plan.plan.units)} units are kept") from None
 
 

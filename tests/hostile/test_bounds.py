@@ -1,6 +1,5 @@
 """What a few bytes ask for has a bound: sizes, patterns, priors, fleets."""
 
-import json
 import zipfile
 import zlib
 
@@ -259,18 +258,3 @@ def test_tables_of_units_have_bounds(process, tmp_path, changed, parts):
 def test_a_limit_of_memory_is_one(process, tmp_path, size):
     fleet(tmp_path, plan=f'{FLEET}\n[cluster]\nmemory_limit = "{size}"\n')
     process.refused(tmp_path, "fleet", "fleet.toml", parts=["cluster.memory_limit"])
-
-
-@pytest.mark.parametrize(
-    "record",
-    [{}, 3, {"outcome": "good"}, {"outcome": 1, "findings": [], "error": None, "rows": []},
-     {"outcome": "good", "findings": None, "error": None, "rows": [[1]]}],
-)  # fmt: skip
-def test_what_came_of_a_unit_is_done_again_where_it_is_damaged(tmp_path, record):
-    from bayesfric.fleet.results import failure
-    from bayesfric.fleet.work import UNIT, _stored
-
-    facts = {"bayesfric": "x"}
-    for one, kept in ((record, None), (failure("x"), failure("x"))):
-        (tmp_path / UNIT).write_text(json.dumps({"of": facts, "record": one}))
-        assert _stored(tmp_path, facts) == kept
