@@ -6,9 +6,11 @@ import json
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from bayesfric.base.version import __version__
 from bayesfric.inference.fitting import Fit
@@ -27,7 +29,8 @@ _WIDENED_DRAWS = 4000
 # Groups whose variables are parameters and derived quantities, in their units.
 _IN_UNITS = ("posterior", "derived", "prior", "widened")
 
-Groups = dict[str, dict[str, Array]]
+# Some arrays are of whole numbers, or of single precision.
+Arrays = dict[str, NDArray[Any]]
 
 
 def posterior_tree(
@@ -73,7 +76,7 @@ def posterior_tree(
 
 def _dataset(
     group: str,
-    arrays: Mapping[str, Array],
+    arrays: Arrays,
     times: Mapping[str, Array],
     described: Mapping[str, dict[str, str]],
 ) -> xr.Dataset:
@@ -90,7 +93,7 @@ def _dataset(
     return xr.Dataset(variables, coords)
 
 
-def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> Groups:
+def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str, Arrays]:
     posterior = fit.posterior
     ensembles, walkers, steps, d = posterior.draws.shape
     chains = (ensembles * walkers, steps)
@@ -103,7 +106,7 @@ def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> Groups:
     log_likelihood, predictive = _pointwise(fit, rng)
     ensemble = np.repeat(np.arange(ensembles), walkers * steps)
 
-    def by_chain(arrays: Mapping[str, Array]) -> dict[str, Array]:
+    def by_chain(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
         return {name: x.reshape(chains) for name, x in arrays.items()}
 
     # totals as least squares would see them need the recordings, and are in the summary only
@@ -119,14 +122,14 @@ def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> Groups:
     }
 
 
-def _subset(posterior: Posterior, derived: Group, draws: int) -> dict[str, Array]:
+def _subset(posterior: Posterior, derived: Group, draws: int) -> Arrays:
     """Take so many draws of every parameter and of what follows from it, ``(1, draws)`` each."""
     kept = posterior.flat(draws)
     parameters = dict(zip(posterior.names, kept.T, strict=True))
     return {name: x[None] for name, x in (parameters | derived.named(kept)).items()}
 
 
-def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[dict[str, Array], dict[str, Array]]:
+def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[Arrays, Arrays]:
     """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
     e, w, s, d = fit.posterior.draws.shape
     each = fit.posterior.draws.reshape(e, w * s, d)
