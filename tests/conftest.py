@@ -53,7 +53,7 @@ LONG = {
     "export": """
         command mujoco""",
     "fleet": """
-        cluster work""",
+        cluster workers""",
     "identifiability": """
         advise""",
     "inference": """

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from scipy import stats
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value
 from tests.axis import swing
@@ -86,7 +86,7 @@ min_ess = 1000
 """)
     ended = bench.run("fit", "own.toml", "-o", "own-run", "--seed", "1")
     assert ended.code == 0, ended
-    kept = read_archive(bench.folder / "own-run" / "posterior.nc")
+    kept = xr.load_datatree(bench.folder / "own-run" / "posterior.nc")
     same_draws(kept["posterior"], told["post"]["posterior"])
     same_draws(kept["derived"], told["post"]["derived"])
     inertia = told["post"].posterior["motor.inertia"]

@@ -1,6 +1,6 @@
 """What every room uses: errors, files, progress, options; and the version of the package."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Variables of the environment that keep linear algebra to one thread, read when NumPy is imported.
 # Our matrices are small: several threads wait for each other where another process has a core.

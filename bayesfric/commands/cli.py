@@ -383,7 +383,7 @@ def fleet(
     ),
     workers: int | None = Option(None, min=1, help="processes; one a core if left out"),
     scheduler: str | None = Option(None, help="address of a running Dask scheduler"),
-    resume: bool = Option(False, "--resume", help="do what is missing, or has changed"),
+    resume: bool = Option(False, "--resume", help="do what is missing, failed or has changed"),
     as_json: AsJson = False,
 ) -> None:
     """Fit many units by one template, and say what population they are."""
@@ -398,7 +398,7 @@ def fleet(
     except KeyboardInterrupt:
         if not (folder / PLAN).exists():
             raise
-        done = sum(1 for _ in folder.glob("units/*/unit.json"))
+        done = sum(1 for _ in folder.glob("units/*/unit.toml"))
         raise Interrupted(f"{done} of {len(fleet.plan.units)} units are kept") from None
     lines = filled("fleet.txt.j2", found=result).splitlines()
     _print(result.as_json(), as_json, lines, converged=not result.left)

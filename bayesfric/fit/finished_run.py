@@ -68,7 +68,7 @@ def finished(posterior: Any) -> Finished:
     run = Path(posterior)
     summary, model, groups = _read(run)
     names = tuple(summary.parameters)
-    found = groups.get("told") or groups["posterior"]
+    found = groups.get("widened") or groups["posterior"]
     draws = np.stack([found[name].ravel() for name in names], axis=1)
     return Finished(model, summary, names, draws.astype(np.float64), run.resolve().name)
 
@@ -124,9 +124,9 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     )
     held_out = predict_held_out(target, posterior, model.held_out) if model.held_out else ()
     found = Fit(target, posterior, (), tuple(held_out))
-    if "told" in groups:
+    if "widened" in groups:
         # made in the coordinates that were sampled in, which are others here
-        held = np.stack([groups["told"][name].ravel() for name in rows], axis=1)
+        held = np.stack([groups["widened"][name].ravel() for name in rows], axis=1)
         found = replace(found, told=held.astype(np.float64))
     return found, summary
 
@@ -139,7 +139,7 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
     groups: dict[str, dict[str, Array]] = {}
     try:
         with open_hdf5(path, "fit the run again") as file:
-            for group in ("posterior", "told"):
+            for group in ("posterior", "widened"):
                 if group in file:
                     groups[group] = {n: read_array(file[group][n]) for n in summary.parameters}
             if "sample_stats" in file:

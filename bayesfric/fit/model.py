@@ -32,6 +32,7 @@ from bayesfric.report.summary.summary import estimate_summary
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 
 class Model(Problem):
@@ -297,7 +298,7 @@ class Model(Problem):
         seed: int | None = None,
         output_error: bool = False,
         progress: bool | Shown = False,
-    ) -> Any:
+    ) -> xr.DataTree:
         """Sample the posterior as ``bayesfric fit`` does.
 
         Parameters
@@ -311,15 +312,14 @@ class Model(Problem):
 
         Returns
         -------
-        InferenceData or DataTree
-            What ``posterior.nc`` holds; :func:`bayesfric.summary`, :mod:`bayesfric.plot` and
-            :func:`bayesfric.report` take it. Its draws take the model for right. Where the
-            recordings show that it is not, the group ``told`` holds draws with room for that:
-            those to go on with, whose intervals pages and tables print.
+        xarray.DataTree
+            What ``posterior.nc`` holds, in ArviZ's groups; :func:`bayesfric.summary`,
+            :mod:`bayesfric.plot` and :func:`bayesfric.report` take it. Its draws take the model for
+            right. Where the recordings show that it is not, the group ``widened`` holds draws with
+            room for that: those to go on with, whose intervals pages and tables print.
         """
         with progress_shown(progress) as tell:
-            found = self.fit(seed=seed, output_error=output_error, progress=tell)
-            return found.inference_data()
+            return self.fit(seed=seed, output_error=output_error, progress=tell).tree()
 
     def __repr__(self) -> str:
         lines = [f"{o.name}: {len(o.time)} outputs" for o in self.observations]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
-from weakref import ref
+from typing import TYPE_CHECKING, Any
 
 from bayesfric.base.atomic_write import check_output_folder
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Shown, silent
-from bayesfric.inference.archive import make_archive
 from bayesfric.inference.fitting import Fit
 from bayesfric.problem.config_text import saved_name
 from bayesfric.problem.problem import Problem
@@ -20,9 +18,12 @@ from bayesfric.recordings.tables import sha256
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.terminal import PrintedSummary
 
-# Where the draws that Model.sample returned keep what they came from. Only they do: a copy, or
-# what was read from a file, may have been changed.
-_KEPT = "_bayesfric_result"
+if TYPE_CHECKING:
+    import xarray as xr
+
+# Attribute by which the tree that Model.sample returns refers to its Result. Copies, which may be
+# changed, and trees that are read from a file have none.
+_RESULT = "_bayesfric_result"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -41,17 +42,14 @@ class Result:
         """All that was read, also what was held out."""
         return [*self.model.recordings, *(one.recording for one in self.model.held_out)]
 
-    def inference_data(self) -> Any:
-        """Give what ``posterior.nc`` holds, as ArviZ has it."""
-        from bayesfric.report.run_directory import archived  # brings Matplotlib with it
+    def tree(self) -> xr.DataTree:
+        """Give what ``posterior.nc`` holds."""
+        from bayesfric.report.posterior_file import posterior_tree  # imports xarray and pandas
 
         text = self.model.config.text
-        data = make_archive(**archived(self.fit, self.summary, text, self.recordings))
-        object.__setattr__(data, _KEPT, (self, ref(data)))
-        return data
-
-    def __deepcopy__(self, _: Any) -> Result:
-        return self
+        tree = posterior_tree(self.fit, self.summary, text, self.recordings)
+        object.__setattr__(tree, _RESULT, self)
+        return tree
 
     def write(
         self,
@@ -104,12 +102,12 @@ def result_of(posterior: Any) -> Result:
     """Give what a posterior was made from, one that :meth:`bayesfric.Model.sample` returned."""
     if isinstance(posterior, Result):
         return posterior
-    found, made = getattr(posterior, _KEPT, (None, lambda: None))
-    if found is None or made() is not posterior:
+    result = getattr(posterior, _RESULT, None)
+    if not isinstance(result, Result):
         raise BadInput(
             "posterior", "is not what Model.sample returned", "give that, and no copy or part of it"
         )
-    return cast(Result, found)
+    return result
 
 
 def summary(posterior: Any) -> Summary:

@@ -1,4 +1,4 @@
-"""A fleet, worked through and gone on with."""
+"""A fleet: many units fitted by one template, and what they are together."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, Shown, progress_shown
-from bayesfric.fleet.crew import check_engine, work_through
 from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
 from bayesfric.fleet.fleet_units import read_units, units_of
 from bayesfric.fleet.plan import (
@@ -28,8 +27,9 @@ from bayesfric.fleet.plan import (
     read_plan,
     read_template,
 )
-from bayesfric.fleet.results import FAILED, Record, Results, failure
-from bayesfric.fleet.work import Done, Task
+from bayesfric.fleet.results import FAILED, results_table
+from bayesfric.fleet.workers import check_dask, fit_units, is_fitted
+from bayesfric.report.summary.record import Summary, read_summary_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,8 +45,8 @@ class FleetRun:
     folder: Path
     units: int
     again: int  # were finished before
-    failed: Mapping[str, str]  # units by the line that says why
-    left: Mapping[str, str]  # those that the machine failed; --resume tries them again
+    failed: Mapping[str, str]  # units whose configuration or recordings cannot be used, and why
+    left: Mapping[str, str]  # units whose worker failed, and how
     outcomes: Mapping[str, int]  # number of units by the outcome of their fits
     seconds: float  # by the clock
     cpu_seconds: float  # of this process, and of all workers on units
@@ -149,7 +149,7 @@ class Fleet:
             Address of a running Dask scheduler, or in Python a cluster object of Dask's, such as
             dask-jobqueue's ``SLURMCluster``; its workers see the same files.
         resume
-            Do only what is missing, or has changed since.
+            Do only what is missing or failed, or whose configuration or recording has changed.
         progress
             Whether to show a bar, or what to call as work goes on.
 
@@ -160,26 +160,84 @@ class Fleet:
         """
         began, folder = time.monotonic(), Path(folder).absolute()
         given = {"workers": workers, "scheduler": scheduler}
-        told = {key: value for key, value in given.items() if value is not None}
-        options = self.plan.cluster.model_copy(update=told)
+        update = {key: value for key, value in given.items() if value is not None}
+        options = self.plan.cluster.model_copy(update=update)
         _check(folder, resume=resume)
-        check_engine(options)
+        check_dask(options)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
                 write_files({folder / PLAN: _text(self.plan)}, replace=True)
-                course = _Course(self.plan, Results(folder / TABLE, self.plan.units), tell)
-                tasks = course.tasks(folder / UNITS)
-                work_through(tasks, options, course.arrived)
-                found = course.end(folder, began)
+                result = self._run(folder, options, tell, began)
                 (folder / LOCK).unlink(missing_ok=True)
-                return found
+                return result
         except Timeout:
             what = "another process works on this fleet"
             raise BadInput(str(folder), what, "wait for it, or name another folder") from None
         except OSError as error:
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
+
+    def _run(self, folder: Path, options: ClusterOptions, tell: Shown, began: float) -> FleetRun:
+        """Fit what is missing, and sum all units up: the table, figures, the page."""
+        from bayesfric.fleet.page import fleet_page
+
+        plan = self.plan
+        cpu_seconds = -time.process_time()
+        failed, left, waiting = dict[str, str](), dict[str, str](), dict[str, str]()
+        again = 0
+        for unit in plan.units:
+            try:
+                text = plan.template.filled(unit)
+            except BadInput as error:  # an empty cell
+                failed[unit.name] = str(error)
+                continue
+            if is_fitted(folder / UNITS / unit.name, text, plan.template.path):
+                again += 1
+            else:
+                waiting[unit.name] = text
+        done = again + len(failed)
+
+        def finished(name: str, why: str, by_machine: bool, seconds: float) -> None:
+            nonlocal cpu_seconds, done
+            cpu_seconds += seconds
+            done += 1
+            if why:
+                (left if by_machine else failed)[name] = why
+            tell(Progress(f"{done} of {len(plan.units)} units, {len(failed) + len(left)} failed"))
+
+        draws = plan.runs.draws if plan.runs.light else None
+        if waiting:
+            fit_units(waiting, folder / UNITS, plan.template.path, draws, options, finished)
+        tell(Progress("population"))
+        errors = failed | {name: f"machine: {why}" for name, why in left.items()}
+        places = {u.name: folder / UNITS / u.name for u in plan.units if u.name not in errors}
+        runs = {
+            name: Summary.read(read_summary_file(place), str(place))
+            for name, place in places.items()
+        }
+        population = fleet_population(folder / UNITS, runs)
+        table = results_table(plan.units, runs, errors)
+        (folder / TABLE).write_bytes(table.to_parquet(index=False))
+        page = fleet_page(folder, plan.units, runs, errors, population)
+        made = json.dumps(population.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        texts = {folder / "population.json": f"{made}\n", folder / "fleet.html": page}
+        write_files(texts, replace=True)
+        outcomes = Counter(
+            FAILED if unit.name in errors else runs[unit.name].verdict.outcome
+            for unit in plan.units
+        )
+        return FleetRun(
+            folder=folder,
+            units=len(plan.units),
+            again=again,
+            failed={unit.name: failed[unit.name] for unit in plan.units if unit.name in failed},
+            left=left,
+            outcomes=dict(outcomes),
+            seconds=time.monotonic() - began,
+            cpu_seconds=cpu_seconds + time.process_time(),
+            population=population,
+        )
 
 
 Chosen = TypeVar("Chosen", bound=BaseModel)
@@ -213,76 +271,3 @@ def _text(plan: Plan) -> str:
     told = plan.runs.model_dump()
     units = {"count": len(plan.units)}
     return document_text({"template": plan.template.document, "units": units, "runs": told})
-
-
-class _Course:
-    """How far a fleet is."""
-
-    def __init__(self, plan: Plan, results: Results, tell: Shown) -> None:
-        self.plan, self.results, self._tell = plan, results, tell
-        self.again, self.left = 0, dict[str, str]()
-        self._cpu_seconds = -time.process_time()
-
-    def tasks(self, folder: Path) -> list[Task]:
-        """Fill the template for each unit; one with an empty cell has failed already."""
-        tasks: list[Task] = []
-        draws = self.plan.runs.draws if self.plan.runs.light else None
-        for unit in self.plan.units:
-            try:
-                text = self.plan.template.filled(unit)
-            except BadInput as error:
-                self.results.records[unit.name] = failure(str(error))
-                continue
-            tasks.append(
-                {
-                    "name": unit.name,
-                    "text": text,
-                    "place": str(self.plan.template.path),
-                    "folder": str(folder / unit.name),
-                    "draws": draws,
-                }
-            )
-        return tasks
-
-    def arrived(self, name: str, done: Done | str) -> None:
-        """Take what came of a unit."""
-        if isinstance(done, str):
-            self.left[name] = done
-            record: Record = failure(f"machine: {done}")
-        else:
-            record = done["record"]
-            self.again += done["again"]
-            self._cpu_seconds += done["cpu_seconds"]
-        self.results.add(name, record)
-        self._tell(Progress(self._words()))
-
-    def _words(self) -> str:
-        records = self.results.records
-        done, failed = len(records), sum(r["outcome"] == FAILED for r in records.values())
-        return f"{done} of {len(self.plan.units)} units, {failed} failed"
-
-    def end(self, folder: Path, began: float) -> FleetRun:
-        """Sum it up, and write what the units are together: tables, figures, the page."""
-        from bayesfric.fleet.page import draw, fleet_page
-
-        self._tell(Progress("population"))
-        self.results.write()
-        plan, records = self.plan, self.results.records
-        found = fleet_population(folder / UNITS, [unit.name for unit in plan.units])
-        page = fleet_page(folder, plan.units, records, found, draw(folder, found))
-        made = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        texts = {folder / "population.json": f"{made}\n", folder / "fleet.html": page}
-        write_files(texts, replace=True)
-        ordered = [(unit.name, records[unit.name]) for unit in plan.units]
-        failed = {name: r["error"] for name, r in ordered if r["outcome"] == FAILED}
-        return FleetRun(
-            folder=folder,
-            units=len(ordered),
-            again=self.again,
-            failed={name: why for name, why in failed.items() if name not in self.left},
-            left=self.left,
-            outcomes=dict(Counter(record["outcome"] for _, record in ordered)),
-            seconds=time.monotonic() - began,
-            cpu_seconds=self._cpu_seconds + time.process_time(),
-            population=found,
-        )

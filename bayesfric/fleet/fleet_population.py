@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from bayesfric.population.outliers import WithOutliers, with_outliers
-from bayesfric.report.comparison.between_runs import RunDraws, Told, read_draws, told_by_runs
-from bayesfric.report.summary.record import Summary, read_summary_file
+from bayesfric.report.comparison.between_runs import Told, read_draws, told_by_runs
+from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 
 # What is likelier an outlier than not is told as one.
@@ -76,19 +76,12 @@ class FleetPopulation:
         }
 
 
-def fleet_population(folder: Path, units: Iterable[str]) -> FleetPopulation:
+def fleet_population(folder: Path, runs: Mapping[str, Summary]) -> FleetPopulation:
     """Pool the finished runs in ``folder``, each named after its unit.
 
     What the data of a unit leave open does not count, nor does a unit that did not converge.
     """
-    runs: dict[str, Summary] = {}
-    draws: dict[str, RunDraws] = {}
-    for unit in units:
-        run = folder / unit
-        if not (run / "summary.json").is_file():
-            continue
-        summary = Summary.read(read_summary_file(run), str(run))
-        runs[unit], draws[unit] = summary, read_draws(run, summary)
+    draws = {unit: read_draws(folder / unit, summary) for unit, summary in runs.items()}
     quantities = [
         _pooled(one)
         for one in told_by_runs(runs, draws)

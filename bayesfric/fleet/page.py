@@ -17,10 +17,12 @@ from bayesfric.base import __version__
 from bayesfric.estimates.point_estimate import HALF
 from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.fleet.fleet_units import Unit
-from bayesfric.fleet.results import COLUMNS, FAILED, Record
+from bayesfric.fleet.results import COLUMNS, FAILED
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import save
 from bayesfric.report.page.rendering import PageFigure, page_figure, render
+from bayesfric.report.summary.record import Summary
+from bayesfric.results.reported import Reported
 
 # Columns of the units that there is room for.
 _MOST = 6
@@ -31,13 +33,16 @@ class Line:
     """A unit's line in the table."""
 
     unit: Unit
-    record: Record
+    outcome: str
+    error: str  # why it failed
+    findings: Sequence[str]
+    rows: Mapping[str, Reported]  # by quantity
     link: str  # its page, or its folder
     probability: float | None  # of being an outlier
     where: str  # the quantity
 
 
-def draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
+def _draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
     """Write the figure into ``figures/``, if there is one, and give it for the page."""
     quantities = shown(found)
     if not quantities:
@@ -61,33 +66,33 @@ def draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
 def fleet_page(
     folder: Path,
     units: Sequence[Unit],
-    records: Mapping[str, Record],
+    runs: Mapping[str, Summary],
+    errors: Mapping[str, str],
     found: FleetPopulation,
-    figures: Sequence[PageFigure],
 ) -> str:
-    """Write the page; units' folders are beside it in ``units/``."""
-    lines = list(_lines(folder, units, records, found))
+    """Write the page, and its figure into ``folder``; units' folders are in ``units/``."""
+    lines = list(_lines(folder, units, runs, errors, found))
     columns = [name for name in units[0].values if name not in COLUMNS][:_MOST]
-    rows = {
-        unit: {row["quantity"]: row for row in record["rows"]} for unit, record in records.items()
-    }
     told: dict[str, Any] = {
         "title": folder.name,
         "found": found,
         "lines": lines,
         "columns": columns,
-        "rows": rows,
         "quantities": shown(found),
-        "failed": [one for one in lines if one.record["outcome"] == FAILED],
+        "failed": [one for one in lines if one.error],
         "outliers": [one for one in lines if (one.probability or 0.0) >= OUTLIER],
-        "figures": figures,
+        "figures": _draw(folder, found),
         "version": __version__,
     }
     return render("fleet.html.j2", **told)
 
 
 def _lines(
-    folder: Path, units: Sequence[Unit], records: Mapping[str, Record], found: FleetPopulation
+    folder: Path,
+    units: Sequence[Unit],
+    runs: Mapping[str, Summary],
+    errors: Mapping[str, str],
+    found: FleetPopulation,
 ) -> Iterator[Line]:
     """Order units: outliers first, then as ranked, those without a rank last."""
     ranked = {unit: (p, name) for unit, p, name in found.outliers}
@@ -97,7 +102,18 @@ def _lines(
         page = run / "report.html"
         p, where = ranked.get(unit.name, (None, ""))
         link = page if (folder / page).is_file() else run
-        yield Line(unit, records[unit.name], link.as_posix(), p, where)
+        summary = runs.get(unit.name)
+        rows = {} if summary is None else summary.rows
+        yield Line(
+            unit=unit,
+            outcome=FAILED if summary is None else summary.verdict.outcome,
+            error=errors.get(unit.name, ""),
+            findings=[] if summary is None else [one.kind for one in summary.findings],
+            rows={name: row.reported for name, row in rows.items() if row.reported is not None},
+            link=link.as_posix(),
+            probability=p,
+            where=where,
+        )
 
 
 # Panels beside each other and in all; inches of one.

@@ -205,7 +205,7 @@ def read_toml(path: Path) -> str:
 
 
 def _origin(path: Path) -> Origin | None:
-    """Read where a run's configuration lay; ``None`` where it is not in a run, or an old one."""
+    """Read where a run's configuration lay; ``None`` where it is not in a run."""
     beside = path.with_name("summary.json")
     if path.name != RUN_CONFIG or not beside.is_file():
         return None

@@ -152,7 +152,7 @@ def line_of_number(name: str, one: Reported, unit: str, level: float) -> Line:
 def _next(summary: Summary) -> str:
     """Give the recording that would tell what is open."""
     if summary.verdict.outcome != "not converged":
-        for direction in summary.identifiability.directions or ():
+        for direction in summary.identifiability.directions:
             for remedy in direction.remedies:
                 if remedy.kind == "known mass":
                     return remedy.text

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from bayesfric.commands.fit import fit
 from bayesfric.estimates.point_estimate import METHODS, Estimate
 from bayesfric.fit.model import Model
-from bayesfric.inference.archive import read_archive
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Config, read_config
@@ -86,7 +86,7 @@ def sampled(config: Config, folder: Path, problem: Model) -> tuple[dict[str, Any
     if folder.exists():
         shutil.rmtree(folder)
     summary = fit(config, folder)
-    draws = read_archive(folder / "posterior.nc")["posterior"]
+    draws = xr.load_datatree(folder / "posterior.nc")["posterior"]
     free = [name for name in problem.chain.names if not problem.priors[name].fixed]
     columns = {name: np.asarray(draws[name]).ravel() for name in free}
     size = columns[free[0]].size

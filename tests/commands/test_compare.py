@@ -7,7 +7,7 @@ import h5py
 import pytest
 
 from bayesfric.report.figures import style
-from tests.report.made_summaries import LEG, TOTALS, knee, loaded, old
+from tests.report.made_summaries import LEG, TOTALS, knee, loaded
 from tests.report.page_reader import number, read_page
 
 from .bench import below_a_file, has
@@ -16,7 +16,7 @@ from .bench import below_a_file, has
 @pytest.fixture
 def runs(bench):
     """Give three runs, two of which have the same name in different folders."""
-    for folder, summary in (("knee", knee()), ("a/run", loaded()), ("b/run", old())):
+    for folder, summary in (("knee", knee()), ("a/run", loaded()), ("b/run", loaded())):
         (bench.folder / folder).mkdir(parents=True)
         write(bench.folder / folder, json.dumps(summary, ensure_ascii=False))
     (bench.folder / "link").symlink_to("knee", target_is_directory=True)
@@ -123,7 +123,7 @@ def test_the_page_of_several_runs(runs):
 def test_runs_of_one_recording_are_not_pooled(runs):
     for name in ("knee", "a/run"):
         with h5py.File(runs.folder / name / "posterior.nc", "w") as file:
-            file.attrs.update(versions="{}", seed="1", recordings='{"r": "ab12"}')
+            file.attrs.update(versions="{}", seed="1", recordings='{"r": "ab12"}', spans="{}")
     assert runs.run("compare", "knee", "a/run", "-o", "out").code == 0
     page = page_of(runs)
     assert "saw the same seconds of a recording" in page.text

@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from bayesfric.base.progress import Spent
 from bayesfric.commands.fit import fit
-from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
 
 from .bench import SMALL, simulated, simulation, without_figures
@@ -67,7 +67,7 @@ def again(folder, tmp_path, monkeypatch):
 
 
 def draws(run):
-    data = read_archive(run / "posterior.nc")
+    data = xr.load_datatree(run / "posterior.nc")
     return {
         f"{group} {name}": data[group][name].values
         for group in ("posterior", "log_likelihood", "posterior_predictive", "prior")
@@ -167,7 +167,7 @@ def test_a_name_that_cannot_be_stored_is_refused_or_stored(bench, folder, name):
         assert not (bench.folder / "run").exists()
         return
     assert ended.code == 3, ended
-    data = read_archive(bench.folder / "run" / "posterior.nc")
+    data = xr.load_datatree(bench.folder / "run" / "posterior.nc")
     assert list(data["observed_data"].data_vars) == [name]
 
 

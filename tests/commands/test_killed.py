@@ -44,7 +44,7 @@ def in_the_likelihood(monkeypatch, stop):
 
 
 def in_the_writing(monkeypatch, stop):
-    monkeypatch.setattr(run_directory, "archived", stop)
+    monkeypatch.setattr(run_directory, "posterior_tree", stop)
 
 
 @pytest.mark.parametrize("number", SIGNALS)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.report.made_summaries import knee, old
+from tests.report.made_summaries import knee
 
 from .bench import has
 
@@ -36,10 +36,17 @@ def test_in_a_process_of_its_own(runs):
     assert not list((runs.folder / "knee").glob(".*"))
 
 
-@pytest.mark.parametrize("summary", [old(), {"parameters": knee()["parameters"]}])
-def test_a_run_of_the_first_version_and_one_of_parameters_alone(runs, summary):
-    write(runs, json.dumps(summary, ensure_ascii=False))
+def test_a_run_of_parameters_alone(runs):
+    write(runs, json.dumps({"parameters": knee()["parameters"]}))
     assert runs.run("report", "knee").code == 0
+
+
+@pytest.mark.parametrize("command", ["report", "compare", "rollout", "export"])
+def test_a_run_of_an_earlier_version_is_to_be_fitted_again(runs, command):
+    write(runs, json.dumps(knee() | {"bayesfric": "0.1.0"}))
+    options = ["--to", "csv"] if command == "export" else []
+    said = runs.refused(command, "knee", *options)
+    has(said, "knee: is a run of bayesfric 0.1, which this version cannot read", "fit it again")
 
 
 @pytest.mark.parametrize(

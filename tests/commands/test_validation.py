@@ -4,8 +4,7 @@ import json
 
 import numpy as np
 import pytest
-
-from bayesfric.inference.archive import read_archive
+import xarray as xr
 
 from .bench import JOINT, has, recorded, simulation, without_figures
 
@@ -31,7 +30,7 @@ def three(bench, monkeypatch):
 def fitted(bench):
     ended = bench.run("fit", "c.toml", "-o", "run", "--force")
     assert ended.code in (0, 3), ended
-    data = read_archive(bench.folder / "run" / "posterior.nc")
+    data = xr.load_datatree(bench.folder / "run" / "posterior.nc")
     draws = {name: data["posterior"][name].values for name in data["posterior"].data_vars}
     return bench.summary(), draws, ended.out, json.loads(data.attrs["recordings"])
 

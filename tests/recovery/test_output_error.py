@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.fit import fit
-from bayesfric.inference.archive import read_archive
 from bayesfric.problem.config import read_config
 from tests.commands.bench import SMALL, simulated, simulation
 
@@ -44,7 +44,7 @@ def test_the_truth_and_both_noises_are_found(run):
 
 def test_the_archive_holds_positions_and_as_many_terms_as_states_leave(run):
     folder, _ = run
-    data = read_archive(folder / "posterior.nc")
+    data = xr.load_datatree(folder / "posterior.nc")
     (name,) = data["observed_data"].data_vars
     outputs = data["observed_data"][name].size
     assert data["posterior_predictive"][name].shape[-1] == outputs

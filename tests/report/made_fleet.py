@@ -8,8 +8,7 @@ import pandas as pd
 
 from bayesfric.fleet.fleet_population import fleet_population
 from bayesfric.fleet.fleet_units import units_of
-from bayesfric.fleet.page import draw, fleet_page
-from bayesfric.fleet.results import failure, record_of
+from bayesfric.fleet.page import fleet_page
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import knee, write_draws
@@ -25,7 +24,8 @@ def write_fleet(folder):
     rows = [[name, f"2026-05-{k + 1:02d}", f"j{k % 4}"] for k, name in enumerate(names)]
     rows.append(["broken", "2026-06-01", "j0"])
     units = units_of(pd.DataFrame(rows, columns=["unit", "day", "joint"]), None, "units.csv")
-    records = {"broken": failure("logs/<broken>.csv: is empty; record it again")}
+    errors = {"broken": "logs/<broken>.csv: is empty; record it again"}
+    runs = {}
     for k, unit in enumerate(units[:COUNT]):
         run = copy.deepcopy(knee())
         for row in (*run["parameters"].values(), *run["derived"].values()):
@@ -39,8 +39,8 @@ def write_fleet(folder):
         write_draws(place / "posterior.nc", run)
         if k == 0:
             (place / "report.html").write_text("its page", encoding="utf-8")
-        records[unit.name] = record_of(Summary.read(run))
-    found = fleet_population(folder / "units", [unit.name for unit in units])
-    page = fleet_page(folder, units, records, found, draw(folder, found))
+        runs[unit.name] = Summary.read(run)
+    found = fleet_population(folder / "units", runs)
+    page = fleet_page(folder, units, runs, errors, found)
     (folder / "fleet.html").write_text(page, encoding="utf-8")
     return found

@@ -4,6 +4,7 @@ import copy
 
 import h5py
 import numpy as np
+from bayesfric.base import __version__
 
 from bayesfric.report.summary.conclusions import put_reported
 
@@ -77,7 +78,7 @@ def knee():
     """Return a run with all methods; the leg's parameters are open."""
     both = DERIVED | TOTALS
     return {
-        "bayesfric": "0.1.0",
+        "bayesfric": __version__,
         "parameters": {
             **{
                 name: posterior_row(unit, value, sd, data_sd=sd, prior_sd=10 * value)
@@ -164,21 +165,6 @@ def write_draws(path, summary):
             middle = row["mean"] if row["median"] is None else row["median"]
             draws = middle + row["sd"] * rng.standard_normal((40, 50))
             file.create_dataset(f"posterior/{name}", data=draws)
-
-
-def old():
-    """Return what the first version wrote: least squares only, none of the newer keys."""
-    run = copy.deepcopy(knee())
-    rows = run["estimates"]["least-squares"]["parameters"]
-    rows = {name: {key: row[key] for key in ("unit", "value", "sd")} for name, row in rows.items()}
-    rows["total.offset"]["sd"] = None
-    run["estimates"] = {"least-squares": {"parameters": rows, "residual_rms": 0.007}}
-    for key in ("references", "likelihood"):
-        del run[key]
-    run["noise"] = {"model": "white", "parameters": ["noise.sigma"], "residual_lag1": 0.3}
-    for name in TOTALS:
-        del run["derived"][name]
-    return run
 
 
 def every_kind():

@@ -70,7 +70,7 @@ def test_a_run_whose_prior_has_a_say_counts_by_its_draws_only():
 
 def test_what_is_doubted_is_pooled_and_said_to_be():
     doubted = {"verdict": "weak", "doubted": ["delay"]}
-    assert beside(**doubted)["motor.viscous"].doubted == 1
+    assert beside(**doubted, undoubted="data")["motor.viscous"].doubted == 1
     # what a prior helped to settle is not the data's because somebody pushed, too
     assert "motor.viscous" not in beside(**doubted, undoubted="weak")
 

@@ -26,7 +26,6 @@ from .made_summaries import (
     TOTALS,
     knee,
     loaded,
-    old,
 )
 
 
@@ -147,10 +146,14 @@ def test_the_sd_is_the_one_for_correlated_residuals():
     cell = comparison({"knee": knee()})["total.inertia"].cells["least-squares"]
     *_, plain, robust = TOTALS["total.inertia"]
     assert (cell.sd, cell.sd_plain, cell.accounts) == (robust, plain, True)
-    cell = comparison({"old": old()})["total.inertia"].cells["least-squares"]
+    run = knee()
+    run["noise"] = {"model": "white", "parameters": ["noise.sigma"], "residual_lag1": 0.3}
+    for row in run["estimates"]["least-squares"]["parameters"].values():
+        row["sd_robust"] = None
+    found = comparison({"white": run})
+    cell = found["total.inertia"].cells["least-squares"]
     assert (cell.sd, cell.sd_plain, cell.accounts) == (plain, plain, False)
     # a posterior that takes noise for white says so
-    found = comparison({"old": old()})
     assert not found["motor.inertia"].cells["posterior"].accounts
 
 
@@ -160,11 +163,6 @@ def test_the_sd_is_the_one_for_correlated_residuals():
         ({"model": "Student-t", "accounts_for_correlation": False}, "input-error", False),
         ({"model": "AR(1)", "order": 1, "accounts_for_correlation": True}, "input-error", True),
         ({"model": "whatever", "accounts_for_correlation": True}, "output-error", True),
-        # as 0.1.0 wrote them
-        ({"model": "white"}, "input-error", False),
-        ({"model": "Student-t"}, "input-error", False),
-        ({"model": "AR(1)", "autoregression": {"run": [0.4]}}, "input-error", True),
-        ({"model": "white in torque and position"}, "output-error", True),
     ],
 )
 def test_noise_accounts_for_correlation_where_it_has_a_memory(noise, method, accounts):
@@ -192,7 +190,7 @@ def undetermined(found):
     ]
 
 
-@pytest.mark.parametrize("runs", [{"a": knee()}, {"a": knee(), "b": loaded(), "c": old()}])
+@pytest.mark.parametrize("runs", [{"a": knee()}, {"a": knee(), "b": loaded()}])
 def test_open_numbers_carry_no_sd_and_no_interval(runs):
     for estimates in (False, True):
         found = comparison(runs, estimates=estimates)
@@ -279,21 +277,6 @@ def test_what_a_file_says_of_scaling_counts_more_than_a_guess():
     row = comparison({"a": run})["motor.inertia"]
     assert row.gauge_free
     assert row.cells["input-error"].status == "determined"
-
-
-# -- old files, notes
-
-
-def test_summaries_without_the_newer_keys():
-    found = comparison({"old": old()})
-    assert [column.label for column in found.columns] == ["least-squares", "posterior"]
-    names = [row.name for row in found.rows]
-    assert names[: len(TOTALS)] == list(TOTALS)
-    # no sd in an old file: the motion could not tell it
-    assert found["total.offset"].cells["least-squares"].status == "undetermined"
-    assert found["motor.inertia"].gauge_free
-    assert not found["load.inertia"].gauge_free
-    assert {name for name, *_ in undetermined(found)} == {*LEG, "total.offset"}
 
 
 # -- layouts

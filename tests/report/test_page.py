@@ -16,7 +16,7 @@ from bayesfric.report.paper import latex as latex_of
 from bayesfric.report.paper.tables import parameter_table, parameters_latex
 
 from . import made_tables
-from .made_summaries import FOUND, every_kind, knee, loaded, old
+from .made_summaries import FOUND, every_kind, knee, loaded
 from .page_reader import number, read_page
 
 
@@ -64,7 +64,7 @@ def every_summary(summary):
         "verdict": "weak",
         "data_sd": 1e-9,
     }
-    return {"fit": summary, "knee": knee(), "loaded": loaded(), "old": old(), "skewed": skewed,
+    return {"fit": summary, "knee": knee(), "loaded": loaded(), "skewed": skewed,
             "every": every_kind()}  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def without_open(node):
             yield child.attrs["aria-label"]
 
 
-@pytest.mark.parametrize("which", ["fit", "knee", "loaded", "old", "skewed", "every"])
+@pytest.mark.parametrize("which", ["fit", "knee", "loaded", "skewed", "every"])
 def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
     summary, run, tmp_path, which
 ):

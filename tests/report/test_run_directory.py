@@ -10,6 +10,7 @@ from importlib.metadata import version
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.figure import Figure
 
 import bayesfric
@@ -19,7 +20,6 @@ from bayesfric.commands.fit import fit
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
-from bayesfric.inference.archive import read_archive
 from bayesfric.inference.likelihood.noise_choice import Choice
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
@@ -84,7 +84,7 @@ def summary(run):
 
 @pytest.fixture(scope="module")
 def archive(run):
-    return read_archive(run / "posterior.nc")
+    return xr.load_datatree(run / "posterior.nc")
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
 
 def test_the_groups_of_the_design(run, archive):
     with h5py.File(run / "posterior.nc") as file:
-        assert set(file) == {"posterior", "sample_stats", "prior", *OF_OUTPUTS}
+        assert set(file) == {"posterior", "sample_stats", "prior", "log_prior", *OF_OUTPUTS}
     assert set(archive["posterior"].data_vars) == SAMPLED
     assert set(archive["prior"].data_vars) == SAMPLED
     assert {"lp", "ensemble"} <= set(archive["sample_stats"].data_vars)
@@ -209,7 +209,7 @@ def test_root_attributes_tell_where_it_came_from(folder, archive):
     versions = json.loads(attrs["versions"])
     assert attrs["bayesfric"] == bayesfric.__version__
     assert versions["python"] == platform.python_version()
-    for name in ("numpy", "scipy", "emcee", "arviz", "numba"):
+    for name in ("numpy", "scipy", "emcee", "numba", "xarray"):
         assert versions[name] == version(name)
     assert attrs["seed"] == "12"
     assert attrs["config"] == CONFIG
@@ -268,10 +268,10 @@ def test_a_figure_that_fails_leaves_what_was_there(tmp_path, made, old):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, made, monkeypatch):
-    def full(*_, **__):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(run_directory, "write_archive", full)
+    monkeypatch.setattr(run_directory.Path, "write_bytes", full)
     with pytest.raises(BadInput, match="No space left on device"):
         write(tmp_path / "run", made)
     assert held(tmp_path) == {}

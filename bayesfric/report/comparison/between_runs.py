@@ -55,7 +55,7 @@ def read_draws(run: Path, summary: Summary) -> RunDraws:
     names = [name for name, row in known.items() if row.gauge_free is not False]
     try:
         with open_hdf5(run / "posterior.nc") as file:
-            groups = ("told",) if "told" in file else ("posterior", "derived")
+            groups = ("widened",) if "widened" in file else ("posterior", "derived")
             stored = [file[group] for group in groups if group in file]
             found = {
                 name: _flat(group[name]) for group in stored for name in names if name in group
@@ -171,8 +171,7 @@ def _told(row: PosteriorRow) -> bool:
     """
     if row.at_bound is not None:
         return False
-    # older files do not tell what else would be said of what is doubted
-    return (row.undoubted or ("data" if row.doubted else row.verdict)) == "data"
+    return (row.undoubted or row.verdict) == "data"
 
 
 def _likelihood(

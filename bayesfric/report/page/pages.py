@@ -71,16 +71,14 @@ def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
     joint, found = table.joint, summary.identifiability
     # and what no scaling changes
     rows = [*joint, *(r for r in table.rows if r.group == "free")]
-    directions = found.directions or []
-    null = found.null_directions if found.directions is None else []
     steps: dict[str, RemedyRow] = {}
-    for one in directions:
+    for one in found.directions:
         for remedy in one.remedies:
             steps.setdefault(remedy.text, remedy)
     return {
         "lost": [r.name for r in rows if not r.cell.converged],
         "open": {r.name: r.meaning for r in rows if r.by == "open" and r.cell.converged},
-        "why": [(one.meaning, one.reasons) for one in directions] + [(n.meaning, []) for n in null],
+        "why": [(one.meaning, one.reasons) for one in found.directions],
         # each remedy once, an experiment before a value from elsewhere, which has to be believed
         "steps": sorted(steps.values(), key=lambda remedy: remedy.kind == "known value"),
         "command": _command(joint),
@@ -102,7 +100,7 @@ class Provenance(Part):
     # SHA-256 of every recording, by its name
     recordings: dict[str, str] = Field(default_factory=dict)
     seed: str = ""  # as text; empty where it is not known
-    # first and last second that was fitted of a recording, by its name; older files do not tell
+    # first and last second that was fitted of a recording, by its name; not of those held out
     spans: dict[str, Pair] = Field(default_factory=dict)
 
     def saw_of(self, other: Provenance) -> bool:
@@ -120,9 +118,9 @@ def read_provenance(run: Path) -> Provenance | None:
     """Read the root attributes of a run's ``posterior.nc``, and no draws; ``None`` without them."""
     try:
         with open_hdf5(run / "posterior.nc") as file:
-            told = {key: parse_json(key, file.attrs[key]) for key in ("versions", "recordings")}
-            spans = parse_json("spans", file.attrs.get("spans", "{}"))
-            return Provenance(**told, seed=str(file.attrs["seed"]), spans=spans)
+            tables = ("versions", "recordings", "spans")
+            attributes = {key: parse_json(key, file.attrs[key]) for key in tables}
+            return Provenance(**attributes, seed=str(file.attrs["seed"]))
     except (BadInput, ValueError, TypeError):
         return None
 

@@ -35,8 +35,7 @@ def held(row: PosteriorRow) -> bool:
 def bound_mend(name: str, row: PosteriorRow) -> str:
     """Say what to do about the bound that holds a number; nothing where none does.
 
-    Nor where the bound is the residuals' own, a memory's. Runs of older versions do not tell where
-    the bound is.
+    Nor where the bound is the residuals' own, a memory's.
     """
     if not held(row) or row.bound is None or _of_residuals(name):
         return ""
@@ -113,7 +112,7 @@ def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
 def put_reported(summary: Summary) -> Summary:
     """Put the one value, interval and status into every row; the last thing that is done.
 
-    Runs of older versions, which have none, are concluded as they are read; what has all stays.
+    A summary whose rows all have them stays as it is.
     """
     if all(row.reported is not None for row in summary.rows.values()):
         return summary

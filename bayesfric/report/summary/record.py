@@ -5,6 +5,7 @@ Tables, page, terminal and comparison are views of it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 _GAIN = "drive.gain"
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
+# First version whose runs can be read.
+_OLDEST = (0, 2)
 
 
 class EstimateTable(Part):
@@ -87,10 +90,10 @@ class OpenDirectionRow(Open):
 
 
 class Identifiability(Part):
-    """What no recording of this kind can tell; ``directions`` is ``None`` in older runs."""
+    """What no recording of this kind can tell."""
 
     null_directions: list[NullDirection] = Field(default_factory=list)
-    directions: list[OpenDirectionRow] | None = None
+    directions: list[OpenDirectionRow] = Field(default_factory=list)
 
 
 class Tried(Part):
@@ -353,10 +356,7 @@ class Summary(Part):
         if len(self.noise.order_chosen_from) > 1 and test is not None and test.white:
             # white noise that was found, not assumed, leaves nothing to account for
             return True
-        if self.noise.accounts_for_correlation is not None:
-            return self.noise.accounts_for_correlation
-        # version 0.1.0 told it by the coefficients only
-        return bool(self.noise.autoregression) or self.likelihood.method == "output-error"
+        return bool(self.noise.accounts_for_correlation)
 
     @property
     def felt(self) -> dict[str, PosteriorRow]:
@@ -505,4 +505,8 @@ def read_summary_file(run: Path) -> dict[str, Any]:
     found = read_json(file, again, largest=_LARGEST)
     if not isinstance(found, dict):
         raise BadInput(str(file), "holds no table of results", again)
+    version = re.match(r"(\d{1,4})\.(\d{1,4})", str(found.get("bayesfric")))
+    if version and tuple(map(int, version.groups())) < _OLDEST:
+        what = f"is a run of bayesfric {version[0]}, which this version cannot read"
+        raise BadInput(str(run), what, "fit it again")
     return found

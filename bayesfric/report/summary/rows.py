@@ -105,7 +105,7 @@ class Drawn(Part):
 
     @property
     def middle(self) -> float:
-        """The number to print: the median, or of files that lack it the mean."""
+        """The number to print: the median, or where there is none the mean."""
         return self.mean if self.median is None else self.median
 
 
@@ -114,12 +114,11 @@ class PosteriorRow(Drawn, Described):
 
     ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
     recordings show that it is not; ``prior_interval`` is of the same level. ``doubted`` are the
-    kinds of doubts there are of it, ``undoubted`` its verdict without them (``data`` in older
-    files, which do not tell), ``given_by`` parameters whose told priors give it its scale,
-    ``mirrored`` the share of outputs in which who drives as it says did drive, where that is too
-    few to see it and it follows from the other way, ``period`` is that of an angle, ``of_motion``
-    whether another motion of the same joint has another value. Priors' texts and diagnostics are of
-    parameters only, ``undefined_share`` of derived quantities.
+    kinds of doubts there are of it, ``undoubted`` its verdict without them, ``given_by`` parameters
+    whose told priors give it its scale, ``mirrored`` the share of outputs in which who drives as it
+    says did drive, where that is too few to see it and it follows from the other way, ``period`` is
+    that of an angle, ``of_motion`` whether another motion of the same joint has another value.
+    Priors' texts and diagnostics are of parameters only, ``undefined_share`` of derived quantities.
     """
 
     rhat: FiniteFloat | None = None
@@ -242,7 +241,7 @@ class RestsPart(Part):
     start: FiniteFloat
     stop: FiniteFloat
     beyond: NotNegative
-    held: NotNegative = 0.0  # older runs did not tell
+    held: NotNegative
 
     @property
     def place(self) -> str:

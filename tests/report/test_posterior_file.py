@@ -1,25 +1,78 @@
-"""``posterior.nc`` says of every number what it is, and what determined it."""
+"""``posterior.nc`` says of every number what it is, and ArviZ reads it."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from bayesfric.inference.archive import read_archive, write_archive
-from bayesfric.report.run_directory import archived
+from bayesfric.report.posterior_file import posterior_tree
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
 from .made_summaries import every_kind, knee
 
+# not ASCII, and of several lines
+CONFIG = 'a = "ä"\n[b]\n'
+
+
+def written(fit, summary, draws=None):
+    return bytes(posterior_tree(fit, summary, CONFIG, [], draws).to_netcdf(engine="h5netcdf"))
+
 
 @pytest.fixture(scope="module")
-def run(make_fit, tmp_path_factory):
+def fitted(make_fit):
     fit = make_fit(samples=400, ensembles=2)
-    summary = summarise(fit)
+    return fit, summarise(fit)
+
+
+@pytest.fixture(scope="module")
+def path(fitted, tmp_path_factory):
     path = tmp_path_factory.mktemp("nc") / "posterior.nc"
-    write_archive(path, **archived(fit, summary, "", []))
-    return fit, summary, read_archive(path)
+    path.write_bytes(written(*fitted))
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(fitted, path):
+    return *fitted, xr.load_datatree(path, engine="h5netcdf")
+
+
+def test_every_number_comes_back(run):
+    fit, summary, data = run
+    made = posterior_tree(fit, summary, CONFIG, [])
+    assert set(data.children) == set(made.children)
+    for group, expected in made.children.items():
+        xr.testing.assert_identical(data[group].to_dataset(), expected.to_dataset())
+    assert dict(data.attrs) == dict(made.attrs)
+    assert data.attrs["config"] == CONFIG
+
+
+def test_two_writes_are_the_same(fitted, path):
+    assert written(*fitted) == path.read_bytes()
+
+
+def test_arviz_reads_it(run, path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # 0.23 announces its own refactoring, once a day
+        import arviz
+    _, _, data = run
+    read = arviz.from_netcdf(str(path), engine="h5netcdf")
+    for name, draws in data["posterior"].data_vars.items():
+        assert read["posterior"][name].dims == ("chain", "draw")
+        np.testing.assert_array_equal(read["posterior"][name].values, draws.values)
+    assert read.attrs["seed"] == data.attrs["seed"]
+
+
+def test_log_prior_is_the_density_of_each_prior_at_each_draw(run):
+    fit, _, data = run
+    assert set(data["log_prior"].data_vars) == set(fit.posterior.names)
+    total = sum(data["log_prior"].data_vars.values())
+    assert total.dims == ("chain", "draw")
+    draws = np.stack([data["posterior"][name].values for name in fit.posterior.names], axis=-1)
+    expected = fit.target.log_prior(draws.reshape(-1, draws.shape[-1]))
+    np.testing.assert_allclose(total.values.ravel(), expected, rtol=1e-9)
 
 
 def test_every_variable_carries_unit_symbol_meaning_and_verdict(run):

@@ -1,0 +1,187 @@
+"""Fit units side by side by Dask distributed, on this machine or on a running cluster.
+
+Only texts and numbers pass the scheduler, whatever the recordings' size. Who may connect to it can
+have any code run by its workers: a local one takes Dask's temporary credentials, and one on a
+network what Dask's own configuration says (``distributed.comm.tls``).
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bayesfric.base import LINEAR_ALGEBRA_THREADS
+from bayesfric.base.errors import BadInput
+from bayesfric.fit.model import Model
+from bayesfric.fleet.plan import ClusterOptions
+from bayesfric.problem.config import parse_config
+from bayesfric.recordings.read import recorded_files
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+# The filled configuration, written into a unit's run directory when the fit is finished.
+UNIT = "unit.toml"
+# Bytes that a worker needs for its imports alone.
+_LEAST_MEMORY = 2**27
+# How long a scheduler may take to answer, s.
+_CONNECT = 10.0
+_SETTINGS = {
+    "distributed.nanny.pre-spawn-environ": {
+        # a worker is one thread
+        **dict.fromkeys((*LINEAR_ALGEBRA_THREADS, "OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"),
+        # return freed memory to the system, or a worker's grows with the number of its units
+        "MALLOC_TRIM_THRESHOLD_": "65536",
+        "MALLOC_ARENA_MAX": "2",
+    },
+    # profiles of every fit stay in a worker's memory
+    "distributed.worker.profile.enabled": False,
+    # a fit holds Python's lock for seconds while it compiles
+    "distributed.admin.tick.limit": "1 h",
+}
+
+# Takes a unit's name, why its fit failed (or nothing), whether the machine failed it, CPU seconds.
+Finished = Callable[[str, str, bool, float], None]
+
+
+def fit_units(
+    configurations: Mapping[str, str],
+    folder: Path,
+    template: Path,
+    draws: int | None,
+    options: ClusterOptions,
+    finished: Finished,
+) -> None:
+    """Fit units by name, each into a run directory in ``folder``, and report each as it is done.
+
+    Raises
+    ------
+    BadInput
+        If no scheduler answers, or it is gone meanwhile.
+    """
+    from distributed import KilledWorker, as_completed
+
+    with _client(options) as client:
+        futures = client.map(
+            fit_unit,
+            list(configurations.values()),
+            [str(folder / name) for name in configurations],
+            template=str(template),
+            draws=draws,
+            pure=False,
+        )
+        names = dict(zip(futures, configurations, strict=True))
+        del futures  # Dask forgets what is done
+        for future in as_completed(names, loop=client.loop):
+            name = names.pop(future)
+            if future.status == "finished":
+                why, seconds = future.result()
+                finished(name, why, False, seconds)
+            elif future.status == "error":
+                error = future.exception()
+                why = " ".join(f"{type(error).__name__}: {error}".split())
+                if isinstance(error, KilledWorker):
+                    why = "its workers died, by their memory limit or from outside"
+                finished(name, why, True, 0.0)
+            else:
+                raise _no_scheduler(options)
+            future.release()
+
+
+def fit_unit(text: str, folder: str, *, template: str, draws: int | None) -> tuple[str, float]:
+    """Fit a unit, and give why its configuration or recordings do not allow it, and CPU seconds.
+
+    File names in ``text`` are relative to the folder of ``template``.
+    """
+    import dask
+
+    began = time.process_time()
+    try:
+        # else xarray locks files by the scheduler
+        with dask.config.set(scheduler="synchronous"):
+            config = parse_config(text, Path(template))
+            shutil.rmtree(folder, ignore_errors=True)
+            Model.from_config(config).fit().write(Path(folder), draws=draws)
+        why = ""
+        Path(folder, UNIT).write_text(text, encoding="utf-8")
+    except BadInput as error:
+        why = str(error)
+    return why, time.process_time() - began
+
+
+def is_fitted(folder: Path, text: str, template: Path) -> bool:
+    """Whether a unit's run is finished, of this configuration, and newer than its recordings."""
+    mark = folder / UNIT
+    try:
+        if mark.read_text(encoding="utf-8") != text:
+            return False
+        config = parse_config(text, template)
+        sources = config.tables.recordings
+        files = [path for source in sources for path in recorded_files(source, config.folder)]
+        return all(path.stat().st_mtime < mark.stat().st_mtime for path in files)
+    except (OSError, ValueError, BadInput):
+        return False
+
+
+def check_dask(options: ClusterOptions) -> None:
+    """Refuse what no cluster can be made of, before anything is written.
+
+    Raises
+    ------
+    BadInput
+        If Dask is not installed, or a worker's limit of memory is not a size.
+    """
+    try:
+        import cryptography  # noqa: F401 (makes a local cluster's credentials)
+        import distributed  # noqa: F401
+        from dask.utils import parse_bytes
+    except ImportError:
+        what = "works with Dask distributed, which is not installed"
+        raise BadInput("bayesfric fleet", what, "pip install 'bayesfric[fleet]'") from None
+    try:
+        enough = parse_bytes(options.memory_limit) >= _LEAST_MEMORY
+    except (ValueError, OverflowError):
+        enough = False
+    if not enough:
+        where = f"cluster.memory_limit = {options.memory_limit!r}"
+        raise BadInput(where, "is not a size for a worker", 'write such as "2 GiB"')
+
+
+@contextmanager
+def _client(options: ClusterOptions) -> Iterator[Client]:
+    """Connect to the scheduler that is given, or start workers on this machine."""
+    import dask
+    from distributed import Client, LocalCluster
+
+    given: Any = options.scheduler
+    local: dict[str, Any] = {
+        "n_workers": options.workers,
+        "threads_per_worker": 1,
+        "memory_limit": options.memory_limit,
+        "dashboard_address": None,
+        "security": True,
+        "host": "127.0.0.1",
+        "silence_logs": logging.CRITICAL,
+    }
+    with dask.config.set({} if given else _SETTINGS), ExitStack() as stack:
+        for last_trial in (False, True):
+            try:
+                cluster = given or stack.enter_context(LocalCluster(**local))
+                client = Client(cluster, timeout=_CONNECT, set_as_default=False)
+                break
+            except (RuntimeError, OSError, ValueError, TypeError):
+                # not an address, or a worker that died while it started
+                if last_trial:
+                    raise _no_scheduler(options) from None
+        stack.callback(client.close, timeout=2.0)
+        yield client
+
+
+def _no_scheduler(options: ClusterOptions) -> BadInput:
+    hint = "see whether it runs, and has memory; then go on with --resume"
+    return BadInput(str(options.scheduler or "bayesfric fleet"), "no scheduler answers", hint)

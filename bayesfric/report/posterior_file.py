@@ -1,0 +1,184 @@
+"""``posterior.nc``: draws, predictions and data of a run in ArviZ's groups, written by xarray."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from bayesfric.base import __version__
+from bayesfric.inference.fitting import Fit
+from bayesfric.inference.posterior import Posterior
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Measurement
+from bayesfric.report.summary.derived_quantities import Group, coefficients
+from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import PosteriorRow
+
+# Draws kept of the groups that hold a number for every draw and every output: at most, at least,
+# and between them as many as make so many numbers.
+_POINTWISE_DRAWS, _LEAST_DRAWS, _POINTWISE = 400, 12, 1_000_000
+# Draws kept that allow for model discrepancy.
+_WIDENED_DRAWS = 4000
+# Groups whose variables are parameters and derived quantities, in their units.
+_IN_UNITS = ("posterior", "derived", "prior", "widened")
+
+# Some arrays are of whole numbers, or of single precision.
+Arrays = dict[str, NDArray[Any]]
+
+
+def posterior_tree(
+    fit: Fit,
+    summary: Summary,
+    config_text: str,
+    recordings: list[Measurement],
+    draws: int | None = None,
+) -> xr.DataTree:
+    """Put the groups of ``posterior.nc`` together.
+
+    ``posterior`` holds every kept draw, a walker being a chain, and ``derived`` what follows from
+    it; their variables carry units, symbol, meaning and verdict. ``widened`` holds both with model
+    discrepancy, where recordings show any: the draws that simulations use. ``log_prior`` has the
+    log density of each parameter's prior at each draw. ``ensemble`` of ``sample_stats`` numbers the
+    ensemble of a walker. ``log_likelihood`` and ``posterior_predictive`` hold a number for each
+    output and a subset of the draws. A light run has so many ``draws`` of the posterior, with what
+    follows from them, and of its prior.
+    """
+    posterior, outputs = fit.posterior, fit.target.likelihood.outputs
+    rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
+    derived = coefficients(fit)
+    if draws is None:
+        groups = _every_draw(fit, derived, rng)
+    else:
+        groups = {"posterior": _subset(posterior, derived, draws)}
+    if fit.wide is not fit:
+        groups["widened"] = _subset(fit.wide.posterior, derived, draws or _WIDENED_DRAWS)
+    groups["prior"] = {
+        # of a light run for a density that is smoothed anyway
+        name: prior.draw(draws or 2000, rng)[None].astype(np.float32 if draws else np.float64)
+        for name, prior in zip(posterior.names, posterior.priors, strict=True)
+    }
+    times = {f"time_{o.name}": o.time for o in outputs}
+    described = {name: _description(row) for name, row in summary.rows.items()}
+    datasets = {
+        f"/{group}": _dataset(group, arrays, times, described if group in _IN_UNITS else {})
+        for group, arrays in groups.items()
+    }
+    root = xr.Dataset(attrs=_provenance(fit, summary, config_text, recordings))
+    return xr.DataTree.from_dict({"/": root, **datasets})
+
+
+def _dataset(
+    group: str,
+    arrays: Arrays,
+    times: Mapping[str, Array],
+    described: Mapping[str, dict[str, str]],
+) -> xr.Dataset:
+    """Name and label the dimensions: chain and draw, then the time of the outputs."""
+    variables, coords = {}, {}
+    for name, array in arrays.items():
+        dims = [] if group == "observed_data" else ["chain", "draw"]
+        if len(dims) < array.ndim:
+            time = f"time_{name}"
+            dims = [*dims, time if time in times else f"term_{name}"]
+        variables[name] = (dims, array, described.get(name, {}))
+        for dim, size in zip(dims, array.shape, strict=True):
+            coords[dim] = times.get(dim, np.arange(size))
+    return xr.Dataset(variables, coords)
+
+
+def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str, Arrays]:
+    posterior = fit.posterior
+    ensembles, walkers, steps, d = posterior.draws.shape
+    chains = (ensembles * walkers, steps)
+    flat = posterior.draws.reshape(-1, d)
+    named = dict(zip(posterior.names, flat.T, strict=True))
+    densities = {
+        name: prior.log_density(named[name])
+        for name, prior in zip(posterior.names, posterior.priors, strict=True)
+    }
+    log_likelihood, predictive = _pointwise(fit, rng)
+    ensemble = np.repeat(np.arange(ensembles), walkers * steps)
+
+    def by_chain(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
+        return {name: x.reshape(chains) for name, x in arrays.items()}
+
+    # totals as least squares would see them need the recordings, and are in the summary only
+    coefficient_draws = derived.named(flat)
+    return {
+        "posterior": by_chain(named),
+        **({"derived": by_chain(coefficient_draws)} if coefficient_draws else {}),
+        "log_prior": by_chain(densities),
+        "log_likelihood": log_likelihood,
+        "sample_stats": by_chain({"lp": posterior.log_density, "ensemble": ensemble}),
+        "posterior_predictive": predictive,
+        "observed_data": {o.name: o.measured for o in fit.target.likelihood.outputs},
+    }
+
+
+def _subset(posterior: Posterior, derived: Group, draws: int) -> Arrays:
+    """Take so many draws of every parameter and of what follows from it, ``(1, draws)`` each."""
+    kept = posterior.flat(draws)
+    parameters = dict(zip(posterior.names, kept.T, strict=True))
+    return {name: x[None] for name, x in (parameters | derived.named(kept)).items()}
+
+
+def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[Arrays, Arrays]:
+    """Log-likelihood and a predictive draw of every output, ``(ensembles, draws, outputs)``."""
+    e, w, s, d = fit.posterior.draws.shape
+    each = fit.posterior.draws.reshape(e, w * s, d)
+    outputs = sum(o.measured.size for o in fit.target.likelihood.outputs)
+    most = max(min(_POINTWISE_DRAWS, _POINTWISE // outputs), _LEAST_DRAWS) // e
+    n = min(w * s, max(most, 1))
+    picked = each[:, np.linspace(0, w * s - 1, n).astype(int)]
+    flat = picked.reshape(-1, d)
+    likelihood = fit.target.likelihood
+    scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
+    values = fit.target.chain_values(flat)
+    log_likelihood, predictive = {}, {}
+    for o, density, predicted, noise in zip(
+        likelihood.outputs,
+        likelihood.pointwise(values, scales),
+        likelihood.predict(values),
+        likelihood.draw_noise(scales, rng),
+        strict=True,
+    ):
+        # the position's terms are combinations of outputs, two fewer a segment
+        same = density.shape[1] == o.measured.size
+        name = o.name if same else f"{o.name}.terms"
+        log_likelihood[name] = density.reshape(e, n, -1)
+        predictive[o.name] = (predicted + noise).reshape(e, n, -1).astype(np.float32)
+    return log_likelihood, predictive
+
+
+def _provenance(
+    fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
+) -> dict[str, str]:
+    """Say what is needed to repeat a run."""
+    return {
+        "bayesfric": __version__,
+        "versions": json.dumps(
+            {"python": platform.python_version()}
+            | {name: version(name) for name in ("numpy", "scipy", "emcee", "numba", "xarray")}
+        ),
+        "seed": str(fit.posterior.seed),
+        "config": config_text,
+        "recordings": json.dumps({r.name: r.sha256 for r in recordings}),
+        "spans": json.dumps({o.name: [o.stamps[0], o.stamps[-1]] for o in fit.observations}),
+        "noise": json.dumps(summary.noise.as_dict()),
+        "fixed": json.dumps({name: row.as_dict() for name, row in summary.fixed.items()}),
+        "status": summary.sampler.status,
+    }
+
+
+def _description(row: PosteriorRow) -> dict[str, str]:
+    """Say what a variable is: unit, symbol, meaning, verdict and doubts."""
+    texts = {"units": row.unit or "1", "symbol": row.symbol, "long_name": row.meaning}
+    texts |= {"verdict": row.verdict, "doubted": ", ".join(row.doubted)}
+    return {key: text for key, text in texts.items() if text}
