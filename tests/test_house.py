@@ -5,7 +5,6 @@ for types alone, too.
 """
 
 import ast
-from collections import Counter
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 
@@ -90,16 +89,3 @@ def test_a_place_imports_only_what_lies_below_it(name):
         if place(other) not in below
     ]
     assert not above
-
-
-def test_no_two_files_have_one_name():
-    """But a command and a figure, which are called what they are of; and rooms' own words."""
-    named = ("bayesfric.commands.", "bayesfric.report.figures.")
-    files = [one for one in FILES if FILES[one].stem != "__init__" and not one.startswith(named)]
-    names = Counter(one.rpartition(".")[2] for one in files)
-    assert [name for name, count in names.items() if count > 1] == []
-
-
-def test_no_file_is_longer_than_600_lines():
-    long = [one for one, path in FILES.items() if len(path.read_text().splitlines()) > 600]
-    assert long == []

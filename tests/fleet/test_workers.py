@@ -1,5 +1,6 @@
 """What a worker does with a unit, and what a fleet does without one."""
 
+import os
 import sys
 
 import pandas as pd
@@ -35,8 +36,11 @@ def test_a_unit_is_a_small_run_that_can_be_gone_on_with(tmp_path):
     why, _, seconds = fit_here(text, run, plan.template.path)
     assert why == ""
     assert seconds > 0.0
-    assert is_fitted(run, text)
-    assert not is_fitted(run, text.replace("300", "301"))
+    assert is_fitted(run, text, plan.template.path)
+    assert not is_fitted(run, text.replace("300", "301"), plan.template.path)
+    mark = (run / UNIT).stat().st_mtime
+    os.utime(tmp_path / "u0.csv", (mark + 1.0, mark + 1.0))
+    assert not is_fitted(run, text, plan.template.path)
     assert sum(file.stat().st_size for file in run.iterdir()) < 130_000
     found = read_draws(run, Summary.read(read_summary_file(run)))
     assert found.values

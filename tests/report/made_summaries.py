@@ -4,8 +4,8 @@ import copy
 
 import h5py
 import numpy as np
-from bayesfric.base import __version__
 
+from bayesfric.base import __version__
 from bayesfric.report.summary.conclusions import put_reported
 
 # name: unit, symbol, value, plain sd, sd for correlated residuals
