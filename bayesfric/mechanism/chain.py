@@ -29,22 +29,14 @@ _RESERVED = ("load", "drive", "target", "total")
 
 
 class Tables(NamedTuple):
-    """Parameter vectors laid out for the compiled kernels.
+    """Parameter vectors laid out for the compiled kernels."""
 
-    Attributes
-    ----------
-    elements
-        ``(n, n_elements, n_slots)`` values of :data:`~bayesfric.mechanism.kernels.ELEMENT_SLOTS`,
-        elements from the motor to the load.
-    load
-        ``(n, n_slots)`` values of :data:`~bayesfric.mechanism.kernels.LOAD_SLOTS`.
-    carried
-        ``(n, n_carried, 2)`` of the terms without a slot, in the order of :meth:`Chain.felt`:
-        coefficient, and value of the parameter that shapes the term (0 where none does).
-    """
-
+    # (n, n_elements, n_slots) values of ELEMENT_SLOTS,
+    # elements from the motor to the load
     elements: Array
-    load: Array
+    load: Array  # (n, n_slots) values of LOAD_SLOTS
+    # (n, n_carried, 2) of the terms without a slot, in the order of Chain.felt:
+    # coefficient, and value of the parameter that shapes the term (0 where none does)
     carried: Array
 
 
@@ -52,56 +44,29 @@ class Tables(NamedTuple):
 class Chain:
     """Motor to load, any number of elements (section 2.2 of the paper).
 
-    Attributes
-    ----------
-    elements
-        From the motor to the load; names differ.
-    load
-        What the last element moves.
-    offset
-        Whether the measured motor torque holds an unknown constant.
-    own_offsets
-        Names of the recordings that have a constant of their own, ``offset.<recording>``;
-        with none, ``offset`` is one for all.
-    gain
-        Whether the factor from the torque computed from current or voltage to
-        the true motor torque is unknown (``drive.gain``).
-    delay
-        Whether the time by which the recorded position comes after the torque is unknown
-        (``drive.delay``).
-    by_target
-        Whether the torque is computed from a position target; then the delay is the time by which
-        the target acts late (``target.delay``).
-    made_from
-        Name of the preset it was made from, for the record.
-    terms
-        Of one's own; see :meth:`with_term`.
-
-    Raises
-    ------
-    ValueError
-        If there is no element, names repeat or are reserved (``load``, ``drive``, ``target``,
-        ``total``), a ratio is not positive, or a term belongs to no element.
-    KeyError
-        If neither the kernels nor a column know a quantity.
-
-    Notes
-    -----
     A torque goes from the load to the motor element by element: with ``N_k`` the ratio of element
     ``k``, its input moves ``N_k`` times as fast as its output and takes ``1/N_k`` of the torque
     there, plus its own inertia and losses (:class:`bayesfric.mechanism.element.Element`). The
     measured torque is ``(torque at the motor + offset) / gain``.
     """
 
-    elements: Sequence[Element]
-    load: Load = field(default_factory=Load)
-    offset: bool = False
+    elements: Sequence[Element]  # from the motor to the load; names differ
+    load: Load = field(default_factory=Load)  # what the last element moves
+    offset: bool = False  # whether the measured motor torque holds an unknown constant
+    # names of the recordings that have a constant of their own, offset.<recording>; with none,
+    # offset is one for all
     own_offsets: tuple[str, ...] = ()
+    # whether the factor from the torque computed from current or voltage to the true motor torque
+    # is unknown (drive.gain)
     gain: bool = False
+    # whether the time by which the recorded position comes after the torque is unknown
+    # (drive.delay)
     delay: bool | None = None
+    # whether the torque is computed from a position target; then the delay is the time by which the
+    # target acts late (target.delay)
     by_target: bool = False
-    made_from: str = ""
-    terms: tuple[Term, ...] = ()
+    made_from: str = ""  # name of the preset it was made from, for the record
+    terms: tuple[Term, ...] = ()  # of one's own; see with_term
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))
@@ -171,18 +136,7 @@ class Chain:
         return next((p.name for p in self.parameters if p.quantity == "delay"), "")
 
     def delays(self, values: Array) -> Array:
-        """Delay of each parameter vector.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of :attr:`names`.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``, s; zeros for a chain without one.
-        """
+        """Delay of each parameter vector."""
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
 
@@ -230,18 +184,7 @@ class Chain:
         )
 
     def felt(self, inputs: Inputs | None) -> tuple[CarriedTerm, ...]:
-        """Give :attr:`carried`, and behind them a load torque that a recording has.
-
-        Parameters
-        ----------
-        inputs
-            Of the recording; without them there is no load torque.
-
-        Returns
-        -------
-        tuple of CarriedTerm
-            The measured load torque counts once, with no parameter (``index`` of -1).
-        """
+        """Give :attr:`carried`, and behind them a load torque that a recording has."""
         if inputs is None or inputs.load_torque is None:
             return self.carried
         return (*self.carried, CarriedTerm(-1, len(self.elements), 1.0, PUSH))
@@ -262,40 +205,12 @@ class Chain:
         return tuple(f"{self.elements[k].name}.inertia" for k in held)
 
     def with_term(self, term: Term) -> Self:
-        """Add a term of one's own to an element or the load, in place of one of the same name.
-
-        Returns
-        -------
-        Chain
-            A new one, of the same class.
-
-        Raises
-        ------
-        ValueError
-            If there is no such element.
-        """
+        """Add a term of one's own to an element or the load, in place of one of the same name."""
         kept = tuple(one for one in self.terms if one.name != term.name)
         return replace(self, terms=(*kept, term))
 
     def vector(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Put named values in the order of :attr:`names`.
-
-        Parameters
-        ----------
-        values
-            A number, or ``(n,)`` draws, for each parameter, in SI units. Those of the noise
-            (``noise.*``) may be among them, and are left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)`` of numbers, ``(n, n_parameters)`` of draws.
-
-        Raises
-        ------
-        KeyError
-            If a parameter is missing or a name is unknown.
-        """
+        """Put named values in the order of :attr:`names`."""
         # draws of a posterior hold the noise's, too, which no torque knows
         unknown = {name for name in values if not name.startswith("noise.")} - set(self.names)
         missing = set(self.names) - set(values)
@@ -304,22 +219,7 @@ class Chain:
         return np.array([values[name] for name in self.names], dtype=np.float64).T
 
     def tables(self, values: Array, inputs: Inputs | None = None) -> Tables:
-        """Lay parameter vectors out for the compiled kernels.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of :attr:`names`.
-        inputs
-            Of a recording: where recordings have offsets of their own, its offset is put in, else
-            0. A load torque measured in it is one more carried term.
-
-        Returns
-        -------
-        Tables
-            What the chain does not have stands at its default, such as 0 for a loss and 1 for the
-            gain.
-        """
+        """Lay parameter vectors out for the compiled kernels."""
         defaults, sources, targets = self._layout
         flat = np.tile(defaults.astype(values.dtype), (values.shape[0], 1))
         flat[:, targets] = values[:, sources]
@@ -346,28 +246,7 @@ class Chain:
         inputs: Inputs,
         time: Array | None = None,
     ) -> Samples:
-        """Lay a motion of the joint out for the compiled kernels.
-
-        Parameters
-        ----------
-        q, qd, qdd
-            ``(N,)`` position, speed and acceleration of the joint (rad or m, SI).
-        inputs
-            What the joint feels besides: known mass, temperature, load torque, rate of the torque.
-        time
-            ``(N,)`` s; without it a term that depends on time is NaN.
-
-        Returns
-        -------
-        Samples
-            With the columns ``(n_carried, N)`` of the carried terms; a column that a parameter
-            shapes is left at zero, and computed by the kernels.
-
-        Raises
-        ------
-        ValueError
-            If a term is a signal that the inputs do not hold.
-        """
+        """Lay a motion of the joint out for the compiled kernels."""
         position, speed, acceleration = (
             np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
         )
@@ -429,13 +308,7 @@ def _bearer(p: Parameter) -> str:
 
 
 def slots_of(p: Parameter) -> tuple[str, ...]:
-    """Slots of the kernels that a parameter fills; none for what its column, or another's, takes.
-
-    Raises
-    ------
-    KeyError
-        If neither the kernels nor a column know the quantity: dropped, it would count as zero.
-    """
+    """List the kernel slots that a parameter fills; none for a term with a column."""
     known = LOAD_SLOTS if _bearer(p) == "load" else ELEMENT_SLOTS
     slots = (p.quantity,) if p.row.slots is None else p.row.slots
     if slots and set(slots) <= set(known):

@@ -54,44 +54,6 @@ def follow(
 ) -> tuple[Array, Array]:
     """Simulate the joint while a drive follows its command, anew in every segment.
 
-    Parameters
-    ----------
-    chain
-        The mechanism; a delay of the target is that of a drive in closed loop, one of positions is
-        left out here.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-    law
-        Of the drive, ``(N,)`` samples.
-    period, begin
-        s from one sample to the next, and the time of the first.
-    segments
-        ``(K, 2)`` half-open ranges of samples that do not overlap.
-    q0, qd0
-        ``(K,)``: position and speed at the first sample of each, rad or m, SI.
-    push
-        ``(n, N)``, or ``(1, N)`` for all, motor torque besides, N m or N, as if measured; it goes
-        straight between samples.
-    inputs
-        What the joint feels besides.
-    held
-        Whether the command is held until the next sample; else it goes straight.
-    step
-        The loop is closed at least so often, s.
-
-    Returns
-    -------
-    q, qd : ndarray
-        ``(n, N)``, rad or m, SI; NaN outside the segments, for a vector that has no motion, and
-        from where the joint runs away.
-
-    Raises
-    ------
-    ValueError
-        If a term is multiplied by a signal that the inputs do not hold.
-
-    Notes
-    -----
     Between two closings of the loop the torque goes straight from its value at the begin to that at
     the end. The latter depends on the motion: it is predicted with a constant torque and corrected
     once (Heun's method).

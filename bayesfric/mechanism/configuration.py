@@ -156,25 +156,7 @@ class MechanismOptions(_Options):
         return () if isinstance(self.terms, str) else self.terms
 
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
-        """Build the joint.
-
-        Parameters
-        ----------
-        terms
-            Terms of one's own; every one that the table names must be there.
-
-        Returns
-        -------
-        Joint
-            The preset with the changes that the table holds, or the chain of its elements.
-
-        Raises
-        ------
-        BadInput
-            If nothing is described, the preset or one of its elements does not exist, a named term
-            is missing, an option changes load-dependent friction that the element does not have, a
-            sliding load is given a gravity moment, or the chain refuses its names.
-        """
+        """Build the joint."""
         if missing := [
             name for name in self.named_terms if name not in {term.name for term in terms}
         ]:

@@ -33,26 +33,16 @@ _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """One derived quantity.
+    """One derived quantity."""
 
-    Attributes
-    ----------
-    name, unit, symbol, meaning
-        As for parameters; the symbol is LaTeX without dollar signs.
-    values
-        ``(n,)``, one for each parameter vector.
-    gauge_free
-        Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2).
-    of_motion
-        Whether it is the motion's as much as the joint's: another motion has another value.
-    """
-
-    name: str
+    name: str  # as for parameters; the symbol is LaTeX without dollar signs
     unit: str
     symbol: str
     meaning: str
-    values: Array
+    values: Array  # (n,), one for each parameter vector
+    # whether scaling leg parameters and alpha together leaves it unchanged (section 4.2)
     gauge_free: bool
+    # whether it is the motion's as much as the joint's: another motion has another value
     of_motion: bool = False
 
 

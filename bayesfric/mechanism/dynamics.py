@@ -33,64 +33,33 @@ from bayesfric.recordings.arrays import Array
 
 
 class CarriedValues(NamedTuple):
-    """Terms without a slot in the kernels.
+    """Terms without a slot in the kernels."""
 
-    Attributes
-    ----------
-    values
-        ``(n, n_carried, 2)`` coefficient and value of what shapes each, of several vectors.
-    places
-        ``(n_carried,)`` index of the element of each, as in
-        :class:`~bayesfric.mechanism.kernels.Samples`.
-    addresses
-        ``(n_carried,)`` of their compiled columns.
-    stamps
-        ``(K,)`` times of the signals that some are multiplied by, s.
-    levels
-        ``(n_carried, K)`` what each is multiplied by at these times.
-    """
-
+    # (n, n_carried, 2) coefficient and value of what shapes each, of several vectors
     values: Array
+    # (n_carried,) index of the element of each, as in
+    # Samples
     places: NDArray[np.int64]
-    addresses: NDArray[np.int64]
-    stamps: Array
-    levels: Array
+    addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
+    stamps: Array  # (K,) times of the signals that some are multiplied by, s
+    levels: Array  # (n_carried, K) what each is multiplied by at these times
 
 
 class Moved(NamedTuple):
-    """What the compiled functions of the forward model need of a joint; one parameter vector.
+    """What the compiled functions of the forward model need of a joint; one parameter vector."""
 
-    Attributes
-    ----------
-    elements
-        ``(n_elements, n_slots)``, a vector's of :meth:`Chain.tables`.
-    gain, offset
-        True motor torque is ``gain * measured - offset``, N m or N.
-    inertia
-        Of the load, known added mass included, kg m² or kg.
-    weight, angle
-        Gravity torque of the load is ``weight sin(q + angle)``, added mass included, N m and rad.
-    kinks
-        Bit k is set where the torque at the input of element k has a kink as power changes
-        direction.
-    squares
-        Whether a loss grows with the square of the load.
-    carried
-        Terms without a slot; None for a joint that has none.
-    vector
-        Which of their vectors is meant.
-    """
-
-    elements: Array
-    gain: float
+    elements: Array  # (n_elements, n_slots), a vector's of Chain.tables
+    gain: float  # true motor torque is gain * measured - offset, N m or N
     offset: float
-    inertia: float
+    inertia: float  # of the load, known added mass included, kg m² or kg
+    # gravity torque of the load is weight sin(q + angle), added mass included, N m and rad
     weight: float
     angle: float
+    # bit k is set where the torque at the input of element k has a kink as power changes direction
     kinks: int
-    squares: bool
-    carried: CarriedValues | None
-    vector: int
+    squares: bool  # whether a loss grows with the square of the load
+    carried: CarriedValues | None  # terms without a slot; None for a joint that has none
+    vector: int  # which of their vectors is meant
 
 
 # Steps of Newton's method, which ends earlier where it moves by rounding only.
@@ -109,22 +78,7 @@ def moved(
     added_moment: float,
     vector: int = 0,
 ) -> Moved:
-    """Gather what the forward model needs of one parameter vector, added mass included.
-
-    Parameters
-    ----------
-    elements, load
-        ``(n_elements, n_slots)`` and ``(n_slots,)``, a vector's of :meth:`Chain.tables`.
-    carried
-        Terms without a slot; of several vectors it is that of number ``vector``.
-    added_inertia, added_moment
-        Of a known mass on the load, kg m² (kg) and kg m.
-
-    Returns
-    -------
-    Moved
-        With gravity as one sine, ``weight sin(q + angle)``.
-    """
+    """Gather what the forward model needs of one parameter vector, added mass included."""
     # one sine instead of a sine and a cosine
     sine = gravity_torque(load, added_moment, 1.0, 0.0)
     cosine = gravity_torque(load, added_moment, 0.0, 1.0)
@@ -187,26 +141,7 @@ def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) ->
 def motor_torque(
     joint: Moved, q: float, qd: float, qdd: float, sign: float, time: float, load_torque: float
 ) -> float:
-    """Carry the load's torque through every element to the motor.
-
-    Parameters
-    ----------
-    joint
-        One parameter vector.
-    q, qd, qdd
-        Of the joint, rad or m, SI.
-    sign
-        Direction of motion, 1 or -1; at rest that of the motion about to begin.
-    time
-        s.
-    load_torque
-        Torque at the joint that moves the load, its inertia times ``qdd`` included, N m or N.
-
-    Returns
-    -------
-    float
-        True motor torque, N m or N, by the element equation of section 2.2.
-    """
+    """Carry the load's torque through every element to the motor."""
     torque = load_torque
     to_input = 1.0
     for k in range(joint.elements.shape[0] - 1, -1, -1):
@@ -227,28 +162,6 @@ def acceleration(
 ) -> tuple[float, int]:
     """Acceleration for a motor torque, in closed form, and in which elements the motor side drives.
 
-    Parameters
-    ----------
-    joint
-        Of which one torque has one acceleration.
-    q, qd, time
-        Of the joint, rad or m, SI; s.
-    torque
-        True motor torque, N m or N.
-    sign
-        Direction of motion, or in which the joint at rest is about to break away.
-    lines
-        ``(n_elements, 2)`` scratch memory.
-
-    Returns
-    -------
-    qdd : float
-        Of the joint, rad/s² or m/s².
-    pattern : int
-        Bit k is set where the motor side drives element k, of those with a kink.
-
-    Notes
-    -----
     The motor torque rises with the acceleration, with one kink per load-dependent element. Whether
     the solution lies above or below a kink is read off the torque at the kink, from the load to the
     motor; then everything is one line ``torque = slope qdd + intercept``. A loss with the square of
@@ -279,21 +192,6 @@ def held_acceleration(
 
     Between two events of :mod:`bayesfric.mechanism.integrate` the equation of motion is then
     smooth.
-
-    Parameters
-    ----------
-    joint, q, qd, torque, time, sign
-        As for :func:`acceleration`.
-    pattern
-        Power flow: bit k is set where the motor side drives element k.
-    lines
-        ``(n_elements, 2)``; left with slope and intercept of each element's transmitted torque over
-        ``qdd``, tangents where a loss grows with the square of the load.
-
-    Returns
-    -------
-    float
-        rad/s² or m/s².
     """
     found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
     if joint.squares:
@@ -369,22 +267,7 @@ def _solved(
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(joint: Moved, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest sticks.
-
-    Parameters
-    ----------
-    joint
-        One parameter vector.
-    q, time
-        Position of the joint, rad or m; s.
-
-    Returns
-    -------
-    low, high : float
-        True motor torque that a motion about to begin in negative and in positive direction would
-        take, N m or N: gravity with the friction of either direction at zero speed, any Stribeck
-        rise included.
-    """
+    """Motor torques between which the joint at rest sticks."""
     down, up = _load_torque(joint, q, 0.0, -1.0, time), _load_torque(joint, q, 0.0, 1.0, time)
     return (
         motor_torque(joint, q, 0.0, 0.0, -1.0, time, down),

@@ -61,23 +61,7 @@ class Simulation(Options):
     )
 
     def true_values(self, chain: Chain) -> dict[str, float]:
-        """Values of every parameter of the chain.
-
-        Parameters
-        ----------
-        chain
-            The mechanism; a preset's values count where none is given.
-
-        Returns
-        -------
-        dict
-            By name, in SI units, in the order of ``chain.names``.
-
-        Raises
-        ------
-        BadInput
-            If a name is unknown, a value impossible or one is missing.
-        """
+        """Values of every parameter of the chain."""
         preset = PRESETS.get(chain.made_from)
         values = dict(preset.values) if preset else {}
         for name, value in self.parameters.items():
@@ -109,29 +93,6 @@ def record(chain: Chain, options: Simulation) -> tuple[dict[str, Array], Motion,
 
     The commanded torque passes the current loop, moves the joint, and is measured
     with noise; the position is read by an encoder.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    options
-        Excitation, encoder, noise, true values.
-
-    Returns
-    -------
-    columns : dict
-        ``(N,)`` each: ``time`` s, ``position`` rad or m on the encoder's side, ``torque`` as
-        measured.
-    motion : Motion
-        What really happened.
-    values : dict
-        True parameter values.
-
-    Raises
-    ------
-    BadInput
-        If a value is impossible, the recording is shorter than 10 samples, the joint cannot be
-        simulated or runs away.
     """
     values = options.true_values(chain)
     period = 1.0 / options.rate
@@ -167,35 +128,6 @@ def measure(
 ) -> tuple[dict[str, Array], Motion]:
     """Play any command to a joint and measure what it does.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` true values in the order of ``chain.names``.
-    command
-        ``(N,)`` commanded motor torque, N m or N, ``options.rate`` samples a second.
-    options
-        Current loop, hold, encoder, noise and added mass are used.
-    rng
-        Source of the torque's noise.
-    q0, qd0
-        Position and speed of the joint at the first sample, rad or m and s.
-
-    Returns
-    -------
-    columns : dict
-        As for :func:`record`.
-    motion : Motion
-        What really happened.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated or runs away.
-
-    Notes
-    -----
     The encoder rounds the position to ``2 pi / encoder_counts``, rad (or that many m of what
     slides). The torque's noise is white and Gaussian, added to what comes behind the current loop.
     """

@@ -56,43 +56,24 @@ class RunsAway(ValueError):
 
 @dataclass(frozen=True)
 class Motion:
-    """A simulated motion.
+    """A simulated motion."""
 
-    Attributes
-    ----------
-    time
-        ``(N,)`` s, from zero.
-    q, qd, qdd
-        ``(N,)`` position, speed and acceleration of the joint (rad or m, SI), the acceleration
-        right after the sample.
-    torque
-        ``(N,)`` measured motor torque, as given, N m or N.
-    sticking
-        ``(N,)`` of bool: where static friction holds the joint; speed and acceleration are then
-        zero.
-    events
-        Number of located stops, breakaways and sign changes of transmitted torques.
-    reversals
-        How often the joint moved off against the direction it had moved in before.
-    step_error
-        Estimated largest discretisation error of ``q``, rad or m; NaN where substeps were given.
-    substeps
-        Integration steps per sample.
-    unresolved
-        Steps with more events than are followed, their rest integrated without locating any; zero
-        unless the steps are far too coarse.
-    """
-
-    time: Array
+    time: Array  # (N,) s, from zero
+    # (N,) position, speed and acceleration of the joint (rad or m, SI), the acceleration right
+    # after the sample
     q: Array
     qd: Array
     qdd: Array
-    torque: Array
+    torque: Array  # (N,) measured motor torque, as given, N m or N
+    # (N,) of bool: where static friction holds the joint; speed and acceleration are then zero
     sticking: NDArray[np.bool_]
-    events: int
-    reversals: int
+    events: int  # number of located stops, breakaways and sign changes of transmitted torques
+    reversals: int  # how often the joint moved off against the direction it had moved in before
+    # estimated largest discretisation error of q, rad or m; NaN where substeps were given
     step_error: float
-    substeps: int
+    substeps: int  # integration steps per sample
+    # steps with more events than are followed, their rest integrated without locating any; zero
+    # unless the steps are far too coarse
     unresolved: int = 0
 
 
@@ -112,47 +93,6 @@ def simulate(
 ) -> Motion:
     """Motion of the joint under a measured motor torque.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    torque
-        ``(N,)`` measured motor torque (N m or N), one sample every ``period``; what
-        acts is ``gain * torque - offset``, ``delay`` earlier than the motion shows.
-    period
-        s.
-    q0, qd0
-        Position and speed at the first sample (rad or m, SI).
-    inputs
-        What the joint feels besides, and whose own offset acts.
-    begin
-        Time of the first sample, s, for terms that depend on time.
-    hold
-        Torque between samples: ``linear``, ``zero`` for held until the next, or ``cubic`` for
-        the cubic through four samples, taken in quarters of a sample.
-    substeps
-        Integration steps per sample, for ``cubic`` rounded up to a multiple of four. By default
-        they are doubled, from 2 (``cubic``: 8), until ``q`` changes by less than ``tolerance`` or
-        there are 64.
-    tolerance
-        rad or m; not used where ``substeps`` is given.
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    ValueError
-        If an input is not finite, has the wrong shape or is outside its support, if the
-        acceleration is not unique (no inertia, or a gearbox so irreversible that the motor's
-        inertia does not outweigh it), or (:class:`RunsAway`) if the joint runs away beyond 1e6 rad
-        or m.
-
-    Notes
-    -----
     Classical Runge-Kutta steps between located events: the error falls with the fourth power of the
     step, so ``step_error`` is a fifteenth of what the last doubling changed. At rest the joint
     sticks while the torque lies within its breakaway torques
@@ -260,34 +200,7 @@ def simulate_segments(
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> tuple[Array, Array]:
-    """Simulate the joint anew from a given state in every segment, in parallel.
-
-    Parameters
-    ----------
-    chain, torque, period, inputs, begin, hold
-        As for :func:`simulate`.
-    values
-        ``(n, n_parameters)``.
-    segments
-        ``(K, 2)`` half-open ranges of samples that do not overlap.
-    q0, qd0
-        ``(K,)``, or ``(n, K)`` for each vector its own: position and speed at the
-        first sample of every segment (rad or m, SI).
-    substeps
-        Integration steps per sample.
-
-    Returns
-    -------
-    q, qd : ndarray
-        ``(n, N)`` positions and speeds, rad or m; NaN outside the segments. A row is NaN where the
-        vector is outside the support or has no unique motion, and from where the joint runs away,
-        so that a fit can reject the vector.
-
-    Raises
-    ------
-    ValueError
-        If an input is not finite or has the wrong shape.
-    """
+    """Simulate the joint anew from a given state in every segment, in parallel."""
     vectors = np.asarray(values, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
         raise ValueError(f"values must have the shape (n, {len(chain.names)})")
@@ -325,28 +238,7 @@ def simulate_segments(
 
 
 def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues | None:
-    """Gather the terms without a slot for the forward model.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n, n_carried, 2)``, the table ``carried`` of :meth:`Chain.tables`.
-    inputs
-        Of the recording, with the signals that terms are multiplied by.
-
-    Returns
-    -------
-    CarriedValues or None
-        None without such terms. A delay is none of them: the torque that acts is an earlier one,
-        see :func:`_acting`.
-
-    Raises
-    ------
-    ValueError
-        If the inputs do not hold the signal that a term is multiplied by.
-    """
+    """Gather the terms without a slot for the forward model."""
     felt = chain.felt(inputs)
     kept = [k for k, c in enumerate(felt) if c.row.column is not None]
     if not kept:
@@ -399,22 +291,6 @@ def possible(
 ) -> NDArray[np.bool_]:
     """Find which vectors lie in the support and have one motion for one torque.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    vectors, tables
-        ``(n, n_parameters)`` and :meth:`Chain.tables` of them.
-    added_inertia
-        Of a known mass on the load, kg m² or kg.
-
-    Returns
-    -------
-    ndarray
-        ``(n,)`` of bool.
-
-    Notes
-    -----
     A motion is unique where the motor torque rises with the acceleration for every direction of
     power. It does not where ``mu_2`` is so far above one that the inertia on the motor side does
     not outweigh it. Growth of load-dependent friction with speed or load is left out of this.

@@ -37,30 +37,16 @@ _REVERSAL, _NOTHING = -1, -2
 
 
 class At(NamedTuple):
-    """Where a step begins: the motion, the torque with its rate, and which way all goes.
+    """Where a step begins: the motion, the torque with its rate, and which way all goes."""
 
-    Attributes
-    ----------
-    q, qd, qdd
-        Of the joint, rad or m, SI.
-    torque, rate
-        True motor torque, N m or N, and its change per second.
-    time
-        s.
-    sign
-        Direction of motion, 1 or -1.
-    pattern
-        Bit k is set where the motor side drives element k.
-    """
-
-    q: float
+    q: float  # of the joint, rad or m, SI
     qd: float
     qdd: float
-    torque: float
+    torque: float  # true motor torque, N m or N, and its change per second
     rate: float
-    time: float
-    sign: float
-    pattern: int
+    time: float  # s
+    sign: float  # direction of motion, 1 or -1
+    pattern: int  # bit k is set where the motor side drives element k
 
 
 @njit(cache=True, error_model="numpy")
@@ -309,33 +295,6 @@ def integrate(
 ) -> int:
     """Integrate and write the samples.
 
-    Parameters
-    ----------
-    joint
-        Whose torques allow one motion.
-    measured
-        ``(N,)`` motor torque every ``period`` (s), held or ``linear`` between samples; what acts is
-        ``gain * measured - offset``.
-    begin
-        Time of the first sample, s, for terms that depend on time; while the joint
-        sticks, these count as they were at the last sample.
-    q, qd
-        At the first sample, rad or m, SI.
-    substeps
-        Steps a sample.
-    out
-        ``(4, N)``, written: position, speed, the acceleration right after a sample, and 1 where it
-        sticks.
-    counts
-        ``(3,)``: events, reversals and unresolved steps are added to these.
-
-    Returns
-    -------
-    int
-        How many samples there are before a runaway; N if there is none.
-
-    Notes
-    -----
     At rest the joint sticks while the torque lies within its breakaway torques. A torque that goes
     straight leaves them at a time that is found in closed form; reversals and sign changes of a
     transmitted torque are located by root finding. Of a step with more than 64 events the rest is
@@ -392,34 +351,7 @@ def integrate_segments(
     substeps: int,
     valid: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Integrate many parameter vectors, each anew at the start of every segment, in parallel.
-
-    Parameters
-    ----------
-    elements, load
-        ``(n, n_elements, n_slots)`` and ``(n, n_slots)``, of :meth:`Chain.tables`.
-    carried
-        Terms without a slot, of all vectors.
-    added
-        Inertia and first moment of a known mass, kg m² (kg) and kg m.
-    torque
-        ``(n, N)`` measured motor torque, or ``(1, N)`` for one that acts on all.
-    period, begin, linear
-        As for :func:`integrate`.
-    starts, ends
-        ``(K,)`` half-open ranges of samples.
-    q0, qd0
-        ``(n, K)`` state at the first sample of each segment, rad or m, SI.
-    substeps
-        Steps a sample.
-    valid
-        ``(n,)`` of bool: which vectors to integrate.
-
-    Returns
-    -------
-    q, qd : ndarray
-        ``(n, N)``; NaN outside the segments, for vectors that are not valid, and from a runaway on.
-    """
+    """Integrate many parameter vectors, each anew at the start of every segment, in parallel."""
     n, segments = elements.shape[0], starts.shape[0]
     q = np.full((n, torque.shape[1]), np.nan)
     qd = np.full((n, torque.shape[1]), np.nan)

@@ -81,27 +81,7 @@ def load_torque(
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
     time: Array | None = None,
 ) -> Array:
-    """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    q, qdd
-        ``(N,)`` position and acceleration of the joint (rad or m, SI).
-    inputs
-        Whose known mass is moved, too, and whose measured torque on the load is taken off.
-    time
-        ``(N,)`` s, at which that torque is looked up.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)`` N m or N at the joint: ``(Jc + J_added) qdd + g (ml + ml_added) sin(q + q_g)``,
-        less the measured torque. Springs and terms of one's own are not in it.
-    """
+    """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss."""
     load = chain.tables(np.atleast_2d(np.asarray(values, dtype=np.float64))).load
     inertia, moment = inputs.load(chain.load.motion)
     position = np.asarray(q, dtype=np.float64)
@@ -116,24 +96,7 @@ def load_torque(
 
 
 def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
-    """Factors from the load's torque at the joint to its loss-free torque at the motor.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-    open_scale
-        Whether nothing known fixes the scale between leg and alpha (section 4.2).
-
-    Returns
-    -------
-    ndarray
-        ``(n,)``. ``1/N``, or ``lambda_1/N`` where the scale is open: the mean of what the motor
-        feels of the load while it drives and while it is driven, which no scaling changes. Of the
-        true torque: ``drive.gain`` has no part in it.
-    """
+    """Factors from the load's torque at the joint to its loss-free torque at the motor."""
     elements = chain.tables(values).elements
     ratio = np.prod(elements[:, :, kernels.RATIO], axis=1)
     if not open_scale:

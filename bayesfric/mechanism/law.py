@@ -47,11 +47,6 @@ class Traced(NDArrayOperatorsMixin):
 
     NumPy's functions and operators on it, those of :data:`OPERATIONS`, make a formula instead of a
     number; another one, or a decision by its value, raises :class:`Unwritten`.
-
-    Parameters
-    ----------
-    formula
-        A name, a number or an operation with what it is of.
     """
 
     def __init__(self, formula: Formula) -> None:
@@ -131,13 +126,6 @@ class Statements:
 
     Nothing of a recording is in them: a term of temperature or of time is that of 20 degC as a
     recording begins, a delay is none.
-
-    Attributes
-    ----------
-    all
-        Names, each there once, and their formulas; a remark has no name.
-    kernels
-        Functions of the kernels, to be called with names or numbers.
     """
 
     def __init__(self) -> None:
@@ -148,20 +136,7 @@ class Statements:
         exec(_code(), self.kernels)
 
     def put(self, name: str, value: Any) -> Any:
-        """Give a formula a name, or one much like it where that is taken.
-
-        Parameters
-        ----------
-        name
-            Wanted name; several, with commas between, for a tuple of formulas.
-        value
-            A number stays one; a formula that has a name already keeps that.
-
-        Returns
-        -------
-        Traced, number or tuple
-            What stands for the value from now on.
-        """
+        """Give a formula a name, or one much like it where that is taken."""
         if isinstance(value, tuple):
             return tuple(map(self.put, name.split(", "), value))
         if not isinstance(value, Traced) or isinstance(value.formula, str):
@@ -175,25 +150,7 @@ class Statements:
         return Traced(name)
 
     def torque(self, chain: Chain, vector: Array) -> Any:
-        """Compute the torque at the motor, without gain and offset of what is measured.
-
-        Parameters
-        ----------
-        chain
-            The mechanism.
-        vector
-            ``(n_parameters,)``.
-
-        Returns
-        -------
-        Traced or number
-            The statements that lead to it are in :attr:`all`.
-
-        Raises
-        ------
-        Unwritten
-            If a term has no formula; the argument is its parameter's name.
-        """
+        """Compute the torque at the motor, without gain and offset of what is measured."""
         (elements,), (load,), _ = chain.tables(vector[None])
         self.remark("load")
         at = self._at(1.0)
@@ -248,26 +205,7 @@ class Statements:
 
 
 def torque_of(row: Quantity, at: State, *shape: Any) -> Any:
-    """Torque of a row at a state for a coefficient of one.
-
-    Parameters
-    ----------
-    row
-        With a column, of the table or of a term of one's own.
-    at
-        State of :class:`Traced` values.
-    *shape
-        Value of the parameter that shapes the column, where one does.
-
-    Returns
-    -------
-    Traced or number
-
-    Raises
-    ------
-    Unwritten
-        If no formula says it, as for a column with ``math`` functions or decisions.
-    """
+    """Torque of a row at a state for a coefficient of one."""
     assert row.column is not None
     try:
         found = row.column(at, *shape)

@@ -105,27 +105,14 @@ PUSH = Quantity(
 
 @dataclass(frozen=True)
 class CarriedTerm:
-    """A term of a chain that the kernels do not write out.
+    """A term of a chain that the kernels do not write out."""
 
-    Attributes
-    ----------
-    index
-        Of its parameter among the chain's; -1 for what counts once, without one.
-    place
-        Index of its element; the load's is the number of elements, one more is outside of all.
-    reach
-        Speed of its element's input over the joint's.
-    row
-        In the table of quantities, or of a term of one's own.
-    shape
-        Index of the parameter that shapes its column; -1 where none does.
-    """
-
-    index: int
+    index: int  # of its parameter among the chain's; -1 for what counts once, without one
+    # index of its element; the load's is the number of elements, one more is outside of all
     place: int
-    reach: float
-    row: Quantity
-    shape: int = -1
+    reach: float  # speed of its element's input over the joint's
+    row: Quantity  # in the table of quantities, or of a term of one's own
+    shape: int = -1  # index of the parameter that shapes its column; -1 where none does
 
     @property
     def address(self) -> int:
@@ -135,26 +122,7 @@ class CarriedTerm:
 
 
 def signal_of(row: Quantity, inputs: Inputs) -> Signal:
-    """Give the signal that a term is, or is multiplied by.
-
-    Parameters
-    ----------
-    row
-        With a ``signal``: the rate of the torque, the temperature, the torque on the load, or a
-        further column.
-    inputs
-        Of the recording.
-
-    Returns
-    -------
-    Signal
-        Looked up by time; ``row.zero`` is not taken off yet.
-
-    Raises
-    ------
-    ValueError
-        If the inputs have no such signal.
-    """
+    """Give the signal that a term is, or is multiplied by."""
     signal = inputs.signal(row.signal)
     if signal is None:
         raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
@@ -164,31 +132,7 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
 def along(
     row: Quantity, reach: float, position: Array, speed: Array, time: Array, inputs: Inputs
 ) -> Array:
-    """Torque of a term for a coefficient of one along a motion of the joint.
-
-    Parameters
-    ----------
-    row
-        Of the term. A parameter that shapes its column counts as where a search for it starts.
-    reach
-        Speed of its element's input over the joint's.
-    position, speed
-        ``(N,)`` of the joint, rad or m, SI.
-    time
-        ``(N,)`` s.
-    inputs
-        Where a signal of the recording is looked up.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)`` at the element's input, N m or N per unit of the coefficient.
-
-    Raises
-    ------
-    ValueError
-        If the inputs have no such signal.
-    """
+    """Torque of a term for a coefficient of one along a motion of the joint."""
     factor: Any = signal_of(row, inputs).at(time) - row.zero if row.signal else 1.0
     if row.column is None:
         return np.asarray(factor)
@@ -216,25 +160,7 @@ class _Motion(NamedTuple):
 
 @lru_cache(maxsize=256)
 def compiled(column: Column, *, shaped: bool) -> Any:
-    """Compile a column to a function of position, speed, direction, time and what shapes it.
-
-    Parameters
-    ----------
-    column
-        Of a :class:`State`.
-    shaped
-        Whether it takes the value of a parameter that shapes it, besides.
-
-    Returns
-    -------
-    Any
-        Numba's ``cfunc`` of five numbers; its ``address`` is what kernels call.
-
-    Raises
-    ------
-    TypeError
-        If it cannot be compiled, as where it depends on more than these.
-    """
+    """Compile a column to a function of position, speed, direction, time and what shapes it."""
     inner: Any = njit(column)
 
     def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:

@@ -23,30 +23,14 @@ _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number the joint is described by.
+    """One number the joint is described by."""
 
-    Attributes
-    ----------
-    name
-        ``element.quantity``, for example ``motor.inertia``.
-    row
-        Its row in the table of quantities.
-    owner
-        Name of the element, ``load``, ``drive``, or empty for what the whole chain has.
-    unit
-        As printed, in SI.
-    symbol
-        LaTeX without dollar signs, the paper's where it has one.
-    meaning
-        One line for people.
-    """
-
-    name: str
-    row: Quantity
-    owner: str
-    unit: str
-    symbol: str
-    meaning: str
+    name: str  # element.quantity, for example motor.inertia
+    row: Quantity  # its row in the table of quantities
+    owner: str  # name of the element, load, drive, or empty for what the whole chain has
+    unit: str  # as printed, in SI
+    symbol: str  # LaTeX without dollar signs, the paper's where it has one
+    meaning: str  # one line for people
 
     @property
     def quantity(self) -> str:
@@ -77,21 +61,7 @@ class Parameter:
 def parameter(
     owner: str, row: Quantity, motion: Motion, subscript: str, *, alone: bool = False
 ) -> Parameter:
-    """Describe one quantity of one element.
-
-    Parameters
-    ----------
-    owner
-        Element name; empty for the quantities of the whole chain (``offset``).
-    row
-        Of the table.
-    motion
-        Whether the element's input turns or slides; it sets the unit.
-    subscript
-        LaTeX subscript that tells this element's symbols from another's.
-    alone
-        Whether no other element, and no load, has this quantity.
-    """
+    """Describe one quantity of one element."""
     meaning = row.alone.format(owner) if alone and row.alone else row.meaning
     return Parameter(
         name=f"{owner}.{row.name}" if owner else row.name,
@@ -104,15 +74,7 @@ def parameter(
 
 
 def turned(value: Angle, towards: float) -> Angle:
-    """Add whole turns to an angle until it lies at most half a turn from another one.
-
-    Parameters
-    ----------
-    value
-        rad, a number or an array.
-    towards
-        rad.
-    """
+    """Add whole turns to an angle until it lies at most half a turn from another one."""
     out: Angle = value + TURN * np.round((towards - value) / TURN)
     return out
 
@@ -127,15 +89,7 @@ def scales_with_torque(unit: str) -> bool:
 
 
 def effort_words(words: str, motion: Motion) -> str:
-    """Say force in place of torque of what slides, and 2π m in place of a turn.
-
-    Parameters
-    ----------
-    words
-        Worded for what turns.
-    motion
-        Of what is spoken of.
-    """
+    """Say force in place of torque of what slides, and 2π m in place of a turn."""
     if motion == "rotary":
         return words
     return _TORQUE.sub(r"force\1", words).replace("cycles a turn", "cycles in 2π m")

@@ -10,30 +10,16 @@ from bayesfric.mechanism.element import Element, Load
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with.
+    """A named chain with values to simulate it with."""
 
-    Attributes
-    ----------
-    name
-        As written in a configuration.
-    meaning, when
-        What it is, and what kind of joint to choose it for; one line each.
-    elements, load, offset
-        Of the chain, see :class:`bayesfric.mechanism.chain.Chain`.
-    values
-        True parameter values for simulation, by name, SI.
-    source
-        Where these are from.
-    """
-
-    name: str
-    meaning: str
+    name: str  # as written in a configuration
+    meaning: str  # what it is, and what kind of joint to choose it for; one line each
     when: str
-    elements: tuple[Element, ...]
+    elements: tuple[Element, ...]  # of the chain, see Chain
     load: Load
-    values: dict[str, float]
-    source: str
-    offset: bool = False
+    values: dict[str, float]  # true parameter values for simulation, by name, SI
+    source: str  # where these are from
+    offset: bool = False  # of the chain, see Chain
 
     def chain(self) -> Chain:
         """Make the chain, which keeps the preset's name as ``made_from``."""

@@ -29,29 +29,16 @@ _BRIEF = 1e-9  # s, in place of a time constant of zero
 
 
 class State(NamedTuple):
-    """What an element's torque depends on, at its own input; numbers or arrays ``(N,)``, in SI.
+    """What an element's torque depends on, at its own input; numbers or arrays ``(N,)``, in SI."""
 
-    Attributes
-    ----------
-    position, speed, acceleration
-        rad or m and s.
-    direction
-        Sign of the speed; at rest, where a joint is about to break away, that of the torque.
-    time
-        s since the recording's first stamp.
-    transmitted
-        Torque at the element's output, brought to its input, N m or N.
-    gravity
-        Gravity torque of a first moment of 1 kg m, ``g sin(q + q_g)``.
-    """
-
-    position: Any
+    position: Any  # rad or m and s
     speed: Any
     acceleration: Any
+    # sign of the speed; at rest, where a joint is about to break away, that of the torque
     direction: Any
-    time: Any
-    transmitted: Any = 0.0
-    gravity: Any = 0.0
+    time: Any  # s since the recording's first stamp
+    transmitted: Any = 0.0  # torque at the element's output, brought to its input, N m or N
+    gravity: Any = 0.0  # gravity torque of a first moment of 1 kg m, g sin(q + q_g)
 
 
 class Sizes(NamedTuple):
@@ -67,105 +54,62 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantity:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    name
-        What stands behind the dot of a parameter's name.
-    units
-        As printed, in SI; empty for none.
-    symbol
-        LaTeX without dollar signs, the paper's where it has one; ``{}`` is the subscript.
-    meaning
-        One line for people, worded for what turns.
-    option, choice
-        Which option of an element or load brings it (:data:`CHOICES`); empty for what the
-        chain itself brings. Several choices where each brings it; a number of cycles where the
-        option lists these (:data:`CYCLES`).
-    role
-        ``own`` adds ``value * column`` to the torque; ``loss`` the same, and depends on the
-        transmitted torque; ``form`` shapes other terms and adds nothing by itself.
-    column
-        Torque for a value of one, a function of a :class:`State`.
-    shape
-        Quantity of the same element whose value its column takes besides; empty for none.
-    signal
-        Which signal of a recording its column is, or is multiplied by, a name that
-        :class:`bayesfric.recordings.inputs.Inputs` knows; empty where ``column`` gives it.
-    zero
-        What is taken off the signal first.
-    power
-        ``column`` at a state whose position, speed and acceleration are r times as large is
-        ``r**power`` times as large; ``None`` where that is not so. It says how the quantity
-        goes through a ratio.
-    slots
-        Of the compiled kernels; its own name if left out.
-    shares
-        Columns of ``psi``, eq. (13), that it fills (:data:`TOTALS`), and with which weight;
-        the one of its own name if left out.
-    totals
-        Motor-side totals it is part of; that of its own name if left out.
-    by_direction
-        The totals it is part of instead, where other elements tell the directions apart.
-    scaled_by
-        Where load and load friction are scaled together (section 4.2), the power of the factor
-        that divides it.
-    rises
-        Whether the rise at low speed multiplies it.
-    lower, upper
-        Support; no prior may reach outside.
-    default
-        Value where it is not part of the model.
-    circular
-        Whether values a turn apart are the same.
-    prior, spread
-        Family and scale of the default prior; by default half-normal or, where both signs are
-        possible, normal, with the scale that would need the largest torque.
-    stores
-        Whether it gives back what it takes: then other terms may carry it, and not the motor.
-    prior_upper
-        Where default priors end if before ``upper``.
-    tries
-        Values at which what it shapes is tried, where nothing is known of it yet.
-    start
-        Where a search starts that knows nothing of it; ``None`` for its share of a total.
-    alone
-        Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
-    measurand
-        A ``constant`` has a physical value; all else is of the friction ``law`` that the same model
-        would be fitted to on other motions like the recorded ones.
-    """
-
-    name: str
-    units: Units
-    symbol: str
-    meaning: str
+    name: str  # what stands behind the dot of a parameter's name
+    units: Units  # as printed, in SI; empty for none
+    symbol: str  # LaTeX without dollar signs, the paper's where it has one; {} is the subscript
+    meaning: str  # one line for people, worded for what turns
+    # which option of an element or load brings it (CHOICES); empty for what the chain
+    # itself brings. Several choices where each brings it; a number of cycles where the option lists
+    # these (CYCLES)
     option: str = ""
     choice: Choice | tuple[Choice, ...] = True
+    # own adds value * column to the torque; loss the same, and depends on the
+    # transmitted torque; form shapes other terms and adds nothing by itself
     role: Literal["own", "loss", "form"] = "own"
-    column: Column | None = None
+    column: Column | None = None  # torque for a value of one, a function of a State
+    # quantity of the same element whose value its column takes besides; empty for none
     shape: str = ""
+    # which signal of a recording its column is, or is multiplied by, a name that
+    # Inputs knows; empty where column gives it
     signal: str = ""
-    zero: float = 0.0
+    zero: float = 0.0  # what is taken off the signal first
+    # column at a state whose position, speed and acceleration are r times as large is
+    # r**power times as large; None where that is not so. It says how the quantity goes
+    # through a ratio
     power: int | None = None
-    slots: tuple[str, ...] | None = None
+    slots: tuple[str, ...] | None = None  # of the compiled kernels; its own name if left out
+    # columns of psi, eq. (13), that it fills (TOTALS), and with which weight; the one
+    # of its own name if left out
     shares: tuple[tuple[str, float], ...] = ()
+    # motor-side totals it is part of; that of its own name if left out
     totals: tuple[str, ...] = ()
+    # the totals it is part of instead, where other elements tell the directions apart
     by_direction: tuple[str, str] | None = None
-    rises: bool = False
+    rises: bool = False  # whether the rise at low speed multiplies it
+    # where load and load friction are scaled together (section 4.2), the power of the factor that
+    # divides it
     scaled_by: int = 0
-    lower: float = 0.0
+    lower: float = 0.0  # support; no prior may reach outside
     upper: float = _INF
-    default: float = 0.0
-    circular: bool = False
+    default: float = 0.0  # value where it is not part of the model
+    circular: bool = False  # whether values a turn apart are the same
+    # family and scale of the default prior; by default half-normal or, where both signs are
+    # possible, normal, with the scale that would need the largest torque
     prior: str = ""
     spread: Callable[[Sizes], float] | None = None
+    # whether it gives back what it takes: then other terms may carry it, and not the motor
     stores: bool = False
-    prior_upper: float = _INF
+    prior_upper: float = _INF  # where default priors end if before upper
+    # values at which what it shapes is tried, where nothing is known of it yet
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
+    # where a search starts that knows nothing of it; None for its share of a total
     start: float | None = None
+    # its meaning where no other element has it, so that it stands for all; {} is its owner
     alone: str = ""
+    # A constant has a physical value; all else is of the friction law that the same model
+    # would be fitted to on other motions like the recorded ones
     measurand: Literal["constant", "law"] = "law"
 
     def brought_by(self, choice: Any) -> bool:

@@ -93,13 +93,7 @@ class _Signal(NamedTuple):
 
 
 def recognise(table: Table, joint: str | None = None) -> Log:
-    """Take the columns of one joint, which may be named, out of a table by their names.
-
-    Raises
-    ------
-    BadInput
-        If there is no such joint.
-    """
+    """Take the columns of one joint, which may be named, out of a table by their names."""
     table, where = _one_episode(table)
     signals = sorted((s for s in _signals(table) if not s.said.wanted), key=lambda s: s.said.rank)
     joints = tuple(dict.fromkeys(s.said.joint for s in signals if s.said.channel == "position"))

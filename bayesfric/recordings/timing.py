@@ -29,13 +29,7 @@ FAR_DELAYS = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
 
 
 def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
-    """Take the torque of ``delay`` seconds earlier for a position that comes late.
-
-    Raises
-    ------
-    BadInput
-        If ends that are not compared with the model are shorter than that.
-    """
+    """Take the torque of ``delay`` seconds earlier for a position that comes late."""
     longest = longest_delay(o, recording.period)
     if abs(delay) > longest:
         raise BadInput(
