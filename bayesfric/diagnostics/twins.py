@@ -29,8 +29,8 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import Resolution, finest_step
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timing import timed
 
 # Degree of the spline: its second derivative is then as exact as the filters'.

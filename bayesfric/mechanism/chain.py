@@ -22,7 +22,7 @@ from bayesfric.mechanism.own_term import PUSH, CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import LATE_TARGET, QUANTITIES, SHAPES, Motion
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 # Owners of parameters that no element may be called.
 _RESERVED = ("load", "drive", "target", "total")

@@ -17,8 +17,7 @@ from bayesfric.mechanism.dynamics import CarriedValues, moved
 from bayesfric.mechanism.forward import carried_values, possible
 from bayesfric.mechanism.integrate import POSITION, SPEED, integrate
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.drive_law import Law
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs, Law
 
 
 class _Drive(NamedTuple):

@@ -96,7 +96,7 @@ def moved(
 
 @njit(cache=True, error_model="numpy")
 def _level(stamps: Array, levels: Array, time: float) -> float:
-    """Look up a signal as :class:`bayesfric.recordings.inputs.Signal` does."""
+    """Look up a signal as :class:`bayesfric.recordings.measurement.Signal` does."""
     if time <= stamps[0]:
         return float(levels[0])
     if time >= stamps[-1]:

@@ -17,8 +17,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Hold
+from bayesfric.recordings.measurement import Hold, Inputs
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

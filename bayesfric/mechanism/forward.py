@@ -42,8 +42,7 @@ from bayesfric.mechanism.kernels import (
 from bayesfric.mechanism.own_term import signal_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Hold
+from bayesfric.recordings.measurement import Hold, Inputs
 
 # Steps that a cubic torque is straight in, a sample.
 _FINER = 4

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 
 def inverse_torque(

@@ -16,7 +16,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.inputs import AT_ROOM
+from bayesfric.recordings.measurement import AT_ROOM
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,7 +20,7 @@ from numba.extending import intrinsic
 
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 
 _SIGNATURE = types.float64(*[types.float64] * 5)
 

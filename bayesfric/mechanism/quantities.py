@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from bayesfric.recordings.inputs import ROOM
+from bayesfric.recordings.measurement import ROOM
 
 Motion = Literal["rotary", "linear"]
 Column = Callable[..., Any]  # of a State, and of the value of the parameter that shapes it

@@ -2,13 +2,13 @@
 
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import (
     Channel,
     Current,
     Position,
+    Processing,
     Source,
     Torque,
     Velocity,

@@ -13,7 +13,7 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.options import Options
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timebase import LEAST_SAMPLES
 
 # Outputs left out before a held-out end, beyond one window of the parallel filter: noise that

@@ -29,8 +29,7 @@ from bayesfric.recordings.filters import (
     parallel_taps,
     reach_of,
 )
-from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Inputs, Measurement, Signal
 from bayesfric.recordings.moving import (
     Rest,
     at_rest,
@@ -40,7 +39,6 @@ from bayesfric.recordings.moving import (
     too_slow,
     without_excluded,
 )
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
     LEAST_RATIO,
@@ -52,6 +50,7 @@ from bayesfric.recordings.resolution import (
     resolve,
     too_coarse,
 )
+from bayesfric.recordings.source import Processing
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10

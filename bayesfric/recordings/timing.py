@@ -20,8 +20,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.recordings.acting import aimed, arriving, commanded
 from bayesfric.recordings.arrays import Array, Segments
 from bayesfric.recordings.filters import derivative, lowpass
-from bayesfric.recordings.inputs import Signal
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Measurement, Signal
 from bayesfric.recordings.observation import Observation, as_position
 
 # Delays in s, either way, between which a torque is about linear in them.

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Hold, Measurement
+from bayesfric.recordings.measurement import Hold, Inputs, Measurement
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
 

@@ -35,8 +35,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings import Processing
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.trajectory import trajectory
 

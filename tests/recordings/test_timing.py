@@ -6,8 +6,8 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import Processing
 from bayesfric.recordings.acting import aimed, commanded
-from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
+from bayesfric.recordings.measurement import Law
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.timing import retimed, timed
 from bayesfric.recordings.trajectory import trajectory
