@@ -14,10 +14,10 @@ from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.bodies import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
-from bayesfric.recordings.acting import filtered_motion
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, reach_of
 from bayesfric.recordings.measurement import Measurement, stretches
+from bayesfric.recordings.observation import filtered_motion
 from bayesfric.recordings.read import (
     Drive,
     chosen_rows,

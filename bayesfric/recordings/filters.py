@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -33,6 +34,8 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Neighbours on either side that a derivative is made of: at least, and at most.
 _REACH = (4, 24)
+# Chance of one false kink or more in a whole recording.
+_FALSE_KINK = 0.05
 # Samples on either side that a value between two is made of.
 _BESIDE = 4
 
@@ -178,6 +181,63 @@ def _between(share: float, beside: int) -> Array:
             for k in offsets.tolist()
         ]
     )
+
+
+@dataclass(frozen=True)
+class Lag:
+    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
+
+    cutoff: float  # Hz, -3 dB
+    order: int  # 1 or 2
+
+
+def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
+    """Delay a command ``(n,)`` by some samples, exact within the band.
+
+    One that is held until the next sample acts half a sample later, averaged over one.
+    """
+    late = command.copy()
+    for a, b in segments:
+        late[a:b] = later(command[a:b], samples + 0.5 * held)
+    return averaged(late, segments, 1.0) if held else late
+
+
+def integrated_kinks(values: Array, segments: Segments) -> Array:
+    """Correct a torque ``(n,)`` behind a current loop for the kinks at its commands' samples.
+
+    The trapezoid rule misses a twelfth of the slope's jump there (Euler and Maclaurin), which is
+    added. A kink is a second difference that noise of their median size would show once in twenty
+    recordings.
+    """
+    result = values.copy()
+    for a, b in segments:
+        if b - a < 5:
+            continue
+        bend = np.zeros(b - a)
+        bend[1:-1] = np.diff(values[a:b], 2)
+        # a normal's standard deviation from the median absolute value
+        sd = 1.482602218505602 * np.median(np.abs(bend))
+        threshold = NormalDist().inv_cdf(1.0 - 0.5 * _FALSE_KINK / bend.size) * sd
+        neighbour = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
+        kinks = (np.abs(bend) > threshold) & (np.abs(bend) >= neighbour) & (threshold > 0.0)
+        smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))
+        result[a:b] += np.where(kinks, bend - smooth, 0.0) / 12.0
+    return result
+
+
+def inverse_lowpass(
+    values: Array, segments: Segments, period: float, lag: Lag, reach: int
+) -> Array:
+    """Undo a causal low-pass on a signal ``(n,)``, within the band that its derivatives show.
+
+    The inverse is ``1 + s/w`` or, of a Butterworth filter of second order, ``1 + sqrt(2) s/w +
+    (s/w)²``.
+    """
+    rate = derivative(values, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    if lag.order == 1:
+        return values + rate
+    curvature = derivative(rate, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    return np.asarray(values + math.sqrt(2.0) * rate + curvature)
 
 
 @dataclass(frozen=True, eq=False)

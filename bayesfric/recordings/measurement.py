@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
+from bayesfric.recordings.filters import Lag
 from bayesfric.recordings.timebase import LEAST_SAMPLES, Grid
 
 
@@ -142,14 +143,6 @@ def stretches(count: int, most: int) -> Segments:
     length = most // many
     begins = np.linspace(0, count - length, many).astype(np.int64).tolist()
     return tuple((begin, begin + length) for begin in begins)
-
-
-@dataclass(frozen=True)
-class Lag:
-    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
-
-    cutoff: float  # Hz, -3 dB
-    order: int  # 1 or 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,15 @@ from dataclasses import replace
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.acting import aimed, arriving, commanded
 from bayesfric.recordings.arrays import Array, Segments
-from bayesfric.recordings.filters import derivative, lowpass
+from bayesfric.recordings.filters import delayed_command, derivative, lowpass
 from bayesfric.recordings.measurement import Measurement, Signal
-from bayesfric.recordings.observation import Observation, as_position
+from bayesfric.recordings.observation import (
+    Observation,
+    as_position,
+    target_torque,
+    unlimited_command,
+)
 
 # Delays in s, either way, between which a torque is about linear in them.
 FAR_DELAYS = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
@@ -68,10 +72,10 @@ def retimed(
     """
     back_emf = None if recording is None else recording.back_emf
     if recording is not None and recording.feedback is not None:
-        before, rate = commanded(recording, delay), command_rate(o, recording, delay)
+        before, rate = target_torque(recording, delay), command_rate(o, recording, delay)
     else:
         taken = np.zeros_like(o.torque) if back_emf is None else back_emf
-        before = arriving(o.torque + taken, segments, delay / period, held=False) - taken
+        before = delayed_command(o.torque + taken, segments, delay / period, held=False) - taken
         rate = _rate(o, o.torque + taken, segments, period, delay)
     compared = before + delay * rate
     return replace(
@@ -89,7 +93,7 @@ def command_rate(o: Observation, recording: Measurement, delay: float = 0.0) -> 
     """
     law = recording.law
     assert law is not None
-    inside = np.abs(aimed(recording, delay)) < law.limit
+    inside = np.abs(unlimited_command(recording, delay)) < law.limit
     late = delay + 0.5 * recording.period * law.held
     rate = _rate(o, law.command, recording.segments, recording.period, late)
     return np.asarray(law.scale * inside * rate)
@@ -100,5 +104,5 @@ def _rate(o: Observation, x: Array, segments: Segments, period: float, delay: fl
     cutoff, order = float(o.settings.get("lowpass", 0.0)), int(o.settings.get("order", 1))
     # only noise is above the low-pass that the position has passed
     smooth = lowpass(x, segments, 1.0 / period, cutoff, order)
-    late = arriving(smooth, segments, delay / period, held=False)
+    late = delayed_command(smooth, segments, delay / period, held=False)
     return derivative(late, segments, period, int(o.settings.get("reach", 1)))
