@@ -1,4 +1,4 @@
-"""Which acceleration a motor torque gives the joint, in closed form, and when the joint sticks.
+"""Acceleration of the joint under a motor torque, in closed form, and its breakaway torques.
 
 At a given direction of motion the motor torque is a piecewise linear, rising
 function of the acceleration with one kink for each load-dependent element, so it
@@ -35,34 +35,29 @@ from bayesfric.recordings.arrays import Array
 class CarriedValues(NamedTuple):
     """Terms without a slot in the kernels."""
 
-    # (n, n_carried, 2) coefficient and value of what shapes each, of several vectors
-    values: Array
-    # (n_carried,) index of the element of each, as in
-    # Samples
-    places: NDArray[np.int64]
+    values: Array  # (n, n_carried, 2) coefficient and shape of each, of several vectors
+    places: NDArray[np.int64]  # (n_carried,) index of its element, as in Samples
     addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
     stamps: Array  # (K,) times of the signals that some are multiplied by, s
-    levels: Array  # (n_carried, K) what each is multiplied by at these times
+    levels: Array  # (n_carried, K) factor of each at these times
 
 
 class Moved(NamedTuple):
-    """What the compiled functions of the forward model need of a joint; one parameter vector."""
+    """A joint with one parameter vector, for the compiled functions of the forward model."""
 
     elements: Array  # (n_elements, n_slots), a vector's of Chain.tables
     gain: float  # true motor torque is gain * measured - offset, N m or N
     offset: float
     inertia: float  # of the load, known added mass included, kg m² or kg
-    # gravity torque of the load is weight sin(q + angle), added mass included, N m and rad
-    weight: float
+    weight: float  # gravity torque is weight sin(q + angle), added mass included, N m and rad
     angle: float
-    # bit k is set where the torque at the input of element k has a kink as power changes direction
-    kinks: int
+    kinks: int  # bit k: the input torque of element k has a kink where power changes direction
     squares: bool  # whether a loss grows with the square of the load
-    carried: CarriedValues | None  # terms without a slot; None for a joint that has none
-    vector: int  # which of their vectors is meant
+    carried: CarriedValues | None  # terms without a slot, if any
+    vector: int  # index of their vector
 
 
-# Steps of Newton's method, which ends earlier where it moves by rounding only.
+# Most steps of Newton's method, and its relative tolerance: rounding.
 _ROUNDS = 40
 _EXACT = 4e-16
 # (n_elements, 2) lines T = slope qdd + intercept of the transmitted torques; scratch memory.
@@ -78,7 +73,7 @@ def moved(
     added_moment: float,
     vector: int = 0,
 ) -> Moved:
-    """Gather what the forward model needs of one parameter vector, added mass included."""
+    """Prepare one parameter vector of :meth:`Chain.tables`, added mass included."""
     # one sine instead of a sine and a cosine
     sine = gravity_torque(load, added_moment, 1.0, 0.0)
     cosine = gravity_torque(load, added_moment, 0.0, 1.0)
@@ -106,7 +101,7 @@ def _level(stamps: Array, levels: Array, time: float) -> float:
     return float(levels[k - 1] + share * (levels[k] - levels[k - 1]))
 
 
-# without annotations: a compiled overload must look like what it stands for
+# without annotations: a compiled overload needs the same signature
 def _carried_torque(carried, vector, k, to_input, q, qd, sign, time) -> Any:  # type: ignore[no-untyped-def]
     """Torque of the terms without a slot of element k, or of the load, at its own input.
 
@@ -133,13 +128,19 @@ def _typed_carried_torque(carried, vector, k, to_input, q, qd, sign, time):  # t
 def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) -> float:
     """Torque of the load at constant speed: gravity and its carried terms, at the joint."""
     place = joint.elements.shape[0]
-    own = _carried_torque(joint.carried, joint.vector, place, 1.0, q, qd, sign, time)
-    return float(joint.weight * math.sin(q + joint.angle) + own)
+    carried = _carried_torque(joint.carried, joint.vector, place, 1.0, q, qd, sign, time)
+    return float(joint.weight * math.sin(q + joint.angle) + carried)
 
 
 @njit(cache=True, error_model="numpy")
 def motor_torque(
-    joint: Moved, q: float, qd: float, qdd: float, sign: float, time: float, load_torque: float
+    joint: Moved,
+    q: float,
+    qd: float,
+    qdd: float,
+    sign: float,
+    time: float,
+    load_torque: float,
 ) -> float:
     """Carry the load's torque through every element to the motor."""
     torque = load_torque
@@ -160,21 +161,19 @@ def motor_torque(
 def acceleration(
     joint: Moved, q: float, qd: float, torque: float, time: float, sign: float, lines: Lines
 ) -> tuple[float, int]:
-    """Acceleration for a motor torque, in closed form, and in which elements the motor side drives.
+    """Solve for the acceleration, and for the elements that the motor side drives.
 
-    The motor torque rises with the acceleration, with one kink per load-dependent element. Whether
-    the solution lies above or below a kink is read off the torque at the kink, from the load to the
-    motor; then everything is one line ``torque = slope qdd + intercept``. A loss with the square of
-    the load is taken by its tangent, and the line by Newton's method.
+    Whether it lies above or below an element's kink follows from the torque there, from load to
+    motor; then ``torque = slope qdd + intercept``, by Newton's method where a loss is quadratic.
     """
-    found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, 0.0)
+    qdd, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, 0.0)
     if joint.squares:
         for _ in range(_ROUNDS):
-            about = found
-            found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, about)
-            if abs(found - about) <= _EXACT * abs(found):
+            about = qdd
+            qdd, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, about)
+            if abs(qdd - about) <= _EXACT * abs(qdd):
                 break
-    return found, pattern
+    return qdd, pattern
 
 
 @njit(cache=True, error_model="numpy")
@@ -188,22 +187,18 @@ def held_acceleration(
     pattern: int,
     lines: Lines,
 ) -> float:
-    """Acceleration as of :func:`acceleration` while direction and power flow are held.
-
-    Between two events of :mod:`bayesfric.mechanism.integrate` the equation of motion is then
-    smooth.
-    """
-    found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
+    """Return the :func:`acceleration` for a given direction and power flow, where it is smooth."""
+    qdd, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
     if joint.squares:
         for _ in range(_ROUNDS):
-            about = found
-            found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, about)
-            if abs(found - about) <= _EXACT * abs(found):
+            about = qdd
+            qdd, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, about)
+            if abs(qdd - about) <= _EXACT * abs(qdd):
                 break
-    return found
+    return qdd
 
 
-# inlined, so that what is held and what is free are compiled each by themselves
+# inlined, so that held and free power flow are compiled separately
 @njit(cache=True, error_model="numpy", inline="always")
 def _solved(
     joint: Moved,
@@ -217,11 +212,10 @@ def _solved(
     lines: Lines,
     about: float,
 ) -> tuple[float, int]:
-    """Solve with losses by the square of the load linear around ``about``, an acceleration.
+    """Solve from load to motor, with quadratic losses linearised at the acceleration ``about``.
 
-    Goes from load to motor: ``slope`` and ``intercept`` are those of the torque over ``qdd``.
-    ``free`` finds the power flow at every kink within ``low`` to ``high``; else ``pattern`` gives
-    it.
+    ``slope`` and ``intercept`` are those of the torque over ``qdd``. ``free`` finds the power flow
+    at every kink within ``low`` to ``high``; else ``pattern`` gives it.
     """
     elements = joint.elements
     still = _load_torque(joint, q, qd, sign, time)
@@ -241,8 +235,8 @@ def _solved(
             else:
                 kink = -intercept / slope
                 if low < kink < high:
-                    there = joint.inertia * kink + still
-                    if motor_torque(joint, q, qd, kink, sign, time, there) < torque:
+                    at_kink = joint.inertia * kink + still
+                    if motor_torque(joint, q, qd, kink, sign, time, at_kink) < torque:
                         low = kink
                     else:
                         high = kink
@@ -256,8 +250,8 @@ def _solved(
         factor, shift = 1.0 + drive if (flow >> k) & 1 == 1 else 1.0 - back, 0.0
         square = elements[k, LOAD_SQUARE] * sign
         if square != 0.0:
-            there = slope * about + intercept
-            factor, shift = factor + 2.0 * square * there, -square * there * there
+            passed = slope * about + intercept
+            factor, shift = factor + 2.0 * square * passed, -square * passed * passed
         losses = element_torque(elements[k], 0.0, sign, speed, 0.0)
         slope = slope * factor + elements[k, INERTIA] * to_input
         intercept = intercept * factor + losses + shift

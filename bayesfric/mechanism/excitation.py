@@ -79,6 +79,6 @@ def current_loop(torque: ArrayLike, period: float, lag: float) -> Array:
         raise ValueError("lag must not be negative and period must be positive")
     if lag == 0.0:
         return command.copy()
-    kept = np.exp(-period / lag)
-    actual = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -kept], command)
+    decay = np.exp(-period / lag)
+    actual = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -decay], command)
     return np.asarray(actual, dtype=np.float64)

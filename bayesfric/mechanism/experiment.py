@@ -1,7 +1,4 @@
-"""What a bench would record of a known joint: simulated torque, motion, encoder and noise.
-
-Stands in for measurements where the truth must be known, as for the demonstration and for checks.
-"""
+"""Simulated recordings of a known joint: torque, motion, encoder and noise."""
 
 from __future__ import annotations
 
@@ -60,7 +57,7 @@ class Simulation(Options):
     )
 
     def true_values(self, chain: Chain) -> dict[str, float]:
-        """Values of every parameter of the chain."""
+        """Return the value of every parameter of the chain, by name."""
         preset = PRESETS.get(chain.made_from)
         values = dict(preset.values) if preset else {}
         for name, value in self.parameters.items():
@@ -88,10 +85,10 @@ class Simulation(Options):
 
 
 def record(chain: Chain, options: Simulation) -> tuple[dict[str, Array], Motion, dict[str, float]]:
-    """Simulate a joint on a bench.
+    """Simulate a recording: its columns ``(N,)``, the true motion and the true values.
 
-    The commanded torque passes the current loop, moves the joint, and is measured
-    with noise; the position is read by an encoder.
+    The commanded torque passes the current loop, moves the joint, and is measured with noise; the
+    position is read by an encoder.
     """
     values = options.true_values(chain)
     period = 1.0 / options.rate

@@ -1,4 +1,4 @@
-"""Forward model: the motion that a motor torque makes, with true stiction.
+"""Forward model: the motion under a motor torque, with true stiction.
 
 While the joint keeps its direction and no element's transmitted torque changes
 sign, the equation of motion is smooth and classical Runge-Kutta steps integrate
@@ -44,13 +44,13 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Hold, Inputs
 
-# Steps that a cubic torque is straight in, a sample.
+# Linear pieces of a cubic torque, a sample.
 _FINER = 4
 _MAX_SUBSTEPS = 64
 
 
 class RunsAway(ValueError):
-    """A simulated joint left every range that could be meant: 1e6 rad or m."""
+    """A simulated joint moved beyond 1e6 rad or m."""
 
 
 @dataclass(frozen=True)
@@ -58,22 +58,16 @@ class Motion:
     """A simulated motion."""
 
     time: Array  # (N,) s, from zero
-    # (N,) position, speed and acceleration of the joint (rad or m, SI), the acceleration right
-    # after the sample
-    q: Array
-    qd: Array
-    qdd: Array
-    torque: Array  # (N,) measured motor torque, as given, N m or N
-    # (N,) of bool: where static friction holds the joint; speed and acceleration are then zero
-    sticking: NDArray[np.bool_]
-    events: int  # number of located stops, breakaways and sign changes of transmitted torques
-    reversals: int  # how often the joint moved off against the direction it had moved in before
-    # estimated largest discretisation error of q, rad or m; NaN where substeps were given
-    step_error: float
+    q: Array  # (N,) of the joint, rad or m
+    qd: Array  # (N,)
+    qdd: Array  # (N,) right after the sample
+    torque: Array  # (N,) measured motor torque, N m or N
+    sticking: NDArray[np.bool_]  # (N,) where static friction holds the joint
+    events: int  # located stops, breakaways and sign changes of transmitted torques
+    reversals: int  # number of times that the joint moved off in the other direction
+    step_error: float  # estimated largest error of q, rad or m; NaN for given substeps
     substeps: int  # integration steps per sample
-    # steps with more events than are followed, their rest integrated without locating any; zero
-    # unless the steps are far too coarse
-    unresolved: int = 0
+    unresolved: int = 0  # steps with too many events to locate; only if far too coarse
 
 
 def simulate(
@@ -90,38 +84,37 @@ def simulate(
     substeps: int | None = None,
     tolerance: float = 1e-9,
 ) -> Motion:
-    """Motion of the joint under a measured motor torque.
+    """Simulate the joint under a measured motor torque ``(N,)``, N m or N.
 
-    Classical Runge-Kutta steps between located events: the error falls with the fourth power of the
-    step, so ``step_error`` is a fifteenth of what the last doubling changed. At rest the joint
-    sticks while the torque lies within its breakaway torques
-    (:func:`bayesfric.mechanism.dynamics.breakaway_torques`); no friction law is smoothed.
+    Substeps are doubled until ``q`` changes by less than ``tolerance``. The joint sticks while the
+    torque lies within its breakaway torques; no friction law is smoothed. Raises ValueError where
+    the acceleration is not unique, and :class:`RunsAway`.
     """
-    given = _torque(torque, period, hold, substeps)
+    measured = _torque(torque, period, hold, substeps)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
     vector = np.asarray(values, dtype=np.float64)
     joint = _joint(chain, vector, inputs)
-    samples = _acting(chain, vector[np.newaxis], given, period)[0]
+    samples = _acting(chain, vector[np.newaxis], measured, period)[0]
     finer = _FINER if hold == "cubic" else 1
     fine = _finer(samples[np.newaxis], finer)[0]
 
     def run(each: int) -> Motion:
-        return _motion(joint, given, fine, finer, period, begin, hold != "zero", (q0, qd0), each)
+        return _motion(joint, measured, fine, finer, period, begin, hold != "zero", (q0, qd0), each)
 
     if substeps is not None:
         return run(-(-substeps // finer))
-    found = run(2)
+    motion = run(2)
     while True:
-        coarse, found = found, run(2 * found.substeps // finer)
-        change = float(np.max(np.abs(found.q - coarse.q)))
-        if change < tolerance or found.substeps >= _MAX_SUBSTEPS:
+        coarse, motion = motion, run(2 * motion.substeps // finer)
+        change = float(np.max(np.abs(motion.q - coarse.q)))
+        if change < tolerance or motion.substeps >= _MAX_SUBSTEPS:
             # of fourth order: half the step leaves a sixteenth of the error
-            return replace(found, step_error=change / 15.0)
+            return replace(motion, step_error=change / 15.0)
 
 
 def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
-    """Lay a joint out to be moved; refuse values that have no, or no one, motion."""
+    """Prepare a joint for simulation; refuse values without a unique motion."""
     if vector.shape != (len(chain.names),):
         raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
     outside = [
@@ -199,7 +192,10 @@ def simulate_segments(
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> tuple[Array, Array]:
-    """Simulate the joint anew from a given state in every segment, in parallel."""
+    """Simulate vectors ``(n, d)`` from a given state in every segment ``(K, 2)``, in parallel.
+
+    Returns positions and speeds ``(n, N)``, NaN where a vector has no motion, or runs away.
+    """
     vectors = np.asarray(values, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
         raise ValueError(f"values must have the shape (n, {len(chain.names)})")
@@ -237,20 +233,22 @@ def simulate_segments(
 
 
 def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues | None:
-    """Gather the terms without a slot for the forward model."""
-    felt = chain.felt(inputs)
-    kept = [k for k, c in enumerate(felt) if c.row.column is not None]
-    if not kept:
+    """Prepare the terms without a slot for the forward model; a delay is none of them."""
+    all_terms = chain.carried_terms(inputs)
+    columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
+    if not columns:
         return None
-    terms = [felt[k] for k in kept]
+    terms = [all_terms[k] for k in columns]
     signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
-    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one in signals.values())]))
+    stamps = np.unique(
+        np.concatenate([np.zeros(1), *(signal.stamps for signal in signals.values())])
+    )
     levels = np.ones((len(terms), stamps.size))
     for k, signal in signals.items():
         levels[k] = signal.at(stamps) - terms[k].row.zero
     return CarriedValues(
-        np.ascontiguousarray(values[:, kept]),
+        np.ascontiguousarray(values[:, columns]),
         np.array([c.place for c in terms], dtype=np.int64),
         np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
@@ -288,7 +286,7 @@ def _finer(torque: Array, finer: int) -> Array:
 def possible(
     chain: Chain, vectors: Array, tables: Tables, added_inertia: float
 ) -> NDArray[np.bool_]:
-    """Find which vectors lie in the support and have one motion for one torque.
+    """Flag the vectors in the support that have one motion for one torque.
 
     A motion is unique where the motor torque rises with the acceleration for every direction of
     power. It does not where ``mu_2`` is so far above one that the inertia on the motor side does
@@ -304,7 +302,7 @@ def possible(
 
 
 def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -> Array:
-    """Give samples ``(N,)`` as floats; refuse what is no torque, period, hold or step number."""
+    """Check a torque ``(N,)``, period, hold and number of steps."""
     samples = np.array(torque, dtype=np.float64)
     if samples.ndim != 1 or samples.size == 0:
         raise ValueError("torque must be a one-dimensional array of samples")
@@ -332,9 +330,9 @@ def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
         rise = 1.0 + np.maximum(element[:, STRIBECK_LOAD_RATIO], 0.0)
         drive, drive_apart = element[:, LOAD_DRIVE], np.abs(element[:, LOAD_DRIVE_DIFFERENCE])
         back, back_apart = element[:, LOAD_BACK], np.abs(element[:, LOAD_BACK_DIFFERENCE])
-        least = np.minimum(1.0 - (back + back_apart) * rise, 1.0 + (drive - drive_apart) * rise)
-        most = np.maximum(1.0 - (back - back_apart) * rise, 1.0 + (drive + drive_apart) * rise)
-        corners = np.stack([low * least, low * most, high * least, high * most])
+        lower = np.minimum(1.0 - (back + back_apart) * rise, 1.0 + (drive - drive_apart) * rise)
+        upper = np.maximum(1.0 - (back - back_apart) * rise, 1.0 + (drive + drive_apart) * rise)
+        corners = np.stack([low * lower, low * upper, high * lower, high * upper])
         corners /= element[:, RATIO]
         low = corners.min(axis=0) + element[:, INERTIA] * to_input
         high = corners.max(axis=0) + element[:, INERTIA] * to_input

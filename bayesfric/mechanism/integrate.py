@@ -1,8 +1,8 @@
-"""How the motion is integrated: Runge-Kutta steps from one event to the next.
+"""Integration of the motion: Runge-Kutta steps from one event to the next.
 
 Within a step direction of motion and power flow are held, so the equation of motion is smooth; what
 ends that (an event: a reversal, breakaway, a change of power flow) is located to rounding, and
-integration begins anew there.
+integration restarts there.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ _MAX_EVENTS = 64  # in one step
 Counts = NDArray[np.int64]
 
 
-# Rows of what is written of a motion.
+# Rows of an integrated motion.
 POSITION, SPEED, ACCELERATION, STICKS = 0, 1, 2, 3
-# What comes first within a step, where it is no element whose power flow turns.
+# Events within a step other than the index of an element whose power flow turns.
 _REVERSAL, _NOTHING = -1, -2
 
 
 class At(NamedTuple):
-    """Where a step begins: the motion, the torque with its rate, and which way all goes."""
+    """State at the begin of a step."""
 
     q: float  # of the joint, rad or m, SI
     qd: float
@@ -148,16 +148,15 @@ def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
 
 
 class _Going(NamedTuple):
-    """Where a joint is, and how it goes on."""
+    """State of the joint between two events."""
 
     q: float
     qd: float
     qdd: float
     sign: float  # direction of motion, zero while it sticks
-    before: float  # the last one
+    before: float  # the last direction
     pattern: int
-    # motor torques between which it sticks, where it stands
-    low: float
+    low: float  # breakaway torques
     high: float
 
 
@@ -165,7 +164,7 @@ class _Going(NamedTuple):
 def _at_rest(
     joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
 ) -> _Going:
-    """Have a joint that stands stick, or move off."""
+    """Let a standing joint stick, or move off."""
     low, high = breakaway_torques(joint, going.q, time)
     sign = 1.0 if torque > high else (-1.0 if torque < low else 0.0)
     going = _Going(going.q, 0.0, 0.0, sign, going.before, going.pattern, low, high)
@@ -176,7 +175,7 @@ def _at_rest(
 def _moves_off(
     joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
 ) -> _Going:
-    """Give a joint that has a direction its acceleration and power flow, and count a reversal."""
+    """Compute acceleration and power flow for a direction, and count a reversal."""
     q, qd, _, sign, before, _, low, high = going
     counts[1] += before * sign < 0.0
     qdd, pattern = acceleration(joint, q, qd, torque, time, sign, lines)
@@ -198,7 +197,7 @@ def _first_event(
     if sign * qd1 <= 0.0:
         which = _REVERSAL
     else:
-        if at.qd != 0.0:  # from rest it moves off, whatever the rounding of qdd
+        if at.qd != 0.0:  # from standstill it moves off, despite the rounding of qdd
             dip = _dip(sign * at.qd, sign * at.qdd, sign * qd1, sign * qdd1, h)
         for k in range(joint.elements.shape[0]):
             bent = (joint.kinks >> k) & 1 == 1
@@ -254,7 +253,7 @@ def _advance(
             return _Going(q1, qd1, qdd1, sign, before, pattern, low, high)
         events += 1
         counts[0] += 1
-        if events > _MAX_EVENTS:  # the rest of the step is not looked into
+        if events > _MAX_EVENTS:  # no more events are located in this step
             counts[2] += 1
             q, qd, now = q1, qd1, end
             if sign * qd > 0.0:
@@ -266,7 +265,7 @@ def _advance(
             q, qd = _step(joint, at, lines, ahead)
             now = end if ahead == h else now + ahead
         elif first == _REVERSAL:
-            # It was about to leave, by no more than rounding: it has not left.
+            # it had moved off by no more than rounding
             low, high = breakaway_torques(joint, q, time)
             return _Going(q, 0.0, 0.0, 0.0, before, pattern, low, high)
         torque, time = start + rate * now, stamp + now
@@ -351,7 +350,7 @@ def integrate_segments(
     substeps: int,
     valid: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Integrate many parameter vectors, each anew at the start of every segment, in parallel."""
+    """Integrate many parameter vectors, restarted in every segment, in parallel."""
     n, segments = elements.shape[0], starts.shape[0]
     q = np.full((n, torque.shape[1]), np.nan)
     qd = np.full((n, torque.shape[1]), np.nan)

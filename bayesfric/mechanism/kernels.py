@@ -1,4 +1,4 @@
-"""What torque an element takes: the element equation, compiled, once for all that evaluates it.
+"""The element equation, compiled once for all models.
 
 Inverse and forward model share these functions, so they cannot disagree; exports and the law in
 formulas are made of their source. Rows of ``elements`` and entries of ``load`` are laid out by
@@ -45,13 +45,13 @@ LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12,
 LOAD_SPEED, LOAD_SQUARE = 14, 15
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
 Row = Array | tuple[float, ...]  # of one element
-Factors = tuple[float, float]  # of the constant and of the load loss
+Factors = tuple[float, float]  # of Coulomb and of load-dependent friction
 _SLOTS = len(ELEMENT_SLOTS)
 _as_tuple: Any = to_fixed_tuple
 
 
 class Samples(NamedTuple):
-    """A motion and what the joint feels besides, as the kernels read it; made by a chain."""
+    """A motion and the other inputs, laid out for the kernels by :meth:`Chain.samples`."""
 
     added_inertia: float  # of a known mass on the load, kg m² (kg) and kg m
     added_moment: float
@@ -250,12 +250,12 @@ def _through_element(
     scaled[LOAD_SPEED] *= to_input
     scaled[STRIBECK_VELOCITY] /= to_input
     # a tuple, or the compiler must assume that writing `out` changes it
-    own = _as_tuple(scaled, _SLOTS)
-    constant, load = own[STRIBECK_RATIO], own[STRIBECK_LOAD_RATIO]
+    row = _as_tuple(scaled, _SLOTS)
+    constant, load = row[STRIBECK_RATIO], row[STRIBECK_LOAD_RATIO]
     shape = slice(STRIBECK_VELOCITY, STRIBECK_EXPONENT + 1)
     known = (element[shape] == first[shape]).all()
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        risen = (1.0 + constant * low[j], 1.0 + load * low[j]) if known else rises(own, v)
-        out[j] = risen_torque(own, out[j] * to_torque, sign, v, acceleration[j], risen)
+        risen = (1.0 + constant * low[j], 1.0 + load * low[j]) if known else rises(row, v)
+        out[j] = risen_torque(row, out[j] * to_torque, sign, v, acceleration[j], risen)

@@ -1,4 +1,4 @@
-"""How terms that the compiled kernels do not write out take part: by the column of their row.
+"""Custom terms, and others that the compiled kernels do not write out: compiled columns.
 
 A term is compiled once to a function of position, speed, direction and time of its element, and
 of the parameter that shapes it, where one does. The forward model calls it at every step. The
@@ -27,7 +27,7 @@ _SIGNATURE = types.float64(*[types.float64] * 5)
 
 @dataclass(frozen=True)
 class Term:
-    """A term of one's own that is linear in its coefficient.
+    """A custom term that is linear in its coefficient.
 
     Parameters
     ----------
@@ -54,15 +54,15 @@ class Term:
     ValueError
         If the name is none, or taken.
     TypeError
-        If the column cannot be compiled, as where it depends on what a term of one's own
-        cannot: acceleration and transmitted torque.
+        If the column cannot be compiled, as where it depends on acceleration or
+        transmitted torque.
     """
 
     name: str
     column: Column
     unit: str = ""
     symbol: str = ""
-    meaning: str = "a term of one's own"
+    meaning: str = "a custom term"
     positive: bool = False
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class Term:
         )
 
 
-# What pushes the load from outside, the motor need not give.
+# An external torque on the load reduces that of the motor.
 PUSH = Quantity(
     "load_torque", ("N m", "N"), "", "measured torque on the load", signal="load_torque",
     column=lambda m: -1.0 + 0.0 * m.speed, slots=(),
@@ -107,22 +107,21 @@ PUSH = Quantity(
 class CarriedTerm:
     """A term of a chain that the kernels do not write out."""
 
-    index: int  # of its parameter among the chain's; -1 for what counts once, without one
-    # index of its element; the load's is the number of elements, one more is outside of all
-    place: int
+    index: int  # of its parameter in the chain; -1 for a coefficient of one
+    place: int  # index of its element; n_elements for the load, one more for the measurement
     reach: float  # speed of its element's input over the joint's
-    row: Quantity  # in the table of quantities, or of a term of one's own
+    row: Quantity
     shape: int = -1  # index of the parameter that shapes its column; -1 where none does
 
     @property
     def address(self) -> int:
-        """Of the compiled column, by which kernels call it."""
+        """Address of the compiled column, for the kernels."""
         assert self.row.column is not None
         return int(compiled(self.row.column, shaped=bool(self.row.shape)).address)
 
 
 def signal_of(row: Quantity, inputs: Inputs) -> Signal:
-    """Give the signal that a term is, or is multiplied by."""
+    """Return the signal that a term is, or is multiplied by."""
     signal = inputs.signal(row.signal)
     if signal is None:
         raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
@@ -132,13 +131,13 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
 def along(
     row: Quantity, reach: float, position: Array, speed: Array, time: Array, inputs: Inputs
 ) -> Array:
-    """Torque of a term for a coefficient of one along a motion of the joint."""
+    """Return the torque ``(N,)`` of a term for a coefficient of one along a joint's motion."""
     factor: Any = signal_of(row, inputs).at(time) - row.zero if row.signal else 1.0
     if row.column is None:
         return np.asarray(factor)
     position, speed = reach * position, reach * speed
     if row.option or row.signal:
-        # of the table, in operations that take arrays: nothing to compile for one look
+        # columns of the table take arrays, and need no compilation
         at = State(position, speed, 0.0, np.sign(speed), time, 0.0, 0.0)
         shape = (QUANTITIES[row.shape].start,) if row.shape else ()
         return np.asarray(factor * row.column(at, *shape))
@@ -147,10 +146,7 @@ def along(
 
 
 class _Motion(NamedTuple):
-    """The part of a :class:`State` that a carried term may depend on.
-
-    Inertia, load-dependent friction and gravity are terms that every element or load can have.
-    """
+    """The part of a :class:`State` that a carried term may depend on."""
 
     position: float
     speed: float
@@ -160,7 +156,7 @@ class _Motion(NamedTuple):
 
 @lru_cache(maxsize=256)
 def compiled(column: Column, *, shaped: bool) -> Any:
-    """Compile a column to a function of position, speed, direction, time and what shapes it."""
+    """Compile a column of position, speed, direction, time and, if ``shaped``, a parameter."""
     inner: Any = njit(column)
 
     def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:

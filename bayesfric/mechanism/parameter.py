@@ -1,6 +1,6 @@
-"""Which name, unit, symbol and support a parameter has: a quantity of one element of one chain.
+"""Parameters: name, unit, symbol and support of a quantity of one element of a chain.
 
-Names are ``element.quantity``; what slides has forces and metres in place of torques and angles.
+Names are ``element.quantity``; sliding elements have forces and metres, not torques and angles.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number the joint is described by."""
+    """One parameter of the joint."""
 
     name: str  # element.quantity, for example motor.inertia
     row: Quantity  # its row in the table of quantities
-    owner: str  # name of the element, load, drive, or empty for what the whole chain has
+    owner: str  # name of the element, load, drive, or empty for the whole chain
     unit: str  # as printed, in SI
     symbol: str  # LaTeX without dollar signs, the paper's where it has one
     meaning: str  # one line for people
 
     @property
     def quantity(self) -> str:
-        """The part behind the dot of its name, its row's: ``inertia`` of ``motor.inertia``."""
+        """The part after the dot of its name: ``inertia`` of ``motor.inertia``."""
         return self.row.name
 
     @property
@@ -54,7 +54,7 @@ class Parameter:
 
     @property
     def circular(self) -> bool:
-        """Whether values a turn apart are the same, so that no value is at an end."""
+        """Whether values a turn apart are the same."""
         return self.row.circular
 
 

@@ -1,4 +1,4 @@
-"""Which joints can be named: the paper's knee, a motor axis, a servo pendulum."""
+"""Named joints: the paper's knee, a motor axis, a servo pendulum."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ class Preset:
     """A named chain with values to simulate it with."""
 
     name: str  # as written in a configuration
-    meaning: str  # what it is, and what kind of joint to choose it for; one line each
-    when: str
-    elements: tuple[Element, ...]  # of the chain, see Chain
+    meaning: str  # one line
+    when: str  # kind of joint to choose it for, one line
+    elements: tuple[Element, ...]
     load: Load
     values: dict[str, float]  # true parameter values for simulation, by name, SI
     source: str  # where these are from
-    offset: bool = False  # of the chain, see Chain
+    offset: bool = False
 
     def chain(self) -> Chain:
         """Make the chain, which keeps the preset's name as ``made_from``."""

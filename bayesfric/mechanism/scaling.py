@@ -1,4 +1,4 @@
-"""Which scaling no torque can see: everything behind a gearbox, and its alphas, together.
+"""Scalings that change no torque: everything behind a gearbox, together with its alphas.
 
 Section 4.2 of the paper notes it (with a misprint, see the notes): leg parameters and
 ``alpha_1, alpha_2`` times one factor leave eq. (13) as it was. A known mass on the
@@ -20,7 +20,7 @@ from bayesfric.recordings.arrays import Array
 
 @dataclass(frozen=True)
 class Scaling:
-    """The one-parameter family of parameter vectors that feel the same to the motor.
+    """The one-parameter family of parameter vectors of equal motor torque.
 
     With factor k: ``leg -> k leg``, ``1 + mu_1 -> (1 + mu_1)/k``, ``1 - mu_2 -> (1 - mu_2)/k``,
     which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes.
@@ -121,13 +121,13 @@ def scalings(
     tuple of Scaling
         One for every element with ``mu_1`` and ``mu_2`` that has something behind it. One mu for
         both power flows leaves none: ``lambda_1`` is 1 then. Nor does a Stribeck rise of the load
-        loss, which multiplies ``mu_1`` and not ``1 + mu_1``: low speed tells the factor.
+        loss, which multiplies ``mu_1`` and not ``1 + mu_1``: low speeds identify the factor.
     """
     known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
     known = {name: amount for name, amount in known.items() if amount}
     if not set(known) <= set(chain.names):
         return ()
-    found = []
+    family = []
     for i, element in enumerate(chain.elements):
         risen = any(
             p.owner == element.name and "stribeck_load_ratio" in slots_of(p)
@@ -151,5 +151,5 @@ def scalings(
                 for p in chain.parameters
                 if p.owner == element.name and p.row.scaled_by
             }
-            found.append(Scaling(chain, element.name, rules))
-    return tuple(found)
+            family.append(Scaling(chain, element.name, rules))
+    return tuple(family)
