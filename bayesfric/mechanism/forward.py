@@ -279,7 +279,7 @@ def _finer(torque: Array, finer: int) -> Array:
         first, last = (3.0 * (x[0] - x[1]) + x[2] if n > 2 else x[0] for x in (row, row[::-1]))
         padded = np.concatenate([[first], row, [last]])
         for k in range(1, finer):
-            out[i, k::finer] = later(padded, -k / finer, beside=2)[1:-2]
+            out[i, k::finer] = later(padded, -k / finer, neighbours=2)[1:-2]
     return out
 
 
