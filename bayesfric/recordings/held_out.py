@@ -70,8 +70,8 @@ def divide(
 ) -> Divided:
     """Split recordings into what is fitted and what is held out, and prepare both.
 
-    Ends are cut off before anything is filtered, behind a gap of one window and ten outputs, so that
-    their torque does not leak into the fit. They get the dead zone of the fitted part.
+    Ends are cut off before anything is filtered, behind a gap of one window and ten outputs, so
+    that their torque does not leak into the fit. They get the dead zone of the fitted part.
     """
     names = [r.name for r in recordings]
     for name in validation.recordings:

@@ -29,7 +29,7 @@ SI = "SI"
 
 
 def _text_of(*kinds: units.Kind) -> AfterValidator:
-    """Check a text's dimension but keep the text, for kinds settled only by the mechanism."""
+    """Check a text's dimension but keep the text, as the mechanism determines the kind."""
 
     def check(text: str) -> str:
         if not units.quantity(text, *kinds) > 0:
@@ -155,10 +155,10 @@ class Voltage(Effort):
 
 
 class Target(Effort, Position):
-    """The position that the drive goes for; what its controller makes of it is the torque.
+    """The target position of the drive, whose controller determines the torque.
 
     ``clip(kp (target - position) - kd velocity, limit)``, on the side where the target is
-    given. The unit of ``kp`` says what that is: torque, current, voltage, or the duty of a supply.
+    given. The unit of ``kp`` determines that: torque, current, voltage, or the duty of a supply.
     """
 
     kp: str = Field(
@@ -248,15 +248,13 @@ class Columns(Options):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.time is None) == (self.rate is None):
-            found = "neither" if self.time is None else "both"
+            got = "neither" if self.time is None else "both"
+            raise Unfit("exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {got}")
+        drives = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
+        if len(drives) > 1 or not (drives or self.target):
+            got = " and ".join(f"'{key}'" for key in drives) or "none"
             raise Unfit(
-                "exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {found}"
-            )
-        given = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
-        if len(given) > 1 or not (given or self.target):
-            found = " and ".join(f"'{key}'" for key in given) or "none"
-            raise Unfit(
-                "exactly one of 'torque', 'current', 'voltage', or a 'target'", f"got {found}"
+                "exactly one of 'torque', 'current', 'voltage', or a 'target'", f"got {got}"
             )
         if self.start is not None and self.stop is not None and not self.start < self.stop:
             raise ValueError(f"'stop' ({self.stop:g} s) must lie after 'start' ({self.start:g} s)")
@@ -265,15 +263,16 @@ class Columns(Options):
     @property
     def channels(self) -> dict[str, Channel]:
         """The channels that are given, by key."""
-        return {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
+        channels = {key: getattr(self, key) for key in CHANNELS}
+        return {key: channel for key, channel in channels.items() if channel is not None}
 
     @property
     def columns(self) -> list[str | int]:
         """Every column that is read."""
         channels = self.channels.values()
-        found = [c for one in channels for c in (one.column, one.times) if c is not None]
-        found += self.others
-        return found if self.valid is None else [*found, self.valid]
+        columns = [c for x in channels for c in (x.column, x.times) if c is not None]
+        columns += self.others
+        return columns if self.valid is None else [*columns, self.valid]
 
 
 class Source(Columns, TableOptions):
