@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Processing
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import divided, trajectory
 from tests.conftest import made_recording
 
