@@ -95,12 +95,32 @@ def simulate(
         raise ValueError("q0 and qd0 must be finite numbers")
     vector = np.asarray(values, dtype=np.float64)
     joint = _joint(chain, vector, inputs)
-    samples = _acting(chain, vector[np.newaxis], measured, period)[0]
+    samples = _delayed_torque(chain, vector[np.newaxis], measured, period)[0]
     finer = _FINER if hold == "cubic" else 1
-    fine = _finer(samples[np.newaxis], finer)[0]
+    fine = _interpolated(samples[np.newaxis], finer)[0]
 
     def run(each: int) -> Motion:
-        return _motion(joint, measured, fine, finer, period, begin, hold != "zero", (q0, qd0), each)
+        """Integrate in ``each`` steps a piece; the error is not known."""
+        out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
+        step, start = float(period) / finer, (float(q0), float(qd0))
+        done = integrate(joint, fine, step, float(begin), hold != "zero", *start, each, out, counts)
+        if done < fine.size:
+            at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
+            raise RunsAway(f"the joint runs away: beyond {at}")
+        out = out[:, ::finer]
+        return Motion(
+            time=np.arange(measured.size, dtype=np.float64) * float(period),
+            q=out[POSITION],
+            qd=out[SPEED],
+            qdd=out[ACCELERATION],
+            torque=measured,
+            sticking=out[STICKS] == 1.0,
+            events=int(counts[0]),
+            reversals=int(counts[1]),
+            step_error=math.nan,
+            substeps=each * finer,
+            unresolved=int(counts[2]),
+        )
 
     if substeps is not None:
         return run(-(-substeps // finer))
@@ -139,43 +159,6 @@ def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
             "on the motor side, that one torque allows more than one motion"
         )
     return joint
-
-
-def _motion(
-    joint: Moved,
-    torque: Array,
-    fine: Array,
-    finer: int,
-    period: float,
-    begin: float,
-    linear: bool,
-    start: tuple[float, float],
-    each: int,
-) -> Motion:
-    """Integrate the ``fine`` torque in ``each`` steps a sample of it; the error is not known.
-
-    Every ``finer``-th of its samples is one of ``torque``. Raises :class:`RunsAway`.
-    """
-    out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
-    now = (float(period) / finer, float(begin), linear, float(start[0]), float(start[1]), each)
-    done = integrate(joint, fine, *now, out, counts)
-    if done < fine.size:
-        at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
-        raise RunsAway(f"the joint runs away: beyond {at}")
-    out = out[:, ::finer]
-    return Motion(
-        time=np.arange(torque.size, dtype=np.float64) * float(period),
-        q=out[POSITION],
-        qd=out[SPEED],
-        qdd=out[ACCELERATION],
-        torque=torque,
-        sticking=out[STICKS] == 1.0,
-        events=int(counts[0]),
-        reversals=int(counts[1]),
-        step_error=math.nan,
-        substeps=each * finer,
-        unresolved=int(counts[2]),
-    )
 
 
 def simulate_segments(
@@ -218,7 +201,7 @@ def simulate_segments(
         tables.load,
         carried_values(chain, tables.carried, inputs),
         inputs.load(chain.load.motion),
-        _finer(_acting(chain, vectors, samples, period), finer),
+        _interpolated(_delayed_torque(chain, vectors, samples, period), finer),
         float(period) / finer,
         float(begin),
         hold != "zero",
@@ -256,7 +239,7 @@ def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues
     )
 
 
-def _acting(chain: Chain, vectors: Array, torque: Array, period: float) -> Array:
+def _delayed_torque(chain: Chain, vectors: Array, torque: Array, period: float) -> Array:
     """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
 
     Gives ``(1, N)`` or ``(n, N)``.
@@ -267,7 +250,7 @@ def _acting(chain: Chain, vectors: Array, torque: Array, period: float) -> Array
     return np.stack([later(torque, delay) for delay in samples.tolist()])
 
 
-def _finer(torque: Array, finer: int) -> Array:
+def _interpolated(torque: Array, finer: int) -> Array:
     """Give samples ``(n, N)`` and what a cubic puts between them, ``(n, finer (N - 1) + 1)``."""
     if finer == 1:
         return torque

@@ -185,7 +185,7 @@ class Statements:
         """Add a heading for the next statements."""
         self.all.append(("", text))
 
-    def tell(self, name: str, value: Any) -> None:
+    def add(self, name: str, value: Any) -> None:
         """Append a named result, a number or a formula."""
         self.all.append((name, _formula(value)))
 

@@ -125,10 +125,10 @@ _MAX_PARTS, _PART = 8, 1000
 Hold = Literal["zero", "linear", "cubic"]
 
 
-def stretches(count: int, most: int) -> Segments:
-    """Spread up to eight ranges evenly over ``count`` samples, ``most`` of them in all."""
-    parts = min(_MAX_PARTS, max(1, most // _PART))
-    length = most // parts
+def spread_ranges(count: int, limit: int) -> Segments:
+    """Spread up to eight ranges evenly over ``count`` samples, ``limit`` of them in all."""
+    parts = min(_MAX_PARTS, max(1, limit // _PART))
+    length = limit // parts
     begins = np.linspace(0, count - length, parts).astype(np.int64).tolist()
     return tuple((begin, begin + length) for begin in begins)
 
@@ -174,16 +174,16 @@ class Measurement:
         law = None if self.law is None else self.law.part(samples)
         return replace(self, segments=segments, law=law, **arrays)
 
-    def excerpt(self, most: int) -> Measurement:
+    def excerpt(self, limit: int) -> Measurement:
         """Select at most so many samples, in up to eight ranges all over the recording.
 
         Too short segments go, as in reading.
         """
-        if self.time.size <= most:
+        if self.time.size <= limit:
             return self
         cut = [
             np.arange(max(a, begin), min(b, end))
-            for begin, end in stretches(self.time.size, most)
+            for begin, end in spread_ranges(self.time.size, limit)
             for a, b in self.segments
             if a < end and b > begin
         ]

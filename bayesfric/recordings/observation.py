@@ -116,12 +116,12 @@ class Observation:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
-    def excerpt(self, most: int = _SUBSAMPLE) -> Observation:
+    def excerpt(self, limit: int = _SUBSAMPLE) -> Observation:
         """Keep at most about so many outputs, unchanged, in runs all over the recording."""
         count = self.filter.n_outputs
-        if count <= most:
+        if count <= limit:
             return self
-        runs_kept = max(most // _NEIGHBOURS, 1)
+        runs_kept = max(limit // _NEIGHBOURS, 1)
         begins = np.linspace(0, count - _NEIGHBOURS, runs_kept).astype(np.int64)
         outputs = np.unique(begins[:, None] + np.arange(_NEIGHBOURS))
         windows, samples = self.filter.excerpt(outputs)
@@ -455,8 +455,8 @@ def _settle(
         resolution = resolve(recording, band)
         if band is None:
             longest = max(b - a for a, b in recording.segments)
-            most = max(round(0.5 / WIDEST), longest // _FITTING)
-            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
+            limit = max(round(0.5 / WIDEST), longest // _FITTING)
+            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
         else:
             factor = min(decimation(band, fs), len(recording.time))
         cutoff = lowpass_above(band or fs / (2 * factor), fs)
