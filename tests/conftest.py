@@ -25,8 +25,7 @@ from hypothesis import settings
 
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.recordings.observation import Observation
 
 # a busy machine is no defect of what is tested

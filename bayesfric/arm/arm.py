@@ -232,7 +232,7 @@ class Arm:
                 "terms": options.terms,
                 "motion": joint.motion,
                 "offset": True,
-                "elements": {"motor": {**_FRICTION, **options.friction.given()}},
+                "elements": {"motor": {**_FRICTION, **options.friction.settings()}},
                 "load": {"motion": joint.motion, "signals": columns},
             },
             "recordings": [recording_table(r, n) for n, r in enumerate(recordings, start=1)],

@@ -14,12 +14,17 @@ from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.bodies import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
-from bayesfric.recordings import channels
-from bayesfric.recordings.acting import filtered_motion
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, reach_of
-from bayesfric.recordings.measurement import Measurement, stretches
-from bayesfric.recordings.read import chosen_rows, read_recordings, recorded_time
+from bayesfric.recordings.measurement import Measurement, spread_ranges
+from bayesfric.recordings.observation import filtered_motion
+from bayesfric.recordings.read import (
+    Drive,
+    chosen_rows,
+    joint_signal,
+    read_recordings,
+    recorded_time,
+)
 from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.resolution import lowpass_above
@@ -195,21 +200,21 @@ class ArmLog:
         return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
 
     def _keep(self, most: int, source: Source, count: int) -> None:
-        """Keep so many of ``count`` rows at most, in stretches all over what is asked for."""
+        """Keep so many of ``count`` rows at most, in ranges all over what is asked for."""
         self.rows, self._stamps = count, recorded_time(source, self.table, count)
         first, last = chosen_rows(source, self._stamps, self.table.where)
         # a channel of stamps of its own has rows of its own
         own = (getattr(getattr(source, key), "times", None) is not None for key in CHANNELS)
         if last - first > most and not any(own):
             # the first row is the one from which start and stop count
-            parts = [np.arange(a, b) + first for a, b in stretches(last - first, most)]
+            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, most)]
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
             self.table, self._stamps = self.table.at(rows, count), self._stamps[rows]
 
     def _position(self, joint: UrdfJoint) -> Array:
-        source, drive = self.sources[joint.name], channels.Drive(1.0, joint.motion, joint.motion)
+        source, drive = self.sources[joint.name], Drive(1.0, joint.motion, joint.motion)
         try:
-            return channels.joint_signal(source.position, "position", self.table, drive)[0]
+            return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
             mend = f"{error.mend}; or say where it is held: joints.{joint.name}.held = 0.0"
             raise BadInput(error.where, f"joint {joint.name!r}: {error.what}", mend) from None

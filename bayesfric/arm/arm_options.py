@@ -8,7 +8,7 @@ from pydantic import Field
 
 from bayesfric.base.options import Options
 from bayesfric.mechanism.configuration import ElementOptions
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.units import Kilograms, Metres
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

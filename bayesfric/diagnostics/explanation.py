@@ -27,7 +27,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Processing
 
 if TYPE_CHECKING:
     import pandas as pd

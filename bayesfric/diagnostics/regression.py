@@ -65,7 +65,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Processing
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6

@@ -14,9 +14,9 @@ import numpy as np
 
 from bayesfric.diagnostics.along import Along
 from bayesfric.diagnostics.memory import Layout
-from bayesfric.recordings.acting import commanded
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
+from bayesfric.recordings.observation import target_torque
 from bayesfric.recordings.timing import FAR_DELAYS, command_rate
 
 TONE, PUSH, DELAY, TARGET_DELAY = "tone", "push", "delay", "target_delay"
@@ -200,9 +200,9 @@ def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     if a.chain.delay:
         return {}
     if a.chain.by_target:
-        now, r = commanded(a.recording), a.recording
+        now, r = target_torque(a.recording), a.recording
         far = _NEAR_DELAY, *FAR_DELAYS
-        return {d: (a.smooth(now - commanded(r, d)), command_rate(a.o, r, d)) for d in far}
+        return {d: (a.smooth(now - target_torque(r, d)), command_rate(a.o, r, d)) for d in far}
     torque = a.smooth(a.o.torque)
     delays = [d for late in FAR_DELAYS for d in (late, -late)]
     then, known = np.empty((len(delays), torque.size)), np.zeros((len(delays), torque.size))

@@ -24,13 +24,12 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.fine_motion import fine_motion
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.acting import arriving
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import later
+from bayesfric.recordings.filters import delayed_command, later
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import Resolution, finest_step
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timing import timed
 
 # Degree of the spline: its second derivative is then as exact as the filters'.
@@ -180,7 +179,7 @@ def _aimed(seen: Measurement, motion: tuple[Array, Array, Array], late: float) -
     feedback = law.kp * q + law.kd * qd
     given = torque if seen.back_emf is None else torque + seen.back_emf
     error = np.divide(given, law.scale, out=np.zeros_like(given), where=law.scale != 0.0)
-    command = arriving(error + feedback, seen.segments, -late / seen.period, held=False)
+    command = delayed_command(error + feedback, seen.segments, -late / seen.period, held=False)
     return replace(seen, feedback=feedback, law=replace(law, command=command, held=False))
 
 

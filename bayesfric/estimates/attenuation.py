@@ -21,8 +21,8 @@ from bayesfric.estimates.torque_form import shortest
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import lowpass_above
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timing import filtered_rate, retimed
 
 # From one band to the next, and how many narrower ones may contradict a band.

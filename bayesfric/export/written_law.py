@@ -75,7 +75,7 @@ def _statements(chain: Joint, vector: Array, language: Language) -> tuple[tuple[
     made = Statements()
     torque = made.torque(chain, vector)
     made.remark("as measured")
-    made.tell("measured", (torque + load[kernels.OFFSET]) / load[kernels.GAIN])
+    made.add("measured", (torque + load[kernels.OFFSET]) / load[kernels.GAIN])
     return tuple(
         (name, _text(formula, language) if name else str(formula))
         for name, formula in made.used("measured")

@@ -34,7 +34,7 @@ from bayesfric.mechanism.inverse import load_reach
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.inputs import AT_ROOM
+from bayesfric.recordings.measurement import AT_ROOM
 from bayesfric.recordings.observation import Observation
 from bayesfric.results.reported import LEVEL
 

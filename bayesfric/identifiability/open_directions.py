@@ -31,7 +31,7 @@ from bayesfric.inference.target import Target
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 RemedyKind = Literal["known value", "known mass", "excitation"]
 

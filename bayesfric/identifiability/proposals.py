@@ -31,7 +31,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs, steady
+from bayesfric.recordings.measurement import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
 CandidateKind = Literal["excitation", "known mass", "longer"]

@@ -22,7 +22,7 @@ from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
-from bayesfric.recordings.inputs import AT_ROOM, Inputs
+from bayesfric.recordings.measurement import AT_ROOM, Inputs
 from bayesfric.recordings.moving import moving_samples
 from bayesfric.recordings.observation import Observation, as_position
 from bayesfric.recordings.timing import retimed

@@ -17,7 +17,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.static_friction import StaticFriction
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Processing
 
 # Draws whose law is asked; what nineteen in twenty of them do not hold is not held.
 _DRAWS, _SURE = 200, 0.05

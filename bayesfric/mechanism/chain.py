@@ -22,29 +22,19 @@ from bayesfric.mechanism.own_term import PUSH, CarriedTerm, Term, along
 from bayesfric.mechanism.parameter import Parameter, parameter
 from bayesfric.mechanism.quantities import LATE_TARGET, QUANTITIES, SHAPES, Motion
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 # Owners of parameters that no element may be called.
 _RESERVED = ("load", "drive", "target", "total")
 
 
 class Tables(NamedTuple):
-    """Parameter vectors laid out for the compiled kernels.
+    """Parameter vectors laid out for the compiled kernels."""
 
-    Attributes
-    ----------
-    elements
-        ``(n, n_elements, n_slots)`` values of :data:`~bayesfric.mechanism.kernels.ELEMENT_SLOTS`,
-        elements from the motor to the load.
-    load
-        ``(n, n_slots)`` values of :data:`~bayesfric.mechanism.kernels.LOAD_SLOTS`.
-    carried
-        ``(n, n_carried, 2)`` of the terms without a slot, in the order of :meth:`Chain.felt`:
-        coefficient, and value of the parameter that shapes the term (0 where none does).
-    """
-
-    elements: Array
-    load: Array
+    elements: Array  # (n, n_elements, n_slots) of ELEMENT_SLOTS, elements from motor to load
+    load: Array  # (n, n_slots) of LOAD_SLOTS
+    # (n, n_carried, 2) of the terms without a slot, see Chain.carried_terms: coefficient, and value
+    # of the parameter that shapes the term (0 where none does)
     carried: Array
 
 
@@ -52,56 +42,21 @@ class Tables(NamedTuple):
 class Chain:
     """Motor to load, any number of elements (section 2.2 of the paper).
 
-    Attributes
-    ----------
-    elements
-        From the motor to the load; names differ.
-    load
-        What the last element moves.
-    offset
-        Whether the measured motor torque holds an unknown constant.
-    own_offsets
-        Names of the recordings that have a constant of their own, ``offset.<recording>``;
-        with none, ``offset`` is one for all.
-    gain
-        Whether the factor from the torque computed from current or voltage to
-        the true motor torque is unknown (``drive.gain``).
-    delay
-        Whether the time by which the recorded position comes after the torque is unknown
-        (``drive.delay``).
-    by_target
-        Whether the torque is computed from a position target; then the delay is the time by which
-        the target acts late (``target.delay``).
-    made_from
-        Name of the preset it was made from, for the record.
-    terms
-        Of one's own; see :meth:`with_term`.
-
-    Raises
-    ------
-    ValueError
-        If there is no element, names repeat or are reserved (``load``, ``drive``, ``target``,
-        ``total``), a ratio is not positive, or a term belongs to no element.
-    KeyError
-        If neither the kernels nor a column know a quantity.
-
-    Notes
-    -----
     A torque goes from the load to the motor element by element: with ``N_k`` the ratio of element
     ``k``, its input moves ``N_k`` times as fast as its output and takes ``1/N_k`` of the torque
     there, plus its own inertia and losses (:class:`bayesfric.mechanism.element.Element`). The
     measured torque is ``(torque at the motor + offset) / gain``.
     """
 
-    elements: Sequence[Element]
-    load: Load = field(default_factory=Load)
-    offset: bool = False
-    own_offsets: tuple[str, ...] = ()
-    gain: bool = False
-    delay: bool | None = None
-    by_target: bool = False
-    made_from: str = ""
-    terms: tuple[Term, ...] = ()
+    elements: Sequence[Element]  # from the motor to the load; names differ
+    load: Load = field(default_factory=Load)  # what the last element moves
+    offset: bool = False  # whether the measured motor torque holds an unknown constant
+    own_offsets: tuple[str, ...] = ()  # recordings with separate offsets, offset.<recording>
+    gain: bool = False  # whether true over computed motor torque is unknown (drive.gain)
+    delay: bool | None = None  # whether the position's delay is unknown (drive.delay)
+    by_target: bool = False  # torque from a position target, whose delay it is (target.delay)
+    made_from: str = ""  # name of the preset
+    terms: tuple[Term, ...] = ()  # custom terms; see with_term
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "elements", tuple(self.elements))
@@ -118,42 +73,38 @@ class Chain:
         owners = [*names, self.load.name]
         for term in self.terms:
             if term.owner not in owners:
-                mend = nearest(term.owner, owners)
-                raise ValueError(f"{term.name}: there is no element {term.owner!r}; {mend}")
-        _ = self._layout  # refuses what it does not know
+                hint = nearest(term.owner, owners)
+                raise ValueError(f"{term.name}: there is no element {term.owner!r}; {hint}")
+        _ = self._layout  # refuses unknown quantities
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters, motor first, then load, offsets, ``drive.gain`` and the delay.
-
-        ``mu_1, mu_2`` bear no subscript where only one element has load-dependent friction, as in
-        the paper.
-        """
-        # the paper writes mu_1, mu_2 without a name behind them
+        """All parameters, motor first, then load, offsets, ``drive.gain`` and the delay."""
+        # the paper writes mu_1, mu_2 of its only gearbox without a subscript
         several = sum(element.load_loss != "none" for element in self.elements) > 1
-        found: list[Parameter] = []
+        parameters: list[Parameter] = []
         bearers: list[Element | Load] = [*self.elements, self.load]
         held = Counter(q.name for bearer in bearers for q in bearer.quantities)
         for bearer in bearers:
             subscript = bearer.subscript or bearer.name
-            own = tuple(term.row for term in self.terms if term.owner == bearer.name)
-            for q in (*bearer.quantities, *own):
-                bare = q.role == "loss" and not several
-                mark, alone = "" if bare else subscript, held[q.name] == 1
-                found.append(parameter(bearer.name, q, bearer.motion, mark, alone=alone))
+            custom = tuple(term.row for term in self.terms if term.owner == bearer.name)
+            for q in (*bearer.quantities, *custom):
+                mark = "" if q.role == "loss" and not several else subscript
+                alone = held[q.name] == 1
+                parameters.append(parameter(bearer.name, q, bearer.motion, mark, alone=alone))
         offset = parameter("", QUANTITIES["offset"], self.motor_motion, "")
         if self.offset and not self.own_offsets:
-            found.append(offset)
+            parameters.append(offset)
         for number, recording in enumerate(self.own_offsets, start=1):
             symbol = rf"\Gamma_{{0,{number}}}"
-            found.append(replace(offset, name=f"offset.{recording}", symbol=symbol))
+            parameters.append(replace(offset, name=f"offset.{recording}", symbol=symbol))
         if self.gain:
-            found.append(parameter("drive", QUANTITIES["gain"], self.motor_motion, ""))
+            parameters.append(parameter("drive", QUANTITIES["gain"], self.motor_motion, ""))
         if self.delay:
             row = LATE_TARGET if self.by_target else QUANTITIES["delay"]
             late = parameter("drive", row, self.motor_motion, "")
-            found.append(replace(late, name="target.delay") if self.by_target else late)
-        return tuple(found)
+            parameters.append(replace(late, name="target.delay") if self.by_target else late)
+        return tuple(parameters)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -162,7 +113,7 @@ class Chain:
 
     @cached_property
     def offset_names(self) -> tuple[str, ...]:
-        """Names of the constants in the measured torque: one for all, or each recording's own."""
+        """Names of the constants in the measured torque: one for all, or one per recording."""
         return tuple(p.name for p in self.parameters if p.quantity == "offset")
 
     @cached_property
@@ -171,18 +122,7 @@ class Chain:
         return next((p.name for p in self.parameters if p.quantity == "delay"), "")
 
     def delays(self, values: Array) -> Array:
-        """Delay of each parameter vector.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of :attr:`names`.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``, s; zeros for a chain without one.
-        """
+        """Return the delay ``(n,)`` of parameter vectors ``(n, n_parameters)``, s; 0 without."""
         name = self.delay_name
         return values[:, self.names.index(name)] if name else np.zeros(len(values))
 
@@ -202,11 +142,11 @@ class Chain:
 
         What the whole chain has, by its empty name and ``drive``, is at the motor.
         """
-        found, reach = {"load": 1.0}, 1.0
+        reaches, reach = {"load": 1.0}, 1.0
         for element in reversed(self.elements):
             reach *= element.ratio
-            found[element.name] = reach
-        return {**found, "": self.ratio, "drive": self.ratio}
+            reaches[element.name] = reach
+        return {**reaches, "": self.ratio, "drive": self.ratio}
 
     @cached_property
     def carried(self) -> tuple[CarriedTerm, ...]:
@@ -229,29 +169,17 @@ class Chain:
             if p.owner in places and p.row.role == "own" and not slots_of(p)
         )
 
-    def felt(self, inputs: Inputs | None) -> tuple[CarriedTerm, ...]:
-        """Give :attr:`carried`, and behind them a load torque that a recording has.
-
-        Parameters
-        ----------
-        inputs
-            Of the recording; without them there is no load torque.
-
-        Returns
-        -------
-        tuple of CarriedTerm
-            The measured load torque counts once, with no parameter (``index`` of -1).
-        """
+    def carried_terms(self, inputs: Inputs | None) -> tuple[CarriedTerm, ...]:
+        """Return :attr:`carried`, followed by the load torque of a recording that has one."""
         if inputs is None or inputs.load_torque is None:
             return self.carried
         return (*self.carried, CarriedTerm(-1, len(self.elements), 1.0, PUSH))
 
     @property
     def unseen_inertia(self) -> tuple[str, ...]:
-        """Names of the inertias where none is behind load-dependent friction; else empty.
+        """Names of the inertias where all are before load-dependent friction; else empty.
 
-        Empty, too, without load-dependent friction. An element's own inertia is before its own
-        friction.
+        An element's inertia is before its friction.
         """
         lossy = [k for k, e in enumerate(self.elements) if e.load_loss != "none"]
         if not lossy or self.load.has("inertia"):
@@ -262,41 +190,13 @@ class Chain:
         return tuple(f"{self.elements[k].name}.inertia" for k in held)
 
     def with_term(self, term: Term) -> Self:
-        """Add a term of one's own to an element or the load, in place of one of the same name.
-
-        Returns
-        -------
-        Chain
-            A new one, of the same class.
-
-        Raises
-        ------
-        ValueError
-            If there is no such element.
-        """
-        kept = tuple(one for one in self.terms if one.name != term.name)
-        return replace(self, terms=(*kept, term))
+        """Add a custom term to an element or the load, replacing one of the same name."""
+        others = tuple(other for other in self.terms if other.name != term.name)
+        return replace(self, terms=(*others, term))
 
     def vector(self, values: Mapping[str, ArrayLike]) -> Array:
-        """Put named values in the order of :attr:`names`.
-
-        Parameters
-        ----------
-        values
-            A number, or ``(n,)`` draws, for each parameter, in SI units. Those of the noise
-            (``noise.*``) may be among them, and are left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)`` of numbers, ``(n, n_parameters)`` of draws.
-
-        Raises
-        ------
-        KeyError
-            If a parameter is missing or a name is unknown.
-        """
-        # draws of a posterior hold the noise's, too, which no torque knows
+        """Put named numbers, or draws ``(n,)``, in the order of :attr:`names`: ``(n, d)``."""
+        # draws of a posterior also hold those of the noise
         unknown = {name for name in values if not name.startswith("noise.")} - set(self.names)
         missing = set(self.names) - set(values)
         if unknown or missing:
@@ -304,33 +204,18 @@ class Chain:
         return np.array([values[name] for name in self.names], dtype=np.float64).T
 
     def tables(self, values: Array, inputs: Inputs | None = None) -> Tables:
-        """Lay parameter vectors out for the compiled kernels.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)`` in the order of :attr:`names`.
-        inputs
-            Of a recording: where recordings have offsets of their own, its offset is put in, else
-            0. A load torque measured in it is one more carried term.
-
-        Returns
-        -------
-        Tables
-            What the chain does not have stands at its default, such as 0 for a loss and 1 for the
-            gain.
-        """
+        """Lay parameter vectors ``(n, d)`` out for the kernels, with a recording's offset."""
         defaults, sources, targets = self._layout
         flat = np.tile(defaults.astype(values.dtype), (values.shape[0], 1))
         flat[:, targets] = values[:, sources]
         if inputs is not None and inputs.recording in self.own_offsets:
-            own = self.names.index(f"offset.{inputs.recording}")
-            flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, own]
+            column = self.names.index(f"offset.{inputs.recording}")
+            flat[:, LOAD_SLOTS.index("offset") - len(LOAD_SLOTS)] = values[:, column]
         split = len(self.elements) * len(ELEMENT_SLOTS)
         elements = flat[:, :split].reshape(-1, len(self.elements), len(ELEMENT_SLOTS))
-        felt = self.felt(inputs)
-        carried = np.zeros((len(values), len(felt), 2), values.dtype)
-        for k, term in enumerate(felt):
+        terms = self.carried_terms(inputs)
+        carried = np.zeros((len(values), len(terms), 2), values.dtype)
+        for k, term in enumerate(terms):
             carried[:, k, 0] = values[:, term.index] if term.index >= 0 else 1.0
             if term.shape >= 0:
                 carried[:, k, 1] = values[:, term.shape]
@@ -346,39 +231,18 @@ class Chain:
         inputs: Inputs,
         time: Array | None = None,
     ) -> Samples:
-        """Lay a motion of the joint out for the compiled kernels.
-
-        Parameters
-        ----------
-        q, qd, qdd
-            ``(N,)`` position, speed and acceleration of the joint (rad or m, SI).
-        inputs
-            What the joint feels besides: known mass, temperature, load torque, rate of the torque.
-        time
-            ``(N,)`` s; without it a term that depends on time is NaN.
-
-        Returns
-        -------
-        Samples
-            With the columns ``(n_carried, N)`` of the carried terms; a column that a parameter
-            shapes is left at zero, and computed by the kernels.
-
-        Raises
-        ------
-        ValueError
-            If a term is a signal that the inputs do not hold.
-        """
+        """Lay a motion ``(N,)`` of the joint out for the kernels; terms of time are NaN without."""
         position, speed, acceleration = (
             np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)
         )
         stamps = np.full(speed.size, np.nan) if time is None else time
-        felt = self.felt(inputs)
-        # the kernels work out what a parameter shapes
+        terms = self.carried_terms(inputs)
+        # the kernels compute columns that a parameter shapes
         columns = [
             along(c.row, c.reach, position, speed, stamps, inputs)
             if c.shape < 0
             else np.zeros_like(speed)
-            for c in felt
+            for c in terms
         ]
         return Samples(
             *inputs.load(self.load.motion),
@@ -389,17 +253,16 @@ class Chain:
             position,
             np.ascontiguousarray(stamps, dtype=np.float64),
             np.stack(columns) if columns else np.empty((0, speed.size)),
-            np.array([c.place for c in felt], dtype=np.int64),
-            np.array([c.reach for c in felt], dtype=np.float64),
-            np.array([c.address if c.shape >= 0 else 0 for c in felt], dtype=np.int64),
+            np.array([c.place for c in terms], dtype=np.int64),
+            np.array([c.reach for c in terms], dtype=np.float64),
+            np.array([c.address if c.shape >= 0 else 0 for c in terms], dtype=np.int64),
         )
 
     @cached_property
     def _layout(self) -> tuple[Array, Sequence[int], Sequence[int]]:
-        """Values of all slots in one row, and which parameter goes to which of them.
+        """Default values ``(n_slots,)`` of all slots, and pairs of parameter and slot index.
 
-        Gives defaults ``(n_slots,)`` and the pairs of parameter index and slot index. An offset of
-        one recording's own is not among them: :meth:`tables` puts it in.
+        :meth:`tables` puts in a recording's separate offset.
         """
         slots = [f"{e.name}.{slot}" for e in self.elements for slot in ELEMENT_SLOTS]
         slots += [f"load.{slot}" for slot in LOAD_SLOTS]
@@ -417,7 +280,7 @@ class Chain:
         targets: list[int] = []
         for source, p in enumerate(self.parameters):
             if p.quantity == "offset" and self.own_offsets:
-                continue  # whose it is, only the recording says
+                continue  # depends on the recording
             for slot in slots_of(p):
                 sources.append(source)
                 targets.append(where[f"{_bearer(p)}.{slot}"])
@@ -429,13 +292,7 @@ def _bearer(p: Parameter) -> str:
 
 
 def slots_of(p: Parameter) -> tuple[str, ...]:
-    """Slots of the kernels that a parameter fills; none for what its column, or another's, takes.
-
-    Raises
-    ------
-    KeyError
-        If neither the kernels nor a column know the quantity: dropped, it would count as zero.
-    """
+    """List the kernel slots that a parameter fills; none for a term with a column."""
     known = LOAD_SLOTS if _bearer(p) == "load" else ELEMENT_SLOTS
     slots = (p.quantity,) if p.row.slots is None else p.row.slots
     if slots and set(slots) <= set(known):

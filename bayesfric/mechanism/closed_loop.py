@@ -1,7 +1,7 @@
-"""How a joint moves under a drive whose torque depends on the motion: position control, back-EMF.
+"""Simulate a joint under a drive whose torque depends on the motion: position control, back-EMF.
 
 The drive's law is closed over the forward model of :mod:`bayesfric.mechanism.integrate` at short
-steps, so simulated twins of a recording react to their own motion as the real joint did.
+steps, so simulated replicates of a recording react to their motion as the real joint did.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from bayesfric.mechanism.dynamics import CarriedValues, moved
 from bayesfric.mechanism.forward import carried_values, possible
 from bayesfric.mechanism.integrate import POSITION, SPEED, integrate
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.drive_law import Law
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs, Law
 
 
 class _Drive(NamedTuple):
@@ -52,57 +51,19 @@ def follow(
     held: bool = False,
     step: float = 2e-3,
 ) -> tuple[Array, Array]:
-    """Simulate the joint while a drive follows its command, anew in every segment.
+    """Simulate the joint while a drive follows its command, restarted in every segment ``(K, 2)``.
 
-    Parameters
-    ----------
-    chain
-        The mechanism; a delay of the target is that of a drive in closed loop, one of positions is
-        left out here.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-    law
-        Of the drive, ``(N,)`` samples.
-    period, begin
-        s from one sample to the next, and the time of the first.
-    segments
-        ``(K, 2)`` half-open ranges of samples that do not overlap.
-    q0, qd0
-        ``(K,)``: position and speed at the first sample of each, rad or m, SI.
-    push
-        ``(n, N)``, or ``(1, N)`` for all, motor torque besides, N m or N, as if measured; it goes
-        straight between samples.
-    inputs
-        What the joint feels besides.
-    held
-        Whether the command is held until the next sample; else it goes straight.
-    step
-        The loop is closed at least so often, s.
-
-    Returns
-    -------
-    q, qd : ndarray
-        ``(n, N)``, rad or m, SI; NaN outside the segments, for a vector that has no motion, and
-        from where the joint runs away.
-
-    Raises
-    ------
-    ValueError
-        If a term is multiplied by a signal that the inputs do not hold.
-
-    Notes
-    -----
-    Between two closings of the loop the torque goes straight from its value at the begin to that at
-    the end. The latter depends on the motion: it is predicted with a constant torque and corrected
-    once (Heun's method).
+    Between two closings of the loop the torque is linear; its value at the end, which depends on
+    the motion, is predicted with a constant torque and corrected once (Heun's method).
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
     ranges = np.asarray(segments, dtype=np.int64)
     tables = chain.tables(vectors, inputs)
     n, samples = len(vectors), law.command.size
     on = np.ones(samples) if law.off is None else np.where(law.off, 0.0, 1.0)
-    given = (law.command, law.scale, on)
-    command, scale, on = (np.ascontiguousarray(x, dtype=np.float64) for x in given)
+    command, scale, on = (
+        np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on)
+    )
     drive = _Drive(command, scale, on, law.kp, law.kd, law.limit, law.back_emf)
     pushed = np.zeros((1, samples)) if push is None else np.asarray(push, dtype=np.float64)
     load = inputs.load(chain.load.motion)
@@ -177,11 +138,9 @@ def _follow(
     q_out: Array,
     qd_out: Array,
 ) -> tuple[Array, Array]:
-    """Integrate every vector and segment in parallel; one job has one vector and one segment.
+    """Integrate every vector and segment in parallel, one job each.
 
-    ``elements`` ``(n, n_elements, n_slots)`` and ``load`` ``(n, n_slots)`` are of :class:`Tables`,
-    ``added`` the known mass's inertia and first moment, ``steps`` the closings of the loop a
-    sample.
+    ``added`` is the known mass's inertia and first moment, ``steps`` the loop closings a sample.
     """
     n, pieces = elements.shape[0], segments.shape[0]
     h = period / steps
@@ -200,9 +159,9 @@ def _follow(
                 continue
             for s in range(steps):
                 now, then = (0.0, 0.0) if held else (s / steps, (s + 1) / steps)
-                more = push[row, i + 1] - push[row, i]
-                before = push[row, i] + s / steps * more
-                after = push[row, i] + (s + 1) / steps * more
+                change = push[row, i + 1] - push[row, i]
+                before = push[row, i] + s / steps * change
+                after = push[row, i] + (s + 1) / steps * change
                 time = begin + i * period + s * h
                 place = i + s / steps - delays[v]
                 first = last = _standing(drive.command, a, place, 1.0 / steps)
@@ -211,9 +170,9 @@ def _follow(
                     last = _between(drive.command, a, b - 1, place + 1.0 / steps)
                 torque[0] = torque[1] = _torque(drive, i, now, first, before, q, qd)
                 done = 2
-                for _ in range(2):  # what the motion makes of the torque at the end, then with it
-                    found = integrate(joint, torque, h, time, True, q, qd, 1, out, counts)
-                    done = min(done, found)
+                for _ in range(2):  # predict the motion and so the torque at the end, then correct
+                    samples = integrate(joint, torque, h, time, True, q, qd, 1, out, counts)
+                    done = min(done, samples)
                     end, fast = out[POSITION, 1], out[SPEED, 1]
                     torque[1] = _torque(drive, i, then, last, after, end, fast)
                 q, qd = (out[POSITION, 1], out[SPEED, 1]) if done == 2 else (np.nan, np.nan)

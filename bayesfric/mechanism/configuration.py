@@ -1,7 +1,7 @@
-"""Which joint a configuration describes: the ``[mechanism]`` table, and the chain it makes.
+"""The ``[mechanism]`` table of a configuration, and the joint it describes.
 
 Tables of elements and load have a key for each option of the table of quantities, so a new term
-needs no line here. What no joint can be is refused with the key that says it.
+needs no line here.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class _Options(Options):
-    def given(self) -> dict[str, Any]:
-        """Only what the configuration says, by key: what is left out is the preset's."""
+    def settings(self) -> dict[str, Any]:
+        """Keys that the configuration sets; the preset's values count for the others."""
         return self.model_dump(exclude_unset=True)
 
 
 class _Element(_Options):
-    """One element; what is left out keeps the preset's choice, or is not there."""
+    """One element; what is left out keeps the preset's choice."""
 
     ratio: Positive = Field(1.0, description="input speed over output speed")
     motion: Motion = Field("rotary", description="whether the input turns or slides")
@@ -59,7 +59,7 @@ class _Element(_Options):
 
 
 class _Load(_Options):
-    """The load; what is left out keeps the preset's choice, or is not there."""
+    """The load; what is left out keeps the preset's choice."""
 
     gravity: Annotated[float, Field(allow_inf_nan=False), AfterValidator(_not_zero)] = Field(
         STANDARD_GRAVITY,
@@ -75,19 +75,19 @@ class _Load(_Options):
 
 
 def _fields(options: Mapping[str, Mapping[str | bool, str]]) -> dict[str, Any]:
-    """Fields of a table's options: true or false, or a choice of words."""
-    found: dict[str, Any] = {}
+    """Make the fields of a table's options: true or false, or a choice of words."""
+    fields: dict[str, Any] = {}
     for option, choices in options.items():
         words = tuple(choice for choice in choices if isinstance(choice, str))
         kind: Any = bool | Literal[words] if words else bool
         if True not in choices:
             kind = Literal[("none", *words)]
         default = False if True in choices else "none"
-        found[option] = (kind, Field(default, description=OPTION_MEANINGS[option]))
+        fields[option] = (kind, Field(default, description=OPTION_MEANINGS[option]))
     for option in CYCLES:
         field = Field((), description=OPTION_MEANINGS[option], examples=[(1, 7, 42)])
-        found[option] = (tuple[Cycles, ...], field)
-    return found
+        fields[option] = (tuple[Cycles, ...], field)
+    return fields
 
 
 if TYPE_CHECKING:
@@ -125,14 +125,14 @@ class MechanismOptions(_Options):
     )
     elements: dict[str, ElementOptions] = Field(
         default_factory=dict,
-        description="by name; changes to a preset's elements, or a chain of one's own in order "
+        description="by name; changes to a preset's elements, or a custom chain in order "
         "from motor to load",
     )
     load: LoadOptions = Field(default_factory=LoadOptions, description="what the joint moves")
     terms: Literal["auto", "as written"] | tuple[str, ...] = Field(
         "as written",
         description="auto puts in what else explains the torque before it is fitted; or names of "
-        "terms of one's own: functions, which only Python can give",
+        "custom terms: functions, which only Python can give",
     )
 
     @field_validator("elements")
@@ -143,7 +143,7 @@ class MechanismOptions(_Options):
         """Drop tables that change nothing, as templates have them, also of another preset."""
         if info.data.get("preset") is None:
             return elements
-        return {name: options for name, options in elements.items() if options.given()}
+        return {name: options for name, options in elements.items() if options.settings()}
 
     @property
     def auto(self) -> bool:
@@ -152,50 +152,32 @@ class MechanismOptions(_Options):
 
     @property
     def named_terms(self) -> tuple[str, ...]:
-        """Names of terms of one's own, which only Python can give; empty for a word."""
+        """Names of custom terms, which only Python can give; empty for a word."""
         return () if isinstance(self.terms, str) else self.terms
 
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
-        """Build the joint.
-
-        Parameters
-        ----------
-        terms
-            Terms of one's own; every one that the table names must be there.
-
-        Returns
-        -------
-        Joint
-            The preset with the changes that the table holds, or the chain of its elements.
-
-        Raises
-        ------
-        BadInput
-            If nothing is described, the preset or one of its elements does not exist, a named term
-            is missing, an option changes load-dependent friction that the element does not have, a
-            sliding load is given a gravity moment, or the chain refuses its names.
-        """
+        """Build the joint."""
         if missing := [
             name for name in self.named_terms if name not in {term.name for term in terms}
         ]:
             raise BadInput(
                 "mechanism.terms",
-                f"{missing[0]} is a term of one's own, a function that no file holds",
+                f"{missing[0]} is a custom term, a function that no file holds",
                 "fit it in Python: bayesfric.Model.from_config(path, terms=[bayesfric.Term(...)])",
             )
         base, elements = self._elements()
-        load = replace(base.load, **self.load.given())
+        load = replace(base.load, **self.load.settings())
         if self.motion is not None:
             elements = [replace(element, motion=self.motion) for element in elements]
             load = replace(load, motion=self.motion)
         for element in elements:
             of_load = [option for option in element.choices if option.startswith("load_")]
             if of_load and "load_loss" not in of_load:
-                # what is said of friction, drawn and exported hangs on the loss that these change
+                # reports and exports of friction depend on the loss that these change
                 raise BadInput(
                     f"mechanism.elements.{element.name}.{of_load[0]}",
-                    "changes a load loss, and there is none",
-                    'set load_loss = "one" beside it; where no part of the loss is in proportion '
+                    "changes load-dependent friction, and there is none",
+                    'set load_loss = "one", too; where no part of the loss is in proportion '
                     f'to the torque, "{element.name}.load" = 0 under [priors]',
                 )
         if load.motion == "linear" and load.has("first_moment", "gravity_angle"):
@@ -218,7 +200,7 @@ class MechanismOptions(_Options):
             raise BadInput("mechanism.elements", str(error), "rename the element") from None
 
     def _elements(self) -> tuple[Chain, list[Element]]:
-        """Give the preset, or an empty one, and its elements with what is said of them."""
+        """Return the preset, or an empty one, and its elements with their changes."""
         if self.preset is None:
             elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
             if not elements:
@@ -233,7 +215,7 @@ class MechanismOptions(_Options):
                 nearest(self.preset, PRESETS),
             )
         base = PRESETS[self.preset].chain()
-        changes = {name: options.given() for name, options in self.elements.items()}
+        changes = {name: options.settings() for name, options in self.elements.items()}
         names = [element.name for element in base.elements]
         for name in changes:
             if name not in names:
@@ -242,4 +224,4 @@ class MechanismOptions(_Options):
                     f"{self.preset} has no such element",
                     nearest(name, names),
                 )
-        return base, [replace(one, **changes.get(one.name, {})) for one in base.elements]
+        return base, [replace(e, **changes.get(e.name, {})) for e in base.elements]

@@ -1,4 +1,4 @@
-"""What parameters amount to: transfer coefficients, totals seen at the motor, efficiencies.
+"""Quantities derived from parameters: transfer coefficients, totals at the motor, efficiencies.
 
 The totals are the combinations that eq. (13) sees (base parameters). They do not change when leg
 parameters and alpha are scaled together (section 4.2), so data identify them even where they
@@ -20,12 +20,12 @@ from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
 from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity
 from bayesfric.recordings.arrays import Array
 
-# Gravity as the motor feels it. Where an angle turns it, least squares has a sine and a cosine
-# part, and the first goes by the name of the whole.
+# Gravity at the motor. Where an angle turns it, least squares has a sine and a cosine part, and
+# the first has the name of the whole.
 _UNITS = TOTALS["gravity"].units
 _WEIGHT = Quantity("gravity", _UNITS, "G_{{{}}}", "gravity torque", lower=-math.inf)
 _WEIGHT_TURNED = Quantity("gravity_size", _UNITS, "G_{{{}}}", "size of the gravity torque")
-# Options of load losses whose mean over directions is the same at every speed and load.
+# Options of load-dependent friction whose mean over directions is the same at every speed and load.
 _STEADY = ("load_loss", "load_direction")
 # Constant losses that an efficiency counts, and the share of each in the mean of both directions.
 _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
@@ -33,27 +33,15 @@ _CONSTANT = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
 
 @dataclass(frozen=True, eq=False)
 class Derived:
-    """One derived quantity.
+    """One derived quantity."""
 
-    Attributes
-    ----------
-    name, unit, symbol, meaning
-        As for parameters; the symbol is LaTeX without dollar signs.
-    values
-        ``(n,)``, one for each parameter vector.
-    gauge_free
-        Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2).
-    of_motion
-        Whether it is the motion's as much as the joint's: another motion has another value.
-    """
-
-    name: str
+    name: str  # this and the next three as of a Parameter
     unit: str
     symbol: str
     meaning: str
-    values: Array
-    gauge_free: bool
-    of_motion: bool = False
+    values: Array  # (n,), one for each parameter vector
+    gauge_free: bool  # unchanged where leg parameters and alpha are scaled (section 4.2)
+    of_motion: bool = False  # depends on the motion, too
 
 
 def efficiencies(
@@ -124,7 +112,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
     """
     at = {name: values[:, i] for i, name in enumerate(chain.names)}
     lossy = (element for element in chain.elements if element.load_loss != "none")
-    coefficients = (one for e in lossy for one in _of_loss(chain, e, at, load_torque))
+    coefficients = (row for e in lossy for row in _of_loss(chain, e, at, load_torque))
     return (*_totals(chain, at, values.shape[0]), *coefficients)
 
 
@@ -132,19 +120,19 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
     if any(o.startswith("load_") and o not in _STEADY for e in lossy for o in e.choices):
-        return  # what the motor feels of a term then depends on all the others
+        return  # the torque of a term at the motor then depends on all the others
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:
         for kind in _kinds(chain, p):
             owners.setdefault(kind, set()).add(p.owner)
-    # what only the motor's own shaft makes up is that parameter, and says nothing new
+    # a total of the motor's shaft alone is that parameter
     kinds = [kind for kind, names in owners.items() if names != {chain.elements[0].name}]
     turned = any(p.circular for p in chain.parameters)
     weight = _WEIGHT_TURNED if turned else _WEIGHT
     pull = abs(chain.load.gravity) if turned else chain.load.gravity
     for side, label in (("drive", "driving"), ("back", "back-driven"))[: 2 if lossy else 1]:
         # torque at an owner's input times this is torque at the motor; an element's own terms
-        # act at its input side, before its load loss
+        # act at its input side, before its load-dependent friction
         reach: dict[str, Array] = {}
         through = np.ones(n)
         for element in chain.elements:
@@ -161,13 +149,13 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
                     total = total + at[p.name] * reach[p.owner] * speed**p.row.power
             before = f"total_{side}" if lossy else "total"
             mark = rf"^{{\mathrm{{{side}}}}}" if lossy else ""
-            seen = ", all seen by the motor" + (f", {label}" if lossy else "")
-            told = parameter("total", QUANTITIES.get(kind, weight), chain.motor_motion, "t")
+            at_motor = ", all seen by the motor" + (f", {label}" if lossy else "")
+            total_row = parameter("total", QUANTITIES.get(kind, weight), chain.motor_motion, "t")
             yield Derived(
-                f"{before}.{told.quantity}",
-                told.unit,
-                told.symbol + mark,
-                told.meaning + seen,
+                f"{before}.{total_row.quantity}",
+                total_row.unit,
+                total_row.symbol + mark,
+                total_row.meaning + at_motor,
                 total * pull if kind == "gravity" else total,
                 gauge_free=True,
             )
@@ -175,8 +163,8 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
 
 def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
     """Name the totals that a parameter adds to; most have one, some none."""
-    # Load losses are in what passes through them, a low-speed rise is none of what is felt at
-    # speed, and a term with a shape of its own adds to no other.
+    # Load-dependent friction is in the factors, a low-speed rise vanishes at speed, and a term with
+    # a separate shape adds to no other.
     row = p.row
     if row.role != "own" or row.power is None or p.owner in ("", "drive"):
         return ()
@@ -201,34 +189,34 @@ def _of_loss(
     """Derive alphas, lambdas and efficiencies of one element, eqs. (4), (6) and (13)."""
     name, two = element.name, element.load_loss == "two"
 
-    def one(
+    def row(
         quantity: str, symbol: str, meaning: str, values: Array, *, gauge_free: bool = False
     ) -> Derived:
         return Derived(f"{name}.{quantity}", "", symbol, meaning, values, gauge_free)
 
     mu_drive, mu_back = map(np.asarray, _losses(element, at))
-    # a loss that grows with the torque, or with speed, is not yet there
+    # friction that grows with torque or speed is still zero there
     slow = " at low speed" if element.has("load_speed") else ""
     where = slow + (" under a small load" if element.has("load_square") else "")
     passed = f"load torque over motor torque{where} when the"
     # eq. (6); an irreversible gearbox, mu_2 >= 1, passes nothing back
     back = np.where(mu_back < 1.0, 1.0 - mu_back, np.nan)
-    for side, symbol, said, alpha in (
+    for side, symbol, condition, alpha in (
         ("drive", r"\alpha_1", f"motor drives, 1/(1 + mu{'_1' * two})", 1.0 / (1.0 + mu_drive)),
         ("back", r"\alpha_2", f"load drives, 1/(1 - mu{'_2' * two})", 1.0 / back),
     ):
-        meaning = effort_words(f"{passed} {said}", element.motion)
-        yield one(f"alpha_{side}", symbol, meaning, alpha, gauge_free=not two)
+        meaning = effort_words(f"{passed} {condition}", element.motion)
+        yield row(f"alpha_{side}", symbol, meaning, alpha, gauge_free=not two)
     if two:
         # lambda_1 and lambda_2 of eq. (13)
         lambda_1 = (2.0 + mu_drive - mu_back) / 2.0
         lambda_2 = (mu_drive + mu_back) / 2.0
         # a gearbox that loses nothing has none
         ratio = lambda_1 / np.where(lambda_2 != 0.0, lambda_2, np.nan)
-        said = "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)"
-        yield one("lambda_1", r"\lambda_1", "mean of 1/alpha", lambda_1)
-        yield one("lambda_2", r"\lambda_2", "half the difference of 1/alpha", lambda_2)
-        yield one("lambda_ratio", r"\lambda_1/\lambda_2", said, ratio, gauge_free=True)
+        meaning = "mean of 1/alpha over half their difference, theta5/theta10 of eq. (13)"
+        yield row("lambda_1", r"\lambda_1", "mean of 1/alpha", lambda_1)
+        yield row("lambda_2", r"\lambda_2", "half the difference of 1/alpha", lambda_2)
+        yield row("lambda_ratio", r"\lambda_1/\lambda_2", meaning, ratio, gauge_free=True)
     if load_torque > 0.0:
         # of the torque at its input, as the loss itself
         grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
@@ -246,8 +234,8 @@ def _of_loss(
         counted = f"{name} {'with the constant loss behind it' if lossy else 'alone'}"
         at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
         load = f"{at_load} of load{' and' * bool(slow)}{slow}"
-        more = ", ".join(e.name for e in before)
-        outside = f" and all that stands before it ({more})" if more else ""
-        said = f"{counted}, eq. (4), {load}, viscous loss{outside} not counted"
-        yield one("efficiency_drive", r"\eta_m", f"driving efficiency of {said}", drive)
-        yield one("efficiency_back", r"\eta_r", f"back-driving efficiency of {said}", driven)
+        names = ", ".join(e.name for e in before)
+        outside = f" and all in front of it ({names})" if names else ""
+        meaning = f"{counted}, eq. (4), {load}, viscous loss{outside} not counted"
+        yield row("efficiency_drive", r"\eta_m", f"driving efficiency of {meaning}", drive)
+        yield row("efficiency_back", r"\eta_r", f"back-driving efficiency of {meaning}", driven)

@@ -1,4 +1,4 @@
-"""Which acceleration a motor torque gives the joint, in closed form, and when the joint sticks.
+"""Acceleration of the joint under a motor torque, in closed form, and its breakaway torques.
 
 At a given direction of motion the motor torque is a piecewise linear, rising
 function of the acceleration with one kink for each load-dependent element, so it
@@ -33,67 +33,31 @@ from bayesfric.recordings.arrays import Array
 
 
 class CarriedValues(NamedTuple):
-    """Terms without a slot in the kernels.
+    """Terms without a slot in the kernels."""
 
-    Attributes
-    ----------
-    values
-        ``(n, n_carried, 2)`` coefficient and value of what shapes each, of several vectors.
-    places
-        ``(n_carried,)`` index of the element of each, as in
-        :class:`~bayesfric.mechanism.kernels.Samples`.
-    addresses
-        ``(n_carried,)`` of their compiled columns.
-    stamps
-        ``(K,)`` times of the signals that some are multiplied by, s.
-    levels
-        ``(n_carried, K)`` what each is multiplied by at these times.
-    """
-
-    values: Array
-    places: NDArray[np.int64]
-    addresses: NDArray[np.int64]
-    stamps: Array
-    levels: Array
+    values: Array  # (n, n_carried, 2) coefficient and shape of each, of several vectors
+    places: NDArray[np.int64]  # (n_carried,) index of its element, as in Samples
+    addresses: NDArray[np.int64]  # (n_carried,) of their compiled columns
+    stamps: Array  # (K,) times of the signals that some are multiplied by, s
+    levels: Array  # (n_carried, K) factor of each at these times
 
 
 class Moved(NamedTuple):
-    """What the compiled functions of the forward model need of a joint; one parameter vector.
+    """A joint with one parameter vector, for the compiled functions of the forward model."""
 
-    Attributes
-    ----------
-    elements
-        ``(n_elements, n_slots)``, a vector's of :meth:`Chain.tables`.
-    gain, offset
-        True motor torque is ``gain * measured - offset``, N m or N.
-    inertia
-        Of the load, known added mass included, kg m² or kg.
-    weight, angle
-        Gravity torque of the load is ``weight sin(q + angle)``, added mass included, N m and rad.
-    kinks
-        Bit k is set where the torque at the input of element k has a kink as power changes
-        direction.
-    squares
-        Whether a loss grows with the square of the load.
-    carried
-        Terms without a slot; None for a joint that has none.
-    vector
-        Which of their vectors is meant.
-    """
-
-    elements: Array
-    gain: float
+    elements: Array  # (n_elements, n_slots), a vector's of Chain.tables
+    gain: float  # true motor torque is gain * measured - offset, N m or N
     offset: float
-    inertia: float
-    weight: float
+    inertia: float  # of the load, known added mass included, kg m² or kg
+    weight: float  # gravity torque is weight sin(q + angle), added mass included, N m and rad
     angle: float
-    kinks: int
-    squares: bool
-    carried: CarriedValues | None
-    vector: int
+    kinks: int  # bit k: the input torque of element k has a kink where power changes direction
+    squares: bool  # whether a loss grows with the square of the load
+    carried: CarriedValues | None  # terms without a slot, if any
+    vector: int  # index of their vector
 
 
-# Steps of Newton's method, which ends earlier where it moves by rounding only.
+# Most steps of Newton's method, and its relative tolerance: rounding.
 _ROUNDS = 40
 _EXACT = 4e-16
 # (n_elements, 2) lines T = slope qdd + intercept of the transmitted torques; scratch memory.
@@ -109,22 +73,7 @@ def moved(
     added_moment: float,
     vector: int = 0,
 ) -> Moved:
-    """Gather what the forward model needs of one parameter vector, added mass included.
-
-    Parameters
-    ----------
-    elements, load
-        ``(n_elements, n_slots)`` and ``(n_slots,)``, a vector's of :meth:`Chain.tables`.
-    carried
-        Terms without a slot; of several vectors it is that of number ``vector``.
-    added_inertia, added_moment
-        Of a known mass on the load, kg m² (kg) and kg m.
-
-    Returns
-    -------
-    Moved
-        With gravity as one sine, ``weight sin(q + angle)``.
-    """
+    """Prepare one parameter vector of :meth:`Chain.tables`, added mass included."""
     # one sine instead of a sine and a cosine
     sine = gravity_torque(load, added_moment, 1.0, 0.0)
     cosine = gravity_torque(load, added_moment, 0.0, 1.0)
@@ -142,7 +91,7 @@ def moved(
 
 @njit(cache=True, error_model="numpy")
 def _level(stamps: Array, levels: Array, time: float) -> float:
-    """Look up a signal as :class:`bayesfric.recordings.inputs.Signal` does."""
+    """Look up a signal as :class:`bayesfric.recordings.measurement.Signal` does."""
     if time <= stamps[0]:
         return float(levels[0])
     if time >= stamps[-1]:
@@ -152,7 +101,7 @@ def _level(stamps: Array, levels: Array, time: float) -> float:
     return float(levels[k - 1] + share * (levels[k] - levels[k - 1]))
 
 
-# without annotations: a compiled overload must look like what it stands for
+# without annotations: a compiled overload needs the same signature
 def _carried_torque(carried, vector, k, to_input, q, qd, sign, time) -> Any:  # type: ignore[no-untyped-def]
     """Torque of the terms without a slot of element k, or of the load, at its own input.
 
@@ -179,34 +128,21 @@ def _typed_carried_torque(carried, vector, k, to_input, q, qd, sign, time):  # t
 def _load_torque(joint: Moved, q: float, qd: float, sign: float, time: float) -> float:
     """Torque of the load at constant speed: gravity and its carried terms, at the joint."""
     place = joint.elements.shape[0]
-    own = _carried_torque(joint.carried, joint.vector, place, 1.0, q, qd, sign, time)
-    return float(joint.weight * math.sin(q + joint.angle) + own)
+    carried = _carried_torque(joint.carried, joint.vector, place, 1.0, q, qd, sign, time)
+    return float(joint.weight * math.sin(q + joint.angle) + carried)
 
 
 @njit(cache=True, error_model="numpy")
 def motor_torque(
-    joint: Moved, q: float, qd: float, qdd: float, sign: float, time: float, load_torque: float
+    joint: Moved,
+    q: float,
+    qd: float,
+    qdd: float,
+    sign: float,
+    time: float,
+    load_torque: float,
 ) -> float:
-    """Carry the load's torque through every element to the motor.
-
-    Parameters
-    ----------
-    joint
-        One parameter vector.
-    q, qd, qdd
-        Of the joint, rad or m, SI.
-    sign
-        Direction of motion, 1 or -1; at rest that of the motion about to begin.
-    time
-        s.
-    load_torque
-        Torque at the joint that moves the load, its inertia times ``qdd`` included, N m or N.
-
-    Returns
-    -------
-    float
-        True motor torque, N m or N, by the element equation of section 2.2.
-    """
+    """Carry the load's torque through every element to the motor."""
     torque = load_torque
     to_input = 1.0
     for k in range(joint.elements.shape[0] - 1, -1, -1):
@@ -225,43 +161,19 @@ def motor_torque(
 def acceleration(
     joint: Moved, q: float, qd: float, torque: float, time: float, sign: float, lines: Lines
 ) -> tuple[float, int]:
-    """Acceleration for a motor torque, in closed form, and in which elements the motor side drives.
+    """Solve for the acceleration, and for the elements that the motor side drives.
 
-    Parameters
-    ----------
-    joint
-        Of which one torque has one acceleration.
-    q, qd, time
-        Of the joint, rad or m, SI; s.
-    torque
-        True motor torque, N m or N.
-    sign
-        Direction of motion, or in which the joint at rest is about to break away.
-    lines
-        ``(n_elements, 2)`` scratch memory.
-
-    Returns
-    -------
-    qdd : float
-        Of the joint, rad/s² or m/s².
-    pattern : int
-        Bit k is set where the motor side drives element k, of those with a kink.
-
-    Notes
-    -----
-    The motor torque rises with the acceleration, with one kink per load-dependent element. Whether
-    the solution lies above or below a kink is read off the torque at the kink, from the load to the
-    motor; then everything is one line ``torque = slope qdd + intercept``. A loss with the square of
-    the load is taken by its tangent, and the line by Newton's method.
+    Whether it lies above or below an element's kink follows from the torque there, from load to
+    motor; then ``torque = slope qdd + intercept``, by Newton's method where a loss is quadratic.
     """
-    found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, 0.0)
+    qdd, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, 0.0)
     if joint.squares:
         for _ in range(_ROUNDS):
-            about = found
-            found, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, about)
-            if abs(found - about) <= _EXACT * abs(found):
+            about = qdd
+            qdd, pattern = _solved(joint, q, qd, torque, time, sign, 0, True, lines, about)
+            if abs(qdd - about) <= _EXACT * abs(qdd):
                 break
-    return found, pattern
+    return qdd, pattern
 
 
 @njit(cache=True, error_model="numpy")
@@ -275,37 +187,18 @@ def held_acceleration(
     pattern: int,
     lines: Lines,
 ) -> float:
-    """Acceleration as of :func:`acceleration` while direction and power flow are held.
-
-    Between two events of :mod:`bayesfric.mechanism.integrate` the equation of motion is then
-    smooth.
-
-    Parameters
-    ----------
-    joint, q, qd, torque, time, sign
-        As for :func:`acceleration`.
-    pattern
-        Power flow: bit k is set where the motor side drives element k.
-    lines
-        ``(n_elements, 2)``; left with slope and intercept of each element's transmitted torque over
-        ``qdd``, tangents where a loss grows with the square of the load.
-
-    Returns
-    -------
-    float
-        rad/s² or m/s².
-    """
-    found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
+    """Return the :func:`acceleration` for a given direction and power flow, where it is smooth."""
+    qdd, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, 0.0)
     if joint.squares:
         for _ in range(_ROUNDS):
-            about = found
-            found, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, about)
-            if abs(found - about) <= _EXACT * abs(found):
+            about = qdd
+            qdd, _ = _solved(joint, q, qd, torque, time, sign, pattern, False, lines, about)
+            if abs(qdd - about) <= _EXACT * abs(qdd):
                 break
-    return found
+    return qdd
 
 
-# inlined, so that what is held and what is free are compiled each by themselves
+# inlined, so that held and free power flow are compiled separately
 @njit(cache=True, error_model="numpy", inline="always")
 def _solved(
     joint: Moved,
@@ -319,11 +212,10 @@ def _solved(
     lines: Lines,
     about: float,
 ) -> tuple[float, int]:
-    """Solve with losses by the square of the load linear around ``about``, an acceleration.
+    """Solve from load to motor, with quadratic losses linearised at the acceleration ``about``.
 
-    Goes from load to motor: ``slope`` and ``intercept`` are those of the torque over ``qdd``.
-    ``free`` finds the power flow at every kink within ``low`` to ``high``; else ``pattern`` gives
-    it.
+    ``slope`` and ``intercept`` are those of the torque over ``qdd``. ``free`` finds the power flow
+    at every kink within ``low`` to ``high``; else ``pattern`` gives it.
     """
     elements = joint.elements
     still = _load_torque(joint, q, qd, sign, time)
@@ -343,8 +235,8 @@ def _solved(
             else:
                 kink = -intercept / slope
                 if low < kink < high:
-                    there = joint.inertia * kink + still
-                    if motor_torque(joint, q, qd, kink, sign, time, there) < torque:
+                    at_kink = joint.inertia * kink + still
+                    if motor_torque(joint, q, qd, kink, sign, time, at_kink) < torque:
                         low = kink
                     else:
                         high = kink
@@ -358,8 +250,8 @@ def _solved(
         factor, shift = 1.0 + drive if (flow >> k) & 1 == 1 else 1.0 - back, 0.0
         square = elements[k, LOAD_SQUARE] * sign
         if square != 0.0:
-            there = slope * about + intercept
-            factor, shift = factor + 2.0 * square * there, -square * there * there
+            passed = slope * about + intercept
+            factor, shift = factor + 2.0 * square * passed, -square * passed * passed
         losses = element_torque(elements[k], 0.0, sign, speed, 0.0)
         slope = slope * factor + elements[k, INERTIA] * to_input
         intercept = intercept * factor + losses + shift
@@ -369,22 +261,7 @@ def _solved(
 
 @njit(cache=True, error_model="numpy")
 def breakaway_torques(joint: Moved, q: float, time: float) -> tuple[float, float]:
-    """Motor torques between which the joint at rest sticks.
-
-    Parameters
-    ----------
-    joint
-        One parameter vector.
-    q, time
-        Position of the joint, rad or m; s.
-
-    Returns
-    -------
-    low, high : float
-        True motor torque that a motion about to begin in negative and in positive direction would
-        take, N m or N: gravity with the friction of either direction at zero speed, any Stribeck
-        rise included.
-    """
+    """Motor torques between which the joint at rest sticks."""
     down, up = _load_torque(joint, q, 0.0, -1.0, time), _load_torque(joint, q, 0.0, 1.0, time)
     return (
         motor_torque(joint, q, 0.0, 0.0, -1.0, time, down),

@@ -1,4 +1,4 @@
-"""What one element of the transmission takes of the torque, and the load at its end (section 2.2).
+"""One element of the transmission, and the load at its end (section 2.2).
 
 Options choose the terms: each choice brings rows of the table of quantities, and so parameters.
 """
@@ -26,7 +26,7 @@ STANDARD_GRAVITY = 9.80665  # m/s²
 
 
 def _once(state: State) -> Any:
-    """Give a torque of one, that a signal is multiplied by."""
+    """Return a unit torque, that a signal is multiplied by."""
     return 1.0 + 0.0 * state.speed
 
 
@@ -55,18 +55,18 @@ LISTED: Mapping[str, Callable[[Any], tuple[Quantity, ...]]] = {**CYCLES, "signal
 
 
 class _Bearer:
-    """What bears quantities, each brought by a choice of an option."""
+    """Base of element and load: options bring quantities."""
 
     motion: Motion
     subscript: str
-    choices: Mapping[str, Any]  # of every option that is not left out
+    choices: Mapping[str, Any]  # of the options that are set
     quantities: tuple[Quantity, ...]  # rows of the table that these bring, in its order
     _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]  # options and their choices
 
-    def _set(self, choices: Mapping[str, Any], **given: Any) -> None:
+    def _set(self, choices: Mapping[str, Any], **fields: Any) -> None:
         rows = _brought(self._options, choices)
-        given |= {"quantities": rows, "choices": {q.option: choices[q.option] for q in rows}}
-        for key, value in given.items():
+        fields |= {"quantities": rows, "choices": {q.option: choices[q.option] for q in rows}}
+        for key, value in fields.items():
             object.__setattr__(self, key, value)
 
     def has(self, *names: str) -> bool:
@@ -85,7 +85,7 @@ class Element(_Bearer):
 
     which is section 2.2 of the paper with the friction law of eq. (2); eq. (1)
     is its ``mu = 0`` case. ``mu`` is ``mu_1`` while ``T v > 0`` (the motor side
-    drives) and ``mu_2`` while ``T v < 0`` (the load drives). Terms of one's own
+    drives) and ``mu_2`` while ``T v < 0`` (the load drives). Custom terms
     (:class:`bayesfric.Term`) are added to it.
 
     Parameters
@@ -98,7 +98,7 @@ class Element(_Bearer):
         Whether the element's input turns or slides, ``rotary`` or ``linear``.
     subscript
         For the LaTeX symbols; the name if left out.
-    choices, **more
+    choices, **options
         Options of :data:`bayesfric.mechanism.quantities.CHOICES`: ``inertia=True``,
         ``coulomb="by-direction"``, ``viscous=True``, ``load_loss="two"`` and so on;
         what is written out replaces what the mapping has.
@@ -130,9 +130,11 @@ class Element(_Bearer):
         motion: Motion = "rotary",
         subscript: str = "",
         choices: Mapping[str, Any] = MappingProxyType({}),
-        **more: str | bool,
+        **options: str | bool,
     ) -> None:
-        self._set({**choices, **more}, name=name, ratio=ratio, motion=motion, subscript=subscript)
+        self._set(
+            {**choices, **options}, name=name, ratio=ratio, motion=motion, subscript=subscript
+        )
 
     @property
     def load_loss(self) -> str:
@@ -154,7 +156,7 @@ class Load(_Bearer):
         Whether the load turns or slides, ``rotary`` or ``linear``.
     subscript
         For the LaTeX symbols.
-    choices, **more
+    choices, **options
         ``inertia``, ``first_moment``, ``gravity_angle``, ``spring``: whether the load has the term
         (``spring="stiffening"`` adds a cube of the position). Real arms do not hang at ``q = 0``:
         that is what ``gravity_angle`` is for. ``signals``: names of further columns of the
@@ -180,9 +182,9 @@ class Load(_Bearer):
         motion: Motion = "rotary",
         subscript: str = "c",
         choices: Mapping[str, Any] = MappingProxyType({}),
-        **more: str | bool,
+        **options: str | bool,
     ) -> None:
-        self._set({**choices, **more}, gravity=gravity, motion=motion, subscript=subscript)
+        self._set({**choices, **options}, gravity=gravity, motion=motion, subscript=subscript)
 
 
 def _brought(
@@ -192,7 +194,7 @@ def _brought(
     repeated: list[Quantity] = []
     for option, choice in choices.items():
         if option in LISTED:
-            repeated += [q for one in choice for q in LISTED[option](_listed(option, one))]
+            repeated += [q for entry in choice for q in LISTED[option](_listed(option, entry))]
         elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
         elif choice not in (*options[option], False, "none"):
@@ -203,12 +205,13 @@ def _brought(
     return tuple(dict.fromkeys((*chosen, *repeated)))
 
 
-def _listed(option: str, one: Any) -> int | str:
+def _listed(option: str, entry: Any) -> int | str:
+    """Check one entry of an option that lists column names or numbers of cycles."""
     if option not in CYCLES:
-        if not (isinstance(one, str) and one.isidentifier() and one not in QUANTITIES):
-            what = "is no name of a column that a parameter can have"
-            raise ValueError(f"{option} = {one!r} {what}; write letters, digits and _")
-        return one
-    if isinstance(one, bool) or not isinstance(one, int) or one < 1:
-        raise ValueError(f"{option} = {one!r} is no number of cycles a turn; write 1, 2, ...")
-    return one
+        if not (isinstance(entry, str) and entry.isidentifier() and entry not in QUANTITIES):
+            problem = "is no name of a column that a parameter can have"
+            raise ValueError(f"{option} = {entry!r} {problem}; write letters, digits and _")
+        return entry
+    if isinstance(entry, bool) or not isinstance(entry, int) or entry < 1:
+        raise ValueError(f"{option} = {entry!r} is no number of cycles a turn; write 1, 2, ...")
+    return entry

@@ -42,25 +42,6 @@ def multisine(
 ) -> Array:
     """Sum of sines.
 
-    Parameters
-    ----------
-    time
-        ``(N,)`` s.
-    amplitude
-        Of each sine ``(k,)``, or one for all, N m or N.
-    frequencies
-        ``(k,)`` Hz.
-    seed
-        Of random phases; without it Schroeder's, which keep the peak low for equally
-        spaced frequencies of one amplitude.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)``.
-
-    References
-    ----------
     Schroeder, IEEE Transactions on Information Theory 16, 1970.
     """
     hertz = np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
@@ -90,28 +71,6 @@ def chirp(time: ArrayLike, amplitude: float, first: float, last: float) -> Array
 def current_loop(torque: ArrayLike, period: float, lag: float) -> Array:
     """Torque behind a current loop, a first-order lag from zero on, at the command's samples.
 
-    Parameters
-    ----------
-    torque
-        ``(N,)`` command, held over each ``period``.
-    period
-        s.
-    lag
-        Time constant in s; zero for a perfect loop.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)``; ``y[i+1] = c y[i] + (1 - c) torque[i]`` with ``c = exp(-period/lag)``, which is
-        exact for a held command.
-
-    Raises
-    ------
-    ValueError
-        If ``lag`` is negative or ``period`` is not positive.
-
-    Notes
-    -----
     The lag matters for identification: where the torque is piecewise constant, the equation of
     motion itself makes the regressors linearly dependent.
     """
@@ -120,6 +79,6 @@ def current_loop(torque: ArrayLike, period: float, lag: float) -> Array:
         raise ValueError("lag must not be negative and period must be positive")
     if lag == 0.0:
         return command.copy()
-    kept = np.exp(-period / lag)
-    actual = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -kept], command)
+    decay = np.exp(-period / lag)
+    actual = lfilter([0.0, -np.expm1(-period / lag)], [1.0, -decay], command)
     return np.asarray(actual, dtype=np.float64)

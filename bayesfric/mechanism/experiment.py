@@ -1,7 +1,4 @@
-"""What a bench would record of a known joint: simulated torque, motion, encoder and noise.
-
-Stands in for measurements where the truth must be known, as for the demonstration and for checks.
-"""
+"""Simulated recordings of a known joint: torque, motion, encoder and noise."""
 
 from __future__ import annotations
 
@@ -17,8 +14,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Hold
+from bayesfric.recordings.measurement import Hold, Inputs
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -61,23 +57,7 @@ class Simulation(Options):
     )
 
     def true_values(self, chain: Chain) -> dict[str, float]:
-        """Values of every parameter of the chain.
-
-        Parameters
-        ----------
-        chain
-            The mechanism; a preset's values count where none is given.
-
-        Returns
-        -------
-        dict
-            By name, in SI units, in the order of ``chain.names``.
-
-        Raises
-        ------
-        BadInput
-            If a name is unknown, a value impossible or one is missing.
-        """
+        """Return the value of every parameter of the chain, by name."""
         preset = PRESETS.get(chain.made_from)
         values = dict(preset.values) if preset else {}
         for name, value in self.parameters.items():
@@ -105,33 +85,10 @@ class Simulation(Options):
 
 
 def record(chain: Chain, options: Simulation) -> tuple[dict[str, Array], Motion, dict[str, float]]:
-    """Simulate a joint on a bench.
+    """Simulate a recording: its columns ``(N,)``, the true motion and the true values.
 
-    The commanded torque passes the current loop, moves the joint, and is measured
-    with noise; the position is read by an encoder.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    options
-        Excitation, encoder, noise, true values.
-
-    Returns
-    -------
-    columns : dict
-        ``(N,)`` each: ``time`` s, ``position`` rad or m on the encoder's side, ``torque`` as
-        measured.
-    motion : Motion
-        What really happened.
-    values : dict
-        True parameter values.
-
-    Raises
-    ------
-    BadInput
-        If a value is impossible, the recording is shorter than 10 samples, the joint cannot be
-        simulated or runs away.
+    The commanded torque passes the current loop, moves the joint, and is measured with noise; the
+    position is read by an encoder.
     """
     values = options.true_values(chain)
     period = 1.0 / options.rate
@@ -167,35 +124,6 @@ def measure(
 ) -> tuple[dict[str, Array], Motion]:
     """Play any command to a joint and measure what it does.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` true values in the order of ``chain.names``.
-    command
-        ``(N,)`` commanded motor torque, N m or N, ``options.rate`` samples a second.
-    options
-        Current loop, hold, encoder, noise and added mass are used.
-    rng
-        Source of the torque's noise.
-    q0, qd0
-        Position and speed of the joint at the first sample, rad or m and s.
-
-    Returns
-    -------
-    columns : dict
-        As for :func:`record`.
-    motion : Motion
-        What really happened.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated or runs away.
-
-    Notes
-    -----
     The encoder rounds the position to ``2 pi / encoder_counts``, rad (or that many m of what
     slides). The torque's noise is white and Gaussian, added to what comes behind the current loop.
     """

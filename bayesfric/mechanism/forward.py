@@ -1,4 +1,4 @@
-"""Forward model: the motion that a motor torque makes, with true stiction.
+"""Forward model: the motion under a motor torque, with true stiction.
 
 While the joint keeps its direction and no element's transmitted torque changes
 sign, the equation of motion is smooth and classical Runge-Kutta steps integrate
@@ -42,58 +42,32 @@ from bayesfric.mechanism.kernels import (
 from bayesfric.mechanism.own_term import signal_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Hold
+from bayesfric.recordings.measurement import Hold, Inputs
 
-# Steps that a cubic torque is straight in, a sample.
+# Linear pieces of a cubic torque, a sample.
 _FINER = 4
 _MAX_SUBSTEPS = 64
 
 
 class RunsAway(ValueError):
-    """A simulated joint left every range that could be meant: 1e6 rad or m."""
+    """A simulated joint moved beyond 1e6 rad or m."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A simulated motion.
+    """A simulated motion."""
 
-    Attributes
-    ----------
-    time
-        ``(N,)`` s, from zero.
-    q, qd, qdd
-        ``(N,)`` position, speed and acceleration of the joint (rad or m, SI), the acceleration
-        right after the sample.
-    torque
-        ``(N,)`` measured motor torque, as given, N m or N.
-    sticking
-        ``(N,)`` of bool: where static friction holds the joint; speed and acceleration are then
-        zero.
-    events
-        Number of located stops, breakaways and sign changes of transmitted torques.
-    reversals
-        How often the joint moved off against the direction it had moved in before.
-    step_error
-        Estimated largest discretisation error of ``q``, rad or m; NaN where substeps were given.
-    substeps
-        Integration steps per sample.
-    unresolved
-        Steps with more events than are followed, their rest integrated without locating any; zero
-        unless the steps are far too coarse.
-    """
-
-    time: Array
-    q: Array
-    qd: Array
-    qdd: Array
-    torque: Array
-    sticking: NDArray[np.bool_]
-    events: int
-    reversals: int
-    step_error: float
-    substeps: int
-    unresolved: int = 0
+    time: Array  # (N,) s, from zero
+    q: Array  # (N,) of the joint, rad or m
+    qd: Array  # (N,)
+    qdd: Array  # (N,) right after the sample
+    torque: Array  # (N,) measured motor torque, N m or N
+    sticking: NDArray[np.bool_]  # (N,) where static friction holds the joint
+    events: int  # located stops, breakaways and sign changes of transmitted torques
+    reversals: int  # number of times that the joint moved off in the other direction
+    step_error: float  # estimated largest error of q, rad or m; NaN for given substeps
+    substeps: int  # integration steps per sample
+    unresolved: int = 0  # steps with too many events to locate; only if far too coarse
 
 
 def simulate(
@@ -110,79 +84,57 @@ def simulate(
     substeps: int | None = None,
     tolerance: float = 1e-9,
 ) -> Motion:
-    """Motion of the joint under a measured motor torque.
+    """Simulate the joint under a measured motor torque ``(N,)``, N m or N.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    torque
-        ``(N,)`` measured motor torque (N m or N), one sample every ``period``; what
-        acts is ``gain * torque - offset``, ``delay`` earlier than the motion shows.
-    period
-        s.
-    q0, qd0
-        Position and speed at the first sample (rad or m, SI).
-    inputs
-        What the joint feels besides, and whose own offset acts.
-    begin
-        Time of the first sample, s, for terms that depend on time.
-    hold
-        Torque between samples: ``linear``, ``zero`` for held until the next, or ``cubic`` for
-        the cubic through four samples, taken in quarters of a sample.
-    substeps
-        Integration steps per sample, for ``cubic`` rounded up to a multiple of four. By default
-        they are doubled, from 2 (``cubic``: 8), until ``q`` changes by less than ``tolerance`` or
-        there are 64.
-    tolerance
-        rad or m; not used where ``substeps`` is given.
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    ValueError
-        If an input is not finite, has the wrong shape or is outside its support, if the
-        acceleration is not unique (no inertia, or a gearbox so irreversible that the motor's
-        inertia does not outweigh it), or (:class:`RunsAway`) if the joint runs away beyond 1e6 rad
-        or m.
-
-    Notes
-    -----
-    Classical Runge-Kutta steps between located events: the error falls with the fourth power of the
-    step, so ``step_error`` is a fifteenth of what the last doubling changed. At rest the joint
-    sticks while the torque lies within its breakaway torques
-    (:func:`bayesfric.mechanism.dynamics.breakaway_torques`); no friction law is smoothed.
+    Substeps are doubled until ``q`` changes by less than ``tolerance``. The joint sticks while the
+    torque lies within its breakaway torques; no friction law is smoothed. Raises ValueError where
+    the acceleration is not unique, and :class:`RunsAway`.
     """
-    given = _torque(torque, period, hold, substeps)
+    measured = _torque(torque, period, hold, substeps)
     if not (math.isfinite(q0) and math.isfinite(qd0)):
         raise ValueError("q0 and qd0 must be finite numbers")
     vector = np.asarray(values, dtype=np.float64)
     joint = _joint(chain, vector, inputs)
-    samples = _acting(chain, vector[np.newaxis], given, period)[0]
+    samples = _delayed_torque(chain, vector[np.newaxis], measured, period)[0]
     finer = _FINER if hold == "cubic" else 1
-    fine = _finer(samples[np.newaxis], finer)[0]
+    fine = _interpolated(samples[np.newaxis], finer)[0]
 
     def run(each: int) -> Motion:
-        return _motion(joint, given, fine, finer, period, begin, hold != "zero", (q0, qd0), each)
+        """Integrate in ``each`` steps a piece; the error is not known."""
+        out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
+        step, start = float(period) / finer, (float(q0), float(qd0))
+        done = integrate(joint, fine, step, float(begin), hold != "zero", *start, each, out, counts)
+        if done < fine.size:
+            at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
+            raise RunsAway(f"the joint runs away: beyond {at}")
+        out = out[:, ::finer]
+        return Motion(
+            time=np.arange(measured.size, dtype=np.float64) * float(period),
+            q=out[POSITION],
+            qd=out[SPEED],
+            qdd=out[ACCELERATION],
+            torque=measured,
+            sticking=out[STICKS] == 1.0,
+            events=int(counts[0]),
+            reversals=int(counts[1]),
+            step_error=math.nan,
+            substeps=each * finer,
+            unresolved=int(counts[2]),
+        )
 
     if substeps is not None:
         return run(-(-substeps // finer))
-    found = run(2)
+    motion = run(2)
     while True:
-        coarse, found = found, run(2 * found.substeps // finer)
-        change = float(np.max(np.abs(found.q - coarse.q)))
-        if change < tolerance or found.substeps >= _MAX_SUBSTEPS:
+        coarse, motion = motion, run(2 * motion.substeps // finer)
+        change = float(np.max(np.abs(motion.q - coarse.q)))
+        if change < tolerance or motion.substeps >= _MAX_SUBSTEPS:
             # of fourth order: half the step leaves a sixteenth of the error
-            return replace(found, step_error=change / 15.0)
+            return replace(motion, step_error=change / 15.0)
 
 
 def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
-    """Lay a joint out to be moved; refuse values that have no, or no one, motion."""
+    """Prepare a joint for simulation; refuse values without a unique motion."""
     if vector.shape != (len(chain.names),):
         raise ValueError(f"values must have the shape ({len(chain.names)},), not {vector.shape}")
     outside = [
@@ -209,43 +161,6 @@ def _joint(chain: Chain, vector: Array, inputs: Inputs) -> Moved:
     return joint
 
 
-def _motion(
-    joint: Moved,
-    torque: Array,
-    fine: Array,
-    finer: int,
-    period: float,
-    begin: float,
-    linear: bool,
-    start: tuple[float, float],
-    each: int,
-) -> Motion:
-    """Integrate the ``fine`` torque in ``each`` steps a sample of it; the error is not known.
-
-    Every ``finer``-th of its samples is one of ``torque``. Raises :class:`RunsAway`.
-    """
-    out, counts = np.empty((4, fine.size)), np.zeros(3, dtype=np.int64)
-    now = (float(period) / finer, float(begin), linear, float(start[0]), float(start[1]), each)
-    done = integrate(joint, fine, *now, out, counts)
-    if done < fine.size:
-        at = f"{RUNAWAY:g} rad or m after {done * period / finer:g} s"
-        raise RunsAway(f"the joint runs away: beyond {at}")
-    out = out[:, ::finer]
-    return Motion(
-        time=np.arange(torque.size, dtype=np.float64) * float(period),
-        q=out[POSITION],
-        qd=out[SPEED],
-        qdd=out[ACCELERATION],
-        torque=torque,
-        sticking=out[STICKS] == 1.0,
-        events=int(counts[0]),
-        reversals=int(counts[1]),
-        step_error=math.nan,
-        substeps=each * finer,
-        unresolved=int(counts[2]),
-    )
-
-
 def simulate_segments(
     chain: Chain,
     values: ArrayLike,
@@ -260,33 +175,9 @@ def simulate_segments(
     hold: Hold = "linear",
     substeps: int = 2,
 ) -> tuple[Array, Array]:
-    """Simulate the joint anew from a given state in every segment, in parallel.
+    """Simulate vectors ``(n, d)`` from a given state in every segment ``(K, 2)``, in parallel.
 
-    Parameters
-    ----------
-    chain, torque, period, inputs, begin, hold
-        As for :func:`simulate`.
-    values
-        ``(n, n_parameters)``.
-    segments
-        ``(K, 2)`` half-open ranges of samples that do not overlap.
-    q0, qd0
-        ``(K,)``, or ``(n, K)`` for each vector its own: position and speed at the
-        first sample of every segment (rad or m, SI).
-    substeps
-        Integration steps per sample.
-
-    Returns
-    -------
-    q, qd : ndarray
-        ``(n, N)`` positions and speeds, rad or m; NaN outside the segments. A row is NaN where the
-        vector is outside the support or has no unique motion, and from where the joint runs away,
-        so that a fit can reject the vector.
-
-    Raises
-    ------
-    ValueError
-        If an input is not finite or has the wrong shape.
+    Returns positions and speeds ``(n, N)``, NaN where a vector has no motion, or runs away.
     """
     vectors = np.asarray(values, dtype=np.float64)
     if vectors.ndim != 2 or vectors.shape[1] != len(chain.names):
@@ -310,7 +201,7 @@ def simulate_segments(
         tables.load,
         carried_values(chain, tables.carried, inputs),
         inputs.load(chain.load.motion),
-        _finer(_acting(chain, vectors, samples, period), finer),
+        _interpolated(_delayed_torque(chain, vectors, samples, period), finer),
         float(period) / finer,
         float(begin),
         hold != "zero",
@@ -325,41 +216,22 @@ def simulate_segments(
 
 
 def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues | None:
-    """Gather the terms without a slot for the forward model.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n, n_carried, 2)``, the table ``carried`` of :meth:`Chain.tables`.
-    inputs
-        Of the recording, with the signals that terms are multiplied by.
-
-    Returns
-    -------
-    CarriedValues or None
-        None without such terms. A delay is none of them: the torque that acts is an earlier one,
-        see :func:`_acting`.
-
-    Raises
-    ------
-    ValueError
-        If the inputs do not hold the signal that a term is multiplied by.
-    """
-    felt = chain.felt(inputs)
-    kept = [k for k, c in enumerate(felt) if c.row.column is not None]
-    if not kept:
+    """Prepare the terms without a slot for the forward model; a delay is none of them."""
+    all_terms = chain.carried_terms(inputs)
+    columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
+    if not columns:
         return None
-    terms = [felt[k] for k in kept]
+    terms = [all_terms[k] for k in columns]
     signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
-    stamps = np.unique(np.concatenate([np.zeros(1), *(one.stamps for one in signals.values())]))
+    stamps = np.unique(
+        np.concatenate([np.zeros(1), *(signal.stamps for signal in signals.values())])
+    )
     levels = np.ones((len(terms), stamps.size))
     for k, signal in signals.items():
         levels[k] = signal.at(stamps) - terms[k].row.zero
     return CarriedValues(
-        np.ascontiguousarray(values[:, kept]),
+        np.ascontiguousarray(values[:, columns]),
         np.array([c.place for c in terms], dtype=np.int64),
         np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
@@ -367,7 +239,7 @@ def carried_values(chain: Chain, values: Array, inputs: Inputs) -> CarriedValues
     )
 
 
-def _acting(chain: Chain, vectors: Array, torque: Array, period: float) -> Array:
+def _delayed_torque(chain: Chain, vectors: Array, torque: Array, period: float) -> Array:
     """Torque that acts when the recorded motion shows it: one for all, or each vector's own.
 
     Gives ``(1, N)`` or ``(n, N)``.
@@ -378,7 +250,7 @@ def _acting(chain: Chain, vectors: Array, torque: Array, period: float) -> Array
     return np.stack([later(torque, delay) for delay in samples.tolist()])
 
 
-def _finer(torque: Array, finer: int) -> Array:
+def _interpolated(torque: Array, finer: int) -> Array:
     """Give samples ``(n, N)`` and what a cubic puts between them, ``(n, finer (N - 1) + 1)``."""
     if finer == 1:
         return torque
@@ -390,31 +262,15 @@ def _finer(torque: Array, finer: int) -> Array:
         first, last = (3.0 * (x[0] - x[1]) + x[2] if n > 2 else x[0] for x in (row, row[::-1]))
         padded = np.concatenate([[first], row, [last]])
         for k in range(1, finer):
-            out[i, k::finer] = later(padded, -k / finer, beside=2)[1:-2]
+            out[i, k::finer] = later(padded, -k / finer, neighbours=2)[1:-2]
     return out
 
 
 def possible(
     chain: Chain, vectors: Array, tables: Tables, added_inertia: float
 ) -> NDArray[np.bool_]:
-    """Find which vectors lie in the support and have one motion for one torque.
+    """Flag the vectors in the support that have one motion for one torque.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    vectors, tables
-        ``(n, n_parameters)`` and :meth:`Chain.tables` of them.
-    added_inertia
-        Of a known mass on the load, kg m² or kg.
-
-    Returns
-    -------
-    ndarray
-        ``(n,)`` of bool.
-
-    Notes
-    -----
     A motion is unique where the motor torque rises with the acceleration for every direction of
     power. It does not where ``mu_2`` is so far above one that the inertia on the motor side does
     not outweigh it. Growth of load-dependent friction with speed or load is left out of this.
@@ -429,7 +285,7 @@ def possible(
 
 
 def _torque(torque: ArrayLike, period: float, hold: str, substeps: int | None) -> Array:
-    """Give samples ``(N,)`` as floats; refuse what is no torque, period, hold or step number."""
+    """Check a torque ``(N,)``, period, hold and number of steps."""
     samples = np.array(torque, dtype=np.float64)
     if samples.ndim != 1 or samples.size == 0:
         raise ValueError("torque must be a one-dimensional array of samples")
@@ -457,9 +313,9 @@ def _slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
         rise = 1.0 + np.maximum(element[:, STRIBECK_LOAD_RATIO], 0.0)
         drive, drive_apart = element[:, LOAD_DRIVE], np.abs(element[:, LOAD_DRIVE_DIFFERENCE])
         back, back_apart = element[:, LOAD_BACK], np.abs(element[:, LOAD_BACK_DIFFERENCE])
-        least = np.minimum(1.0 - (back + back_apart) * rise, 1.0 + (drive - drive_apart) * rise)
-        most = np.maximum(1.0 - (back - back_apart) * rise, 1.0 + (drive + drive_apart) * rise)
-        corners = np.stack([low * least, low * most, high * least, high * most])
+        lower = np.minimum(1.0 - (back + back_apart) * rise, 1.0 + (drive - drive_apart) * rise)
+        upper = np.maximum(1.0 - (back - back_apart) * rise, 1.0 + (drive + drive_apart) * rise)
+        corners = np.stack([low * lower, low * upper, high * lower, high * upper])
         corners /= element[:, RATIO]
         low = corners.min(axis=0) + element[:, INERTIA] * to_input
         high = corners.max(axis=0) + element[:, INERTIA] * to_input

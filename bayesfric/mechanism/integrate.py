@@ -1,8 +1,8 @@
-"""How the motion is integrated: Runge-Kutta steps from one event to the next.
+"""Integration of the motion: Runge-Kutta steps from one event to the next.
 
 Within a step direction of motion and power flow are held, so the equation of motion is smooth; what
 ends that (an event: a reversal, breakaway, a change of power flow) is located to rounding, and
-integration begins anew there.
+integration restarts there.
 """
 
 from __future__ import annotations
@@ -30,37 +30,23 @@ _MAX_EVENTS = 64  # in one step
 Counts = NDArray[np.int64]
 
 
-# Rows of what is written of a motion.
+# Rows of an integrated motion.
 POSITION, SPEED, ACCELERATION, STICKS = 0, 1, 2, 3
-# What comes first within a step, where it is no element whose power flow turns.
+# Events within a step other than the index of an element whose power flow turns.
 _REVERSAL, _NOTHING = -1, -2
 
 
 class At(NamedTuple):
-    """Where a step begins: the motion, the torque with its rate, and which way all goes.
+    """State at the begin of a step."""
 
-    Attributes
-    ----------
-    q, qd, qdd
-        Of the joint, rad or m, SI.
-    torque, rate
-        True motor torque, N m or N, and its change per second.
-    time
-        s.
-    sign
-        Direction of motion, 1 or -1.
-    pattern
-        Bit k is set where the motor side drives element k.
-    """
-
-    q: float
+    q: float  # of the joint, rad or m, SI
     qd: float
     qdd: float
-    torque: float
+    torque: float  # true motor torque, N m or N, and its change per second
     rate: float
-    time: float
-    sign: float
-    pattern: int
+    time: float  # s
+    sign: float  # direction of motion, 1 or -1
+    pattern: int  # bit k is set where the motor side drives element k
 
 
 @njit(cache=True, error_model="numpy")
@@ -162,16 +148,15 @@ def _dip(v0: float, a0: float, v1: float, a1: float, h: float) -> float:
 
 
 class _Going(NamedTuple):
-    """Where a joint is, and how it goes on."""
+    """State of the joint between two events."""
 
     q: float
     qd: float
     qdd: float
     sign: float  # direction of motion, zero while it sticks
-    before: float  # the last one
+    before: float  # the last direction
     pattern: int
-    # motor torques between which it sticks, where it stands
-    low: float
+    low: float  # breakaway torques
     high: float
 
 
@@ -179,7 +164,7 @@ class _Going(NamedTuple):
 def _at_rest(
     joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
 ) -> _Going:
-    """Have a joint that stands stick, or move off."""
+    """Let a standing joint stick, or move off."""
     low, high = breakaway_torques(joint, going.q, time)
     sign = 1.0 if torque > high else (-1.0 if torque < low else 0.0)
     going = _Going(going.q, 0.0, 0.0, sign, going.before, going.pattern, low, high)
@@ -190,7 +175,7 @@ def _at_rest(
 def _moves_off(
     joint: Moved, going: _Going, torque: float, time: float, lines: Lines, counts: Counts
 ) -> _Going:
-    """Give a joint that has a direction its acceleration and power flow, and count a reversal."""
+    """Compute acceleration and power flow for a direction, and count a reversal."""
     q, qd, _, sign, before, _, low, high = going
     counts[1] += before * sign < 0.0
     qdd, pattern = acceleration(joint, q, qd, torque, time, sign, lines)
@@ -212,7 +197,7 @@ def _first_event(
     if sign * qd1 <= 0.0:
         which = _REVERSAL
     else:
-        if at.qd != 0.0:  # from rest it moves off, whatever the rounding of qdd
+        if at.qd != 0.0:  # from standstill it moves off, despite the rounding of qdd
             dip = _dip(sign * at.qd, sign * at.qdd, sign * qd1, sign * qdd1, h)
         for k in range(joint.elements.shape[0]):
             bent = (joint.kinks >> k) & 1 == 1
@@ -268,7 +253,7 @@ def _advance(
             return _Going(q1, qd1, qdd1, sign, before, pattern, low, high)
         events += 1
         counts[0] += 1
-        if events > _MAX_EVENTS:  # the rest of the step is not looked into
+        if events > _MAX_EVENTS:  # no more events are located in this step
             counts[2] += 1
             q, qd, now = q1, qd1, end
             if sign * qd > 0.0:
@@ -280,7 +265,7 @@ def _advance(
             q, qd = _step(joint, at, lines, ahead)
             now = end if ahead == h else now + ahead
         elif first == _REVERSAL:
-            # It was about to leave, by no more than rounding: it has not left.
+            # it had moved off by no more than rounding
             low, high = breakaway_torques(joint, q, time)
             return _Going(q, 0.0, 0.0, 0.0, before, pattern, low, high)
         torque, time = start + rate * now, stamp + now
@@ -309,33 +294,6 @@ def integrate(
 ) -> int:
     """Integrate and write the samples.
 
-    Parameters
-    ----------
-    joint
-        Whose torques allow one motion.
-    measured
-        ``(N,)`` motor torque every ``period`` (s), held or ``linear`` between samples; what acts is
-        ``gain * measured - offset``.
-    begin
-        Time of the first sample, s, for terms that depend on time; while the joint
-        sticks, these count as they were at the last sample.
-    q, qd
-        At the first sample, rad or m, SI.
-    substeps
-        Steps a sample.
-    out
-        ``(4, N)``, written: position, speed, the acceleration right after a sample, and 1 where it
-        sticks.
-    counts
-        ``(3,)``: events, reversals and unresolved steps are added to these.
-
-    Returns
-    -------
-    int
-        How many samples there are before a runaway; N if there is none.
-
-    Notes
-    -----
     At rest the joint sticks while the torque lies within its breakaway torques. A torque that goes
     straight leaves them at a time that is found in closed form; reversals and sign changes of a
     transmitted torque are located by root finding. Of a step with more than 64 events the rest is
@@ -392,34 +350,7 @@ def integrate_segments(
     substeps: int,
     valid: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Integrate many parameter vectors, each anew at the start of every segment, in parallel.
-
-    Parameters
-    ----------
-    elements, load
-        ``(n, n_elements, n_slots)`` and ``(n, n_slots)``, of :meth:`Chain.tables`.
-    carried
-        Terms without a slot, of all vectors.
-    added
-        Inertia and first moment of a known mass, kg m² (kg) and kg m.
-    torque
-        ``(n, N)`` measured motor torque, or ``(1, N)`` for one that acts on all.
-    period, begin, linear
-        As for :func:`integrate`.
-    starts, ends
-        ``(K,)`` half-open ranges of samples.
-    q0, qd0
-        ``(n, K)`` state at the first sample of each segment, rad or m, SI.
-    substeps
-        Steps a sample.
-    valid
-        ``(n,)`` of bool: which vectors to integrate.
-
-    Returns
-    -------
-    q, qd : ndarray
-        ``(n, N)``; NaN outside the segments, for vectors that are not valid, and from a runaway on.
-    """
+    """Integrate many parameter vectors, restarted in every segment, in parallel."""
     n, segments = elements.shape[0], starts.shape[0]
     q = np.full((n, torque.shape[1]), np.nan)
     qd = np.full((n, torque.shape[1]), np.nan)

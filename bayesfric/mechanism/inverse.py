@@ -1,7 +1,4 @@
-"""Which motor torque a motion takes: the inverse model, eqs. (3) to (9) and (13).
-
-Everything that compares torques evaluates it: least squares, the input error and the likelihood.
-"""
+"""Inverse model: the motor torque along a motion, eqs. (3) to (9) and (13)."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from numpy.typing import ArrayLike
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.chain import Chain
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 
 def inverse_torque(
@@ -34,10 +31,10 @@ def inverse_torque(
         ``(n_parameters,)`` or ``(n, n_parameters)`` in the order of ``chain.names``.
     q, qd, qdd
         ``(N,)`` position, speed and acceleration of the joint (rad or m, SI). At
-        ``qd = 0`` the losses that depend on direction are zero: what static
-        friction then takes, no inverse model can tell.
+        ``qd = 0`` the losses that depend on direction are zero: static
+        friction is then not determined.
     inputs
-        What the joint feels besides, and whose own offset the torque has.
+        Known mass, signals and offset of the recording.
     time
         ``(N,)`` s; without it a term that depends on time is NaN.
 
@@ -64,10 +61,7 @@ def inverse_torque(
 
 
 def torque_at(chain: Chain, values: Array, samples: kernels.Samples, inputs: Inputs) -> Array:
-    """Give the torque ``(n, N)`` of vectors ``(n, n_parameters)`` at laid-out samples.
-
-    See :func:`inverse_torque`; ``samples`` are of :meth:`Chain.samples` with the same inputs.
-    """
+    """Evaluate :func:`inverse_torque` ``(n, N)`` at samples made with the same inputs."""
     torque: Array = kernels.inverse_many(*chain.tables(values, inputs), samples)
     return torque
 
@@ -81,27 +75,7 @@ def load_torque(
     inputs: Inputs = Inputs(),  # noqa: B008  (frozen)
     time: Array | None = None,
 ) -> Array:
-    """Torque that moves the load itself, ``Gamma`` of eq. (3), before any loss.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    q, qdd
-        ``(N,)`` position and acceleration of the joint (rad or m, SI).
-    inputs
-        Whose known mass is moved, too, and whose measured torque on the load is taken off.
-    time
-        ``(N,)`` s, at which that torque is looked up.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)`` N m or N at the joint: ``(Jc + J_added) qdd + g (ml + ml_added) sin(q + q_g)``,
-        less the measured torque. Springs and terms of one's own are not in it.
-    """
+    """Compute the torque ``(N,)`` on the load, ``Gamma`` of eq. (3), less the measured one."""
     load = chain.tables(np.atleast_2d(np.asarray(values, dtype=np.float64))).load
     inertia, moment = inputs.load(chain.load.motion)
     position = np.asarray(q, dtype=np.float64)
@@ -116,23 +90,9 @@ def load_torque(
 
 
 def load_reach(chain: Chain, values: Array, *, open_scale: bool) -> Array:
-    """Factors from the load's torque at the joint to its loss-free torque at the motor.
+    """Return factors ``(n,)`` from the load's torque to its loss-free torque at the motor.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-    open_scale
-        Whether nothing known fixes the scale between leg and alpha (section 4.2).
-
-    Returns
-    -------
-    ndarray
-        ``(n,)``. ``1/N``, or ``lambda_1/N`` where the scale is open: the mean of what the motor
-        feels of the load while it drives and while it is driven, which no scaling changes. Of the
-        true torque: ``drive.gain`` has no part in it.
+    ``1/N``, or the mean ``lambda_1/N`` of both power flows where the scale is open (section 4.2).
     """
     elements = chain.tables(values).elements
     ratio = np.prod(elements[:, :, kernels.RATIO], axis=1)

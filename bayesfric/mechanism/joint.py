@@ -1,4 +1,4 @@
-"""What people ask of a joint: a preset by name, a simulated recording, the torque of a motion."""
+"""A joint by name or by its elements, that can be simulated and evaluated."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.inputs import AT_ROOM
+from bayesfric.recordings.measurement import AT_ROOM
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +48,7 @@ class Joint(Chain):
         if name not in PRESETS:
             raise BadInput("preset", f"there is no preset {name!r}", nearest(name, PRESETS))
         chain = PRESETS[name].chain()
-        return cls(**{one.name: getattr(chain, one.name) for one in fields(chain)})
+        return cls(**{field.name: getattr(chain, field.name) for field in fields(chain)})
 
     def __repr__(self) -> str:
         return "\n".join(f"{p.name} ({p.unit or '1'}): {p.meaning}" for p in self.parameters)
@@ -79,14 +79,14 @@ class Joint(Chain):
         """
         import pandas as pd
 
-        given = {**options, "parameters": dict(parameters or {})}
+        keys = {**options, "parameters": dict(parameters or {})}
         try:
-            checked = Simulation.model_validate(given)
+            simulation = Simulation.model_validate(keys)
         except ValidationError as error:
             raise configuration_error(
-                "simulation.", "simulation", error, given, Simulation
+                "simulation.", "simulation", error, keys, Simulation
             ) from None
-        columns, _, _ = record(self, checked)
+        columns, _, _ = record(self, simulation)
         return pd.DataFrame(columns)
 
     def torque(

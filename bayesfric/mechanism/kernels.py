@@ -1,4 +1,4 @@
-"""What torque an element takes: the element equation, compiled, once for all that evaluates it.
+"""The element equation, compiled once for all models.
 
 Inverse and forward model share these functions, so they cannot disagree; exports and the law in
 formulas are made of their source. Rows of ``elements`` and entries of ``load`` are laid out by
@@ -45,61 +45,36 @@ LOAD_DRIVE, LOAD_BACK, LOAD_DRIVE_DIFFERENCE, LOAD_BACK_DIFFERENCE = 10, 11, 12,
 LOAD_SPEED, LOAD_SQUARE = 14, 15
 LOAD_INERTIA, FIRST_MOMENT, GRAVITY_ANGLE, GRAVITY, OFFSET, GAIN = 0, 1, 2, 3, 4, 5
 Row = Array | tuple[float, ...]  # of one element
-Factors = tuple[float, float]  # of the constant and of the load loss
+Factors = tuple[float, float]  # of Coulomb and of load-dependent friction
 _SLOTS = len(ELEMENT_SLOTS)
 _as_tuple: Any = to_fixed_tuple
 
 
 class Samples(NamedTuple):
-    """A motion and what the joint feels besides, as the kernels read it; made by a chain.
+    """A motion and the other inputs, laid out for the kernels by :meth:`Chain.samples`."""
 
-    Attributes
-    ----------
-    added_inertia, added_moment
-        Of a known mass on the load, kg m² (kg) and kg m.
-    sin_q, cos_q, speed, acceleration, position
-        ``(N,)`` of the joint, rad or m, SI.
-    time
-        ``(N,)`` s.
-    columns
-        ``(n_carried, N)`` torque of each term without a slot for a coefficient of one; not used
-        where a parameter shapes it.
-    places
-        ``(n_carried,)`` index of its element; that of the load is the number of elements, one more
-        what comes on top of the measured torque.
-    reaches
-        ``(n_carried,)`` speed of its element's input over the joint's.
-    addresses
-        ``(n_carried,)`` of its compiled column where a parameter shapes it; 0 where none does.
-    """
-
-    added_inertia: float
+    added_inertia: float  # of a known mass on the load, kg m² (kg) and kg m
     added_moment: float
-    sin_q: Array
+    sin_q: Array  # (N,) of the joint, rad or m, SI
     cos_q: Array
     speed: Array
     acceleration: Array
     position: Array
-    time: Array
+    time: Array  # (N,) s
+    # (n_carried, N) torque of each term without a slot for a coefficient of one; not used where
+    # a parameter shapes it
     columns: Array
+    # (n_carried,) index of its element; that of the load is the number of elements, one more
+    # what comes on top of the measured torque
     places: NDArray[np.int64]
-    reaches: Array
+    reaches: Array  # (n_carried,) speed of its element's input over the joint's
+    # (n_carried,) of its compiled column where a parameter shapes it; 0 where none does
     addresses: NDArray[np.int64]
 
 
 @njit(cache=True, inline="always")
 def low_speed(speed: float, width: float, exponent: float) -> float:
-    """Share ``exp(-|v/v0|^a)`` of the Stribeck rise of eq. (2), where ``a`` is 2.
-
-    Parameters
-    ----------
-    speed
-        ``v``, rad/s or m/s.
-    width
-        Stribeck velocity ``v0``; at zero the share is zero.
-    exponent
-        ``a``.
-    """
+    """Share ``exp(-|v/v0|^a)`` of the Stribeck rise of eq. (2), where ``a`` is 2."""
     # a width of zero is the limit in which no speed is low enough for a rise
     if width <= 0.0:
         return 0.0
@@ -109,20 +84,7 @@ def low_speed(speed: float, width: float, exponent: float) -> float:
 
 @njit(cache=True, inline="always")
 def rises(element: Row, speed: float) -> Factors:
-    """Factors ``1 + c exp(-|v/v0|^a)`` of Coulomb and of load-dependent friction, eq. (2).
-
-    Parameters
-    ----------
-    element
-        Row of the table, :data:`ELEMENT_SLOTS`; each of the two has a ``c`` of its own.
-    speed
-        Of its input, rad/s or m/s.
-
-    Returns
-    -------
-    constant, load : float
-        1 without a Stribeck effect.
-    """
+    """Factors ``1 + c exp(-|v/v0|^a)`` of Coulomb and of load-dependent friction, eq. (2)."""
     constant, load = element[STRIBECK_RATIO], element[STRIBECK_LOAD_RATIO]
     if constant == 0.0 and load == 0.0:
         return 1.0, 1.0
@@ -132,24 +94,7 @@ def rises(element: Row, speed: float) -> Factors:
 
 @njit(cache=True, inline="always")
 def load_losses(element: Row, sign: float, speed: float, rise: float) -> tuple[float, float]:
-    """Loss per transmitted torque while the motor side drives, and while the load does, eq. (6).
-
-    Parameters
-    ----------
-    element
-        Row of the table, :data:`ELEMENT_SLOTS`.
-    sign
-        Direction of motion, which half the difference by direction goes with.
-    speed
-        Of its input, rad/s or m/s; friction grows by ``load_speed |speed|``.
-    rise
-        Factor of :func:`rises` at low speed, which multiplies all but this growth.
-
-    Returns
-    -------
-    drive, back : float
-        ``mu_1`` and ``mu_2`` at this speed and direction.
-    """
+    """Loss per transmitted torque while the motor side drives, and while the load does, eq. (6)."""
     grown = element[LOAD_SPEED] * abs(speed)
     drive = element[LOAD_DRIVE] + sign * element[LOAD_DRIVE_DIFFERENCE]
     back = element[LOAD_BACK] + sign * element[LOAD_BACK_DIFFERENCE]
@@ -188,15 +133,7 @@ def element_torque(
 def risen_torque(
     element: Row, torque: float, sign: float, speed: float, acceleration: float, risen: Factors
 ) -> float:
-    """Give :func:`element_torque` where the factors of :func:`rises` are known already.
-
-    Parameters
-    ----------
-    element, torque, sign, speed, acceleration
-        As for :func:`element_torque`.
-    risen
-        Factors of Coulomb and of load-dependent friction.
-    """
+    """Give :func:`element_torque` where the factors of :func:`rises` are known already."""
     rise, load_rise = risen
     drive, back = load_losses(element, sign, speed, load_rise)
     power = torque * sign
@@ -213,22 +150,7 @@ def risen_torque(
 
 @njit(cache=True, inline="always")
 def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float) -> float:
-    """Gravity on the load, ``g (ml + ml_added) sin(q + q_g)``.
-
-    Parameters
-    ----------
-    load
-        ``(n_slots,)`` of :data:`LOAD_SLOTS`.
-    added_moment
-        First moment of a known mass, kg m.
-    sin_q, cos_q
-        Of the joint's position.
-
-    Returns
-    -------
-    float
-        N m at the joint.
-    """
+    """Gravity on the load, ``g (ml + ml_added) sin(q + q_g)``."""
     angle = load[GRAVITY_ANGLE]
     sine = sin_q if angle == 0.0 else sin_q * math.cos(angle) + cos_q * math.sin(angle)
     return float(load[GRAVITY] * (load[FIRST_MOMENT] + added_moment) * sine)
@@ -236,21 +158,7 @@ def gravity_torque(load: Array, added_moment: float, sin_q: float, cos_q: float)
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def inverse_many(elements: Array, load: Array, carried: Array, samples: Samples) -> Array:
-    """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general.
-
-    Parameters
-    ----------
-    elements, load, carried
-        ``(n, n_elements, n_slots)``, ``(n, n_slots)`` and ``(n, n_carried, 2)`` of
-        :meth:`Chain.tables`.
-    samples
-        Of :meth:`Chain.samples`.
-
-    Returns
-    -------
-    ndarray
-        ``(n, N)``, N m or N: what a sensor of the motor's torque shows, gain and offset in it.
-    """
+    """Measured motor torque of ``n`` parameter vectors at ``N`` samples, eq. (13) in general."""
     n = elements.shape[0]
     out = np.empty((n, samples.speed.shape[0]))
     if n == 0:
@@ -289,22 +197,7 @@ def inverse_one(
     first: Array,
     out: Array,
 ) -> None:
-    """Write the measured motor torque of one parameter vector into ``out``.
-
-    Parameters
-    ----------
-    elements, load, carried
-        ``(n_elements, n_slots)``, ``(n_slots,)`` and ``(n_carried, 2)`` of :meth:`Chain.tables`.
-    samples
-        Of :meth:`Chain.samples`.
-    low
-        ``(n_elements, N)`` shares of the Stribeck rise of ``first``, see :func:`_low_speeds`.
-    first
-        ``(n_elements, n_slots)``; an element with another Stribeck velocity or exponent has its
-        share computed anew.
-    out
-        ``(N,)``, written, N m or N.
-    """
+    """Write the measured motor torque of one parameter vector into ``out``."""
     n = out.shape[0]
     sin_q, cos_q = samples.sin_q, samples.cos_q
     acceleration = samples.acceleration
@@ -357,12 +250,12 @@ def _through_element(
     scaled[LOAD_SPEED] *= to_input
     scaled[STRIBECK_VELOCITY] /= to_input
     # a tuple, or the compiler must assume that writing `out` changes it
-    own = _as_tuple(scaled, _SLOTS)
-    constant, load = own[STRIBECK_RATIO], own[STRIBECK_LOAD_RATIO]
+    row = _as_tuple(scaled, _SLOTS)
+    constant, load = row[STRIBECK_RATIO], row[STRIBECK_LOAD_RATIO]
     shape = slice(STRIBECK_VELOCITY, STRIBECK_EXPONENT + 1)
     known = (element[shape] == first[shape]).all()
     for j in range(speed.shape[0]):
         v = speed[j]
         sign = (v > 0.0) * 1.0 - (v < 0.0) * 1.0
-        risen = (1.0 + constant * low[j], 1.0 + load * low[j]) if known else rises(own, v)
-        out[j] = risen_torque(own, out[j] * to_torque, sign, v, acceleration[j], risen)
+        risen = (1.0 + constant * low[j], 1.0 + load * low[j]) if known else rises(row, v)
+        out[j] = risen_torque(row, out[j] * to_torque, sign, v, acceleration[j], risen)

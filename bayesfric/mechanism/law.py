@@ -1,4 +1,4 @@
-"""The law of a joint in formulas, of which C and Python are made.
+"""Formulas of a joint's torque, from which C and Python code is generated.
 
 No term is written twice. The compiled kernels' own code runs with names in place of numbers:
 what they assign becomes a statement of the same name. A column of the table of quantities, a
@@ -39,19 +39,13 @@ MOTION = ("q", "v", "a", "s")
 
 
 class Unwritten(Exception):
-    """No formula says this; the argument is what."""
+    """Raised with the name of what has no formula."""
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A number that remembers how it came about.
+    """A symbolic number: NumPy's :data:`OPERATIONS` on it make a formula.
 
-    NumPy's functions and operators on it, those of :data:`OPERATIONS`, make a formula instead of a
-    number; another one, or a decision by its value, raises :class:`Unwritten`.
-
-    Parameters
-    ----------
-    formula
-        A name, a number or an operation with what it is of.
+    Another operation, or a decision by its value, raises :class:`Unwritten`.
     """
 
     def __init__(self, formula: Formula) -> None:
@@ -60,7 +54,7 @@ class Traced(NDArrayOperatorsMixin):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or options:
             raise Unwritten(ufunc.__name__)
-        return _made(ufunc.__name__, *inputs)
+        return _operation(ufunc.__name__, *inputs)
 
     def __bool__(self) -> bool:
         raise Unwritten("a choice")
@@ -76,11 +70,8 @@ def _formula(x: Any) -> Formula:
     raise Unwritten(type(x).__name__)
 
 
-def _made(operation: str, *inputs: Any) -> Any:
-    """Make an operation of what it is of; what is zero is not written.
-
-    So ``x + 0``, ``x - 0``, ``x 1`` and ``x/1`` are ``x``, and ``x 0`` is 0.
-    """
+def _operation(operation: str, *inputs: Any) -> Any:
+    """Build an operation, simplified: ``x + 0``, ``x - 0``, ``x 1``, ``x/1`` and ``x 0``."""
     if operation not in OPERATIONS:
         raise Unwritten(operation)
     of = [_formula(x) for x in inputs]
@@ -94,14 +85,14 @@ def _made(operation: str, *inputs: Any) -> Any:
 
 
 def _where(test: Any, yes: Any, no: Any) -> Any:
-    """Choose as an expression of Python does."""
+    """Evaluate, or write down, a conditional expression of Python."""
     if not isinstance(test, Traced):
         return yes if test else no
-    return yes if _formula(yes) == _formula(no) else _made("where", test, yes, no)
+    return yes if _formula(yes) == _formula(no) else _operation("where", test, yes, no)
 
 
-class _Told(ast.NodeTransformer):
-    """Have what a kernel assigns put under its name, and choices written down."""
+class _Recorder(ast.NodeTransformer):
+    """Rewrite assignments to ``put(name, value)`` and choices to ``where(...)``."""
 
     def visit_Assign(self, node: ast.Assign) -> ast.Assign:
         self.generic_visit(node)
@@ -120,48 +111,27 @@ def _code() -> CodeType:
     """Compile the source of the kernels, undecorated, to run with names in place of numbers."""
     tree = ast.parse(inspect.getsource(kernels))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
-    for one in functions:
-        one.decorator_list.clear()
-    module = _Told().visit(ast.Module([*functions], []))
+    for function in functions:
+        function.decorator_list.clear()
+    module = _Recorder().visit(ast.Module([*functions], []))
     return compile(ast.fix_missing_locations(module), kernels.__file__, "exec")
 
 
 class Statements:
-    """Statements that compute the law of a joint from :data:`MOTION`, in order.
+    """Statements that compute the torque of a joint from :data:`MOTION`, in order.
 
-    Nothing of a recording is in them: a term of temperature or of time is that of 20 degC as a
-    recording begins, a delay is none.
-
-    Attributes
-    ----------
-    all
-        Names, each there once, and their formulas; a remark has no name.
-    kernels
-        Functions of the kernels, to be called with names or numbers.
+    Temperature is 20 degC and time zero, and there is no delay.
     """
 
     def __init__(self) -> None:
         self.all: list[tuple[str, Formula]] = []
-        self._taken = Counter(MOTION)
+        self._uses = Counter(MOTION)
         self.kernels: dict[str, Any] = dict(vars(kernels))
         self.kernels |= {"put": self.put, "where": _where, "math": np, "float": lambda x: x}
         exec(_code(), self.kernels)
 
     def put(self, name: str, value: Any) -> Any:
-        """Give a formula a name, or one much like it where that is taken.
-
-        Parameters
-        ----------
-        name
-            Wanted name; several, with commas between, for a tuple of formulas.
-        value
-            A number stays one; a formula that has a name already keeps that.
-
-        Returns
-        -------
-        Traced, number or tuple
-            What stands for the value from now on.
-        """
+        """Assign a formula to a name, numbered where that is used already."""
         if isinstance(value, tuple):
             return tuple(map(self.put, name.split(", "), value))
         if not isinstance(value, Traced) or isinstance(value.formula, str):
@@ -169,31 +139,13 @@ class Statements:
         for known, formula in self.all:
             if formula == value.formula:
                 return Traced(known)
-        self._taken[name] += 1
-        name += str(self._taken[name]) if self._taken[name] > 1 else ""
+        self._uses[name] += 1
+        name += str(self._uses[name]) if self._uses[name] > 1 else ""
         self.all.append((name, value.formula))
         return Traced(name)
 
     def torque(self, chain: Chain, vector: Array) -> Any:
-        """Compute the torque at the motor, without gain and offset of what is measured.
-
-        Parameters
-        ----------
-        chain
-            The mechanism.
-        vector
-            ``(n_parameters,)``.
-
-        Returns
-        -------
-        Traced or number
-            The statements that lead to it are in :attr:`all`.
-
-        Raises
-        ------
-        Unwritten
-            If a term has no formula; the argument is its parameter's name.
-        """
+        """Compute the torque at the motor, without gain and offset of what is measured."""
         (elements,), (load,), _ = chain.tables(vector[None])
         self.remark("load")
         at = self._at(1.0)
@@ -212,7 +164,7 @@ class Statements:
         return torque
 
     def _at(self, reach: float) -> State:
-        """State at ``reach`` times the speed of the joint, of nothing carried, at time zero."""
+        """State at ``reach`` times the speed of the joint, at time zero."""
         q, v, a, s = map(Traced, MOTION)
         position, speed = self.put("position", reach * q), self.put("speed", reach * v)
         return State(position, speed, self.put("acceleration", reach * a), s, 0.0)
@@ -230,58 +182,35 @@ class Statements:
         return total
 
     def remark(self, text: str) -> None:
-        """Say what the next statements are of."""
+        """Add a heading for the next statements."""
         self.all.append(("", text))
 
-    def tell(self, name: str, value: Any) -> None:
-        """Give what is asked for, a number or a formula, its name as one more statement."""
+    def add(self, name: str, value: Any) -> None:
+        """Append a named result, a number or a formula."""
         self.all.append((name, _formula(value)))
 
     def used(self, result: str) -> list[tuple[str, Formula]]:
-        """Statements that lead to ``result``, in their order: compilers warn of others."""
-        kept, wanted = [], {result}
+        """Statements that lead to ``result``, in order: compilers warn of others."""
+        statements, wanted = [], {result}
         for name, formula in reversed(self.all):
             if not name or name in wanted:
-                kept.append((name, formula))
+                statements.append((name, formula))
                 wanted |= names_in(formula) if name else set()
-        return kept[::-1]
+        return statements[::-1]
 
 
 def torque_of(row: Quantity, at: State, *shape: Any) -> Any:
-    """Torque of a row at a state for a coefficient of one.
-
-    Parameters
-    ----------
-    row
-        With a column, of the table or of a term of one's own.
-    at
-        State of :class:`Traced` values.
-    *shape
-        Value of the parameter that shapes the column, where one does.
-
-    Returns
-    -------
-    Traced or number
-
-    Raises
-    ------
-    Unwritten
-        If no formula says it, as for a column with ``math`` functions or decisions.
-    """
+    """Return the torque of a row at a state of :class:`Traced` for a coefficient of one."""
     assert row.column is not None
     try:
-        found = row.column(at, *shape)
-        return found if isinstance(found, Traced) else _formula(found)
+        torque = row.column(at, *shape)
+        return torque if isinstance(torque, Traced) else _formula(torque)
     except (TypeError, ValueError, AttributeError) as error:  # math.sin(...), m.position[0]
         raise Unwritten(str(error)) from None
 
 
 def formula_of(row: Quantity) -> Formula:
-    """Write a row's torque for a coefficient of one.
-
-    In the names of a :class:`State` and, where a parameter shapes it, ``shape``. Raises
-    :class:`Unwritten` where there is none.
-    """
+    """Return the formula of a row's torque for a coefficient of one, in a state's names."""
     at = State(*map(Traced, State._fields))
     return _formula(torque_of(row, at, *((Traced("shape"),) if row.shape else ())))
 
@@ -294,10 +223,7 @@ def names_in(formula: Formula) -> set[str]:
 
 
 def of_time(row: Quantity) -> bool:
-    """Whether a term changes with temperature or time, so that one moment does not speak for all.
-
-    Raises :class:`Unwritten` for a column that no formula says.
-    """
+    """Whether a term changes with temperature or time; raises :class:`Unwritten`."""
     return row.signal == "temperature" or (
         row.role == "own" and row.column is not None and "time" in names_in(formula_of(row))
     )

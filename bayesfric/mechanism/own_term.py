@@ -1,4 +1,4 @@
-"""How terms that the compiled kernels do not write out take part: by the column of their row.
+"""Custom terms, and others that the compiled kernels do not write out: compiled columns.
 
 A term is compiled once to a function of position, speed, direction and time of its element, and
 of the parameter that shapes it, where one does. The forward model calls it at every step. The
@@ -20,14 +20,14 @@ from numba.extending import intrinsic
 
 from bayesfric.mechanism.quantities import QUANTITIES, Column, Quantity, State
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 
 _SIGNATURE = types.float64(*[types.float64] * 5)
 
 
 @dataclass(frozen=True)
 class Term:
-    """A term of one's own that is linear in its coefficient.
+    """A custom term that is linear in its coefficient.
 
     Parameters
     ----------
@@ -54,15 +54,15 @@ class Term:
     ValueError
         If the name is none, or taken.
     TypeError
-        If the column cannot be compiled, as where it depends on what a term of one's own
-        cannot: acceleration and transmitted torque.
+        If the column cannot be compiled, as where it depends on acceleration or
+        transmitted torque.
     """
 
     name: str
     column: Column
     unit: str = ""
     symbol: str = ""
-    meaning: str = "a term of one's own"
+    meaning: str = "a custom term"
     positive: bool = False
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class Term:
         )
 
 
-# What pushes the load from outside, the motor need not give.
+# An external torque on the load reduces that of the motor.
 PUSH = Quantity(
     "load_torque", ("N m", "N"), "", "measured torque on the load", signal="load_torque",
     column=lambda m: -1.0 + 0.0 * m.speed, slots=(),
@@ -105,56 +105,23 @@ PUSH = Quantity(
 
 @dataclass(frozen=True)
 class CarriedTerm:
-    """A term of a chain that the kernels do not write out.
+    """A term of a chain that the kernels do not write out."""
 
-    Attributes
-    ----------
-    index
-        Of its parameter among the chain's; -1 for what counts once, without one.
-    place
-        Index of its element; the load's is the number of elements, one more is outside of all.
-    reach
-        Speed of its element's input over the joint's.
-    row
-        In the table of quantities, or of a term of one's own.
-    shape
-        Index of the parameter that shapes its column; -1 where none does.
-    """
-
-    index: int
-    place: int
-    reach: float
+    index: int  # of its parameter in the chain; -1 for a coefficient of one
+    place: int  # index of its element; n_elements for the load, one more for the measurement
+    reach: float  # speed of its element's input over the joint's
     row: Quantity
-    shape: int = -1
+    shape: int = -1  # index of the parameter that shapes its column; -1 where none does
 
     @property
     def address(self) -> int:
-        """Of the compiled column, by which kernels call it."""
+        """Address of the compiled column, for the kernels."""
         assert self.row.column is not None
         return int(compiled(self.row.column, shaped=bool(self.row.shape)).address)
 
 
 def signal_of(row: Quantity, inputs: Inputs) -> Signal:
-    """Give the signal that a term is, or is multiplied by.
-
-    Parameters
-    ----------
-    row
-        With a ``signal``: the rate of the torque, the temperature, the torque on the load, or a
-        further column.
-    inputs
-        Of the recording.
-
-    Returns
-    -------
-    Signal
-        Looked up by time; ``row.zero`` is not taken off yet.
-
-    Raises
-    ------
-    ValueError
-        If the inputs have no such signal.
-    """
+    """Return the signal that a term is, or is multiplied by."""
     signal = inputs.signal(row.signal)
     if signal is None:
         raise ValueError(f"{row.name}: the inputs hold no {row.signal}")
@@ -164,37 +131,13 @@ def signal_of(row: Quantity, inputs: Inputs) -> Signal:
 def along(
     row: Quantity, reach: float, position: Array, speed: Array, time: Array, inputs: Inputs
 ) -> Array:
-    """Torque of a term for a coefficient of one along a motion of the joint.
-
-    Parameters
-    ----------
-    row
-        Of the term. A parameter that shapes its column counts as where a search for it starts.
-    reach
-        Speed of its element's input over the joint's.
-    position, speed
-        ``(N,)`` of the joint, rad or m, SI.
-    time
-        ``(N,)`` s.
-    inputs
-        Where a signal of the recording is looked up.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)`` at the element's input, N m or N per unit of the coefficient.
-
-    Raises
-    ------
-    ValueError
-        If the inputs have no such signal.
-    """
+    """Return the torque ``(N,)`` of a term for a coefficient of one along a joint's motion."""
     factor: Any = signal_of(row, inputs).at(time) - row.zero if row.signal else 1.0
     if row.column is None:
         return np.asarray(factor)
     position, speed = reach * position, reach * speed
     if row.option or row.signal:
-        # of the table, in operations that take arrays: nothing to compile for one look
+        # columns of the table take arrays, and need no compilation
         at = State(position, speed, 0.0, np.sign(speed), time, 0.0, 0.0)
         shape = (QUANTITIES[row.shape].start,) if row.shape else ()
         return np.asarray(factor * row.column(at, *shape))
@@ -203,10 +146,7 @@ def along(
 
 
 class _Motion(NamedTuple):
-    """The part of a :class:`State` that a carried term may depend on.
-
-    Inertia, load-dependent friction and gravity are terms that every element or load can have.
-    """
+    """The part of a :class:`State` that a carried term may depend on."""
 
     position: float
     speed: float
@@ -216,25 +156,7 @@ class _Motion(NamedTuple):
 
 @lru_cache(maxsize=256)
 def compiled(column: Column, *, shaped: bool) -> Any:
-    """Compile a column to a function of position, speed, direction, time and what shapes it.
-
-    Parameters
-    ----------
-    column
-        Of a :class:`State`.
-    shaped
-        Whether it takes the value of a parameter that shapes it, besides.
-
-    Returns
-    -------
-    Any
-        Numba's ``cfunc`` of five numbers; its ``address`` is what kernels call.
-
-    Raises
-    ------
-    TypeError
-        If it cannot be compiled, as where it depends on more than these.
-    """
+    """Compile a column of position, speed, direction, time and, if ``shaped``, a parameter."""
     inner: Any = njit(column)
 
     def of_state(position: float, speed: float, direction: float, time: float, _: float) -> float:

@@ -1,6 +1,6 @@
-"""Which name, unit, symbol and support a parameter has: a quantity of one element of one chain.
+"""Parameters: name, unit, symbol and support of a quantity of one element of a chain.
 
-Names are ``element.quantity``; what slides has forces and metres in place of torques and angles.
+Names are ``element.quantity``; sliding elements have forces and metres, not torques and angles.
 """
 
 from __future__ import annotations
@@ -23,34 +23,18 @@ _TORQUE = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number the joint is described by.
+    """One parameter of the joint."""
 
-    Attributes
-    ----------
-    name
-        ``element.quantity``, for example ``motor.inertia``.
-    row
-        Its row in the table of quantities.
-    owner
-        Name of the element, ``load``, ``drive``, or empty for what the whole chain has.
-    unit
-        As printed, in SI.
-    symbol
-        LaTeX without dollar signs, the paper's where it has one.
-    meaning
-        One line for people.
-    """
-
-    name: str
-    row: Quantity
-    owner: str
-    unit: str
-    symbol: str
-    meaning: str
+    name: str  # element.quantity, for example motor.inertia
+    row: Quantity  # its row in the table of quantities
+    owner: str  # name of the element, load, drive, or empty for the whole chain
+    unit: str  # as printed, in SI
+    symbol: str  # LaTeX without dollar signs, the paper's where it has one
+    meaning: str  # one line for people
 
     @property
     def quantity(self) -> str:
-        """The part behind the dot of its name, its row's: ``inertia`` of ``motor.inertia``."""
+        """The part after the dot of its name: ``inertia`` of ``motor.inertia``."""
         return self.row.name
 
     @property
@@ -70,28 +54,14 @@ class Parameter:
 
     @property
     def circular(self) -> bool:
-        """Whether values a turn apart are the same, so that no value is at an end."""
+        """Whether values a turn apart are the same."""
         return self.row.circular
 
 
 def parameter(
     owner: str, row: Quantity, motion: Motion, subscript: str, *, alone: bool = False
 ) -> Parameter:
-    """Describe one quantity of one element.
-
-    Parameters
-    ----------
-    owner
-        Element name; empty for the quantities of the whole chain (``offset``).
-    row
-        Of the table.
-    motion
-        Whether the element's input turns or slides; it sets the unit.
-    subscript
-        LaTeX subscript that tells this element's symbols from another's.
-    alone
-        Whether no other element, and no load, has this quantity.
-    """
+    """Describe one quantity of one element."""
     meaning = row.alone.format(owner) if alone and row.alone else row.meaning
     return Parameter(
         name=f"{owner}.{row.name}" if owner else row.name,
@@ -104,15 +74,7 @@ def parameter(
 
 
 def turned(value: Angle, towards: float) -> Angle:
-    """Add whole turns to an angle until it lies at most half a turn from another one.
-
-    Parameters
-    ----------
-    value
-        rad, a number or an array.
-    towards
-        rad.
-    """
+    """Add whole turns to an angle until it lies at most half a turn from another one."""
     out: Angle = value + TURN * np.round((towards - value) / TURN)
     return out
 
@@ -127,15 +89,7 @@ def scales_with_torque(unit: str) -> bool:
 
 
 def effort_words(words: str, motion: Motion) -> str:
-    """Say force in place of torque of what slides, and 2π m in place of a turn.
-
-    Parameters
-    ----------
-    words
-        Worded for what turns.
-    motion
-        Of what is spoken of.
-    """
+    """Say force in place of torque of what slides, and 2π m in place of a turn."""
     if motion == "rotary":
         return words
     return _TORQUE.sub(r"force\1", words).replace("cycles a turn", "cycles in 2π m")

@@ -1,4 +1,4 @@
-"""Which joints can be named: the paper's knee, a motor axis, a servo pendulum."""
+"""Named joints: the paper's knee, a motor axis, a servo pendulum."""
 
 from __future__ import annotations
 
@@ -10,29 +10,15 @@ from bayesfric.mechanism.element import Element, Load
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with.
+    """A named chain with values to simulate it with."""
 
-    Attributes
-    ----------
-    name
-        As written in a configuration.
-    meaning, when
-        What it is, and what kind of joint to choose it for; one line each.
-    elements, load, offset
-        Of the chain, see :class:`bayesfric.mechanism.chain.Chain`.
-    values
-        True parameter values for simulation, by name, SI.
-    source
-        Where these are from.
-    """
-
-    name: str
-    meaning: str
-    when: str
+    name: str  # as written in a configuration
+    meaning: str  # one line
+    when: str  # kind of joint to choose it for, one line
     elements: tuple[Element, ...]
     load: Load
-    values: dict[str, float]
-    source: str
+    values: dict[str, float]  # true parameter values for simulation, by name, SI
+    source: str  # where these are from
     offset: bool = False
 
     def chain(self) -> Chain:

@@ -1,10 +1,10 @@
-"""Which terms a joint may have: the table in which each quantity is declared once, and read by all.
+"""The table of all terms that a joint may have, each declared once.
 
 A term of the friction law is one :class:`Quantity`. What it adds to the torque, its *column*,
 is a function of the state of its own element; ratios, totals, regressors, default priors,
 configuration and words follow from the row. The compiled kernels of
 :mod:`bayesfric.mechanism.kernels` write out the terms that have a slot there; any other term
-that adds a torque of its own is carried by its column. What has neither is refused.
+that adds a torque is carried by its column. A quantity with neither is refused.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from bayesfric.recordings.inputs import ROOM
+from bayesfric.recordings.measurement import ROOM
 
 Motion = Literal["rotary", "linear"]
 Column = Callable[..., Any]  # of a State, and of the value of the parameter that shapes it
@@ -29,33 +29,20 @@ _BRIEF = 1e-9  # s, in place of a time constant of zero
 
 
 class State(NamedTuple):
-    """What an element's torque depends on, at its own input; numbers or arrays ``(N,)``, in SI.
+    """What an element's torque depends on, at its own input; numbers or arrays ``(N,)``, in SI."""
 
-    Attributes
-    ----------
-    position, speed, acceleration
-        rad or m and s.
-    direction
-        Sign of the speed; at rest, where a joint is about to break away, that of the torque.
-    time
-        s since the recording's first stamp.
-    transmitted
-        Torque at the element's output, brought to its input, N m or N.
-    gravity
-        Gravity torque of a first moment of 1 kg m, ``g sin(q + q_g)``.
-    """
-
-    position: Any
+    position: Any  # rad or m and s
     speed: Any
     acceleration: Any
+    # sign of the speed; at rest, where a joint is about to break away, that of the torque
     direction: Any
-    time: Any
-    transmitted: Any = 0.0
-    gravity: Any = 0.0
+    time: Any  # s since the recording's first stamp
+    transmitted: Any = 0.0  # torque at the element's output, brought to its input, N m or N
+    gravity: Any = 0.0  # gravity torque of a first moment of 1 kg m, g sin(q + q_g)
 
 
 class Sizes(NamedTuple):
-    """How large things are at a parameter's own shaft; default priors are scaled by it."""
+    """Typical sizes at a parameter's shaft, by which default priors are scaled."""
 
     torque: float  # largest that the recordings show, N m or N
     speed: float  # speed, acceleration: root mean square, rad or m and s
@@ -67,105 +54,50 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantity:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    name
-        What stands behind the dot of a parameter's name.
-    units
-        As printed, in SI; empty for none.
-    symbol
-        LaTeX without dollar signs, the paper's where it has one; ``{}`` is the subscript.
-    meaning
-        One line for people, worded for what turns.
-    option, choice
-        Which option of an element or load brings it (:data:`CHOICES`); empty for what the
-        chain itself brings. Several choices where each brings it; a number of cycles where the
-        option lists these (:data:`CYCLES`).
-    role
-        ``own`` adds ``value * column`` to the torque; ``loss`` the same, and depends on the
-        transmitted torque; ``form`` shapes other terms and adds nothing by itself.
-    column
-        Torque for a value of one, a function of a :class:`State`.
-    shape
-        Quantity of the same element whose value its column takes besides; empty for none.
-    signal
-        Which signal of a recording its column is, or is multiplied by, a name that
-        :class:`bayesfric.recordings.inputs.Inputs` knows; empty where ``column`` gives it.
-    zero
-        What is taken off the signal first.
-    power
-        ``column`` at a state whose position, speed and acceleration are r times as large is
-        ``r**power`` times as large; ``None`` where that is not so. It says how the quantity
-        goes through a ratio.
-    slots
-        Of the compiled kernels; its own name if left out.
-    shares
-        Columns of ``psi``, eq. (13), that it fills (:data:`TOTALS`), and with which weight;
-        the one of its own name if left out.
-    totals
-        Motor-side totals it is part of; that of its own name if left out.
-    by_direction
-        The totals it is part of instead, where other elements tell the directions apart.
-    scaled_by
-        Where load and load friction are scaled together (section 4.2), the power of the factor
-        that divides it.
-    rises
-        Whether the rise at low speed multiplies it.
-    lower, upper
-        Support; no prior may reach outside.
-    default
-        Value where it is not part of the model.
-    circular
-        Whether values a turn apart are the same.
-    prior, spread
-        Family and scale of the default prior; by default half-normal or, where both signs are
-        possible, normal, with the scale that would need the largest torque.
-    stores
-        Whether it gives back what it takes: then other terms may carry it, and not the motor.
-    prior_upper
-        Where default priors end if before ``upper``.
-    tries
-        Values at which what it shapes is tried, where nothing is known of it yet.
-    start
-        Where a search starts that knows nothing of it; ``None`` for its share of a total.
-    alone
-        Its meaning where no other element has it, so that it stands for all; ``{}`` is its owner.
-    measurand
-        A ``constant`` has a physical value; all else is of the friction ``law`` that the same model
-        would be fitted to on other motions like the recorded ones.
-    """
-
-    name: str
-    units: Units
-    symbol: str
-    meaning: str
+    name: str  # after the dot of a parameter's name
+    units: Units  # as printed, in SI; empty for none
+    symbol: str  # LaTeX without dollar signs, the paper's where it has one; {} is the subscript
+    meaning: str  # one line for people, worded for what turns
+    # option of an element or load that brings it (CHOICES, CYCLES), empty for the chain's; several
+    # choices where each brings it
     option: str = ""
     choice: Choice | tuple[Choice, ...] = True
+    # own adds value * column to the torque; loss, too, and depends on the transmitted torque; form
+    # only shapes other terms
     role: Literal["own", "loss", "form"] = "own"
-    column: Column | None = None
-    shape: str = ""
-    signal: str = ""
-    zero: float = 0.0
+    column: Column | None = None  # torque for a value of one, a function of a State
+    shape: str = ""  # quantity of the same element that its column takes, too
+    signal: str = ""  # signal of Inputs that its column is, or is multiplied by
+    zero: float = 0.0  # subtracted from the signal
+    # column scales with r**power where position, speed and acceleration scale with r, as through a
+    # ratio; None where it does not
     power: int | None = None
-    slots: tuple[str, ...] | None = None
+    slots: tuple[str, ...] | None = None  # of the compiled kernels; its name if left out
+    # columns of psi, eq. (13), that it fills (TOTALS), with weights; that of its name if left out
     shares: tuple[tuple[str, float], ...] = ()
-    totals: tuple[str, ...] = ()
+    totals: tuple[str, ...] = ()  # motor-side totals it is part of; that of its name if left out
+    # the totals it is part of instead, where other elements distinguish the directions
     by_direction: tuple[str, str] | None = None
-    rises: bool = False
-    scaled_by: int = 0
-    lower: float = 0.0
+    rises: bool = False  # whether the rise at low speed multiplies it
+    scaled_by: int = 0  # power of the factor of section 4.2 that divides it
+    lower: float = 0.0  # support; no prior may reach outside
     upper: float = _INF
-    default: float = 0.0
-    circular: bool = False
+    default: float = 0.0  # value where it is not part of the model
+    circular: bool = False  # whether values a turn apart are the same
+    # family and scale of the default prior; by default half-normal or, where both signs are
+    # possible, normal, with the scale that would need the largest torque
     prior: str = ""
     spread: Callable[[Sizes], float] | None = None
-    stores: bool = False
-    prior_upper: float = _INF
+    stores: bool = False  # whether it is conservative: other terms may balance it, not the motor
+    prior_upper: float = _INF  # where default priors end if before upper
+    # values to try first
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
-    start: float | None = None
-    alone: str = ""
+    start: float | None = None  # of a search; None for its share of a total
+    alone: str = ""  # its meaning where no other element has it; {} is its owner
+    # a constant has a physical value; a law coefficient is that of the same model fitted to similar
+    # motions
     measurand: Literal["constant", "law"] = "law"
 
     def brought_by(self, choice: Any) -> bool:
@@ -178,16 +110,16 @@ class Quantity:
 
     @property
     def bends(self) -> bool:
-        """Whether totals of eq. (11) are another number where it is: a loss, or a shape."""
+        """Whether it changes the totals of eq. (11): a loss, or a shape."""
         return self.role == "loss" or (
             self.role == "form" and self.option != "" and not self.circular
         )
 
     @property
     def bent_by(self) -> str:
-        """What that is, in words; empty where it does not bend them."""
+        """What changes them, in words."""
         of_load = self.role == "loss" or self.option.startswith("load_")
-        return ("load losses" if of_load else "changing friction") if self.bends else ""
+        return ("load-dependent friction" if of_load else "changing friction") if self.bends else ""
 
     @property
     def fills(self) -> tuple[tuple[str, float], ...]:
@@ -209,7 +141,7 @@ class Total:
     meaning: str
     column: Column  # function of the motor's state
     positive: bool = False  # whether its coefficient is positive in any mechanism that loses energy
-    # name of the regressor of eq. (11) that stands for it in plain least squares
+    # name of its regressor of eq. (11) in plain least squares
     regressor: str = ""
     turned: str = ""  # its symbol where an angle turns gravity
 
@@ -250,7 +182,7 @@ CHOICES: Mapping[str, Mapping[str | bool, str]] = {
     "stribeck": {
         True: "a Stribeck rise",
         "either": "a Stribeck rise, or a fall towards standstill",
-        "apart": "Stribeck rises of constant and load loss apart",
+        "apart": "separate Stribeck rises of constant loss and load-dependent friction",
     },
     "stribeck_exponent": {True: "a free exponent of the Stribeck rise"},
     "load_loss": {
@@ -258,10 +190,10 @@ CHOICES: Mapping[str, Mapping[str | bool, str]] = {
         "two": "losses per transmitted torque when driving and back-driven",
     },
     "load_direction": {
-        True: "load loss by direction",
-        "quadrants": "load loss by direction and power flow",
+        True: "load-dependent friction by direction",
+        "quadrants": "load-dependent friction by direction and power flow",
     },
-    "load_speed": {True: "a load loss that grows with speed"},
+    "load_speed": {True: "load-dependent friction that grows with speed"},
     "load_square": {True: "a loss with the square of the load"},
 }
 LOAD_CHOICES: Mapping[str, Mapping[str | bool, str]] = {
@@ -281,12 +213,12 @@ OPTION_MEANINGS: Mapping[str, str] = {
     "warming": "change of losses with time since the recording began",
     "cogging": "torque that repeats; cycles a turn (in 2π m of what slides)",
     "periodic_friction": "constant loss that depends on the angle; cycles a turn (in 2π m)",
-    "stribeck": "rise of constant and load loss at low speed",
+    "stribeck": "rise of constant and load-dependent friction at low speed",
     "stribeck_exponent": "exponent of speed in that rise; 2 if left out",
     "load_loss": "loss in proportion to transmitted torque",
-    "load_direction": "load loss by direction of motion",
-    "load_speed": "growth of load loss with speed",
-    "load_square": "growth of load loss with the load",
+    "load_direction": "load-dependent friction by direction of motion",
+    "load_speed": "growth of load-dependent friction with speed",
+    "load_square": "growth of load-dependent friction with the load",
     "first_moment": "gravity moment ml",
     "gravity_angle": "unknown angle of gravity's zero",
     "spring": "torque in proportion to angle, as of a spring or cable",
@@ -389,14 +321,15 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "stribeck_ratio", _NONE, "c_{{{}}}",
-            "relative rise of constant and load loss at low speed",
+            "relative rise of constant and load-dependent friction at low speed",
             option="stribeck", role="form", slots=("stribeck_ratio", "stribeck_load_ratio"),
             spread=lambda _: 1.0, start=0.3,
         ),
         # a loss that falls towards standstill: elements that give way before they slide
         Quantity(
             "stribeck_change", _NONE, "c_{{{}}}",
-            "relative rise of constant and load loss at low speed, negative for a fall",
+            "relative rise of constant and load-dependent friction at low speed, "
+            "negative for a fall",
             option="stribeck", choice="either", role="form",
             slots=("stribeck_ratio", "stribeck_load_ratio"), lower=-1.0, spread=lambda _: 0.5,
             start=0.1,
@@ -408,7 +341,8 @@ QUANTITIES: dict[str, Quantity] = {
             spread=lambda _: 1.0, start=0.3,
         ),
         Quantity(
-            "stribeck_load", _NONE, r"c_{{\mu,{}}}", "relative rise of the load loss at low speed",
+            "stribeck_load", _NONE, r"c_{{\mu,{}}}",
+            "relative rise of load-dependent friction at low speed",
             option="stribeck", choice="apart", role="form", slots=("stribeck_load_ratio",),
             spread=lambda _: 1.0, start=0.3,
         ),
@@ -446,32 +380,33 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "load_difference", _NONE, r"\Delta\mu_{{{}}}",
-            "half the difference of the load losses at positive and negative speed",
+            "half the difference of load-dependent friction at positive and negative speed",
             option="load_direction", role="form", lower=-_INF, start=0.0, scaled_by=1,
             slots=("load_drive_difference", "load_back_difference"), spread=lambda _: 0.1,
         ),
         Quantity(
             "load_drive_difference", _NONE, r"\Delta\mu_{{{}1}}",
-            "half the difference by direction of the load loss when the motor drives",
+            "half the difference by direction of load-dependent friction when the motor drives",
             option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
             spread=lambda _: 0.1, scaled_by=1,
         ),
         Quantity(
             "load_back_difference", _NONE, r"\Delta\mu_{{{}2}}",
-            "half the difference by direction of the load loss when the load drives",
+            "half the difference by direction of load-dependent friction when the load drives",
             option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
             spread=lambda _: 0.1, scaled_by=1,
         ),
         # gear friction of oil films (Hamon, Gautier and Garrec 2010)
         Quantity(
             "load_speed", ("s/rad", "s/m"), r"\mu_{{v,{}}}",
-            "growth of the load loss in proportion to speed", option="load_speed", role="form",
+            "growth of load-dependent friction in proportion to speed",
+            option="load_speed", role="form",
             spread=lambda s: 0.3 / s.speed, start=0.0, scaled_by=1,
         ),
         # BAM's M6
         Quantity(
             "load_square", ("1/(N m)", "1/N"), r"\mu_{{T,{}}}",
-            "growth of the load loss in proportion to transmitted torque",
+            "growth of load-dependent friction in proportion to transmitted torque",
             option="load_square", role="form", spread=lambda s: 0.3 / s.torque, start=0.0,
             scaled_by=2,
         ),
@@ -528,10 +463,10 @@ SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
     """Sine and cosine over the angle: torque, or friction that goes by the direction."""
     if option == "cogging":  # of magnets and teeth (Hsu et al. 2015)
-        letter, what = "a", "torque"
+        letter, effect = "a", "torque"
         columns = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
     else:  # as of an eccentric gear (Armstrong-Helouvry 1991)
-        letter, what = "c", "constant loss"
+        letter, effect = "c", "constant loss"
         columns = (
             lambda m: m.direction * np.sin(cycles * m.position),
             lambda m: m.direction * np.cos(cycles * m.position),
@@ -539,7 +474,7 @@ def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
     return tuple(
         Quantity(
             f"{option}_{part}_{cycles}", _TORQUE, rf"{letter}_{{{{{{}},\{part}\,{cycles}}}}}",
-            f"{what} with the {word} of {cycles} cycles a turn",
+            f"{effect} with the {word} of {cycles} cycles a turn",
             option=option, choice=cycles, column=column, lower=-_INF, slots=(),
             measurand="constant" if option == "cogging" else "law",
         )
@@ -554,7 +489,7 @@ CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
 
 
 def _total(name: str, symbol: str, meaning: str, *, positive: bool = False) -> Total:
-    """Give what a quantity is called when all of it is seen by the motor."""
+    """Make the motor-side total of a quantity."""
     row = QUANTITIES[name]
     assert row.column is not None
     return Total(name, row.units, symbol, meaning, row.column, positive)

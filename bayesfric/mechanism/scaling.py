@@ -1,4 +1,4 @@
-"""Which scaling no torque can see: everything behind a gearbox, and its alphas, together.
+"""Scalings that change no torque: everything behind a gearbox, together with its alphas.
 
 Section 4.2 of the paper notes it (with a misprint, see the notes): leg parameters and
 ``alpha_1, alpha_2`` times one factor leave eq. (13) as it was. A known mass on the
@@ -20,27 +20,18 @@ from bayesfric.recordings.arrays import Array
 
 @dataclass(frozen=True)
 class Scaling:
-    """The one-parameter family of parameter vectors that feel the same to the motor.
+    """The one-parameter family of parameter vectors of equal motor torque.
 
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    element
-        The element with load-dependent friction ``mu_1`` (driving) and ``mu_2`` (back-driving).
-    rules
-        Of every parameter that takes part the shift and the power with which ``value + shift`` is
-        multiplied by ``factor**power``. The shift of what is behind the element is the known
-        amount that comes on top of it; those of the losses make alphas of them, eq. (6).
-
-    Notes
-    -----
     With factor k: ``leg -> k leg``, ``1 + mu_1 -> (1 + mu_1)/k``, ``1 - mu_2 -> (1 - mu_2)/k``,
     which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes.
     """
 
-    chain: Chain
+    chain: Chain  # the mechanism
+    # the element with load-dependent friction mu_1 (driving) and mu_2 (back-driving)
     element: str
+    # of every parameter that takes part the shift and the power with which value + shift is
+    # multiplied by factor**power. The shift of what is behind the element is the known amount
+    # that comes on top of it; those of the losses make alphas of them, eq. (6)
     rules: Mapping[str, tuple[float, int]]
 
     @property
@@ -64,23 +55,7 @@ class Scaling:
         return tuple(self.rules)
 
     def factor_to(self, values: ArrayLike, name: str, value: float) -> float:
-        """Factor at which a parameter that takes part reaches a value.
-
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-        name
-            Of that parameter, among :attr:`names`.
-        value
-            To reach, in its unit.
-
-        Returns
-        -------
-        float
-            Zero or infinite where no factor reaches it; NaN for what counts as zero in ``values``
-            and so reaches no other value.
-        """
+        """Factor at which a parameter that takes part reaches a value."""
         shift, power = self.rules[name]
         now = np.asarray(values, dtype=np.float64)[self.chain.names.index(name)] + shift
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -90,22 +65,7 @@ class Scaling:
     def bounds(
         self, values: ArrayLike, limits: Mapping[str, tuple[float, float]] | None = None
     ) -> tuple[float, float]:
-        """Smallest and largest factor that a passive gearbox allows.
-
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-        limits
-            Lower and upper limits of parameters, which ``values`` keeps; those of scaled
-            ones narrow the factor further.
-
-        Returns
-        -------
-        low, high : float
-            ``1/alpha_2 <= k <= 1/alpha_1``, from ``alpha_1 <= 1 <= alpha_2``; load and known mass
-            together do not shrink below the known mass. For Table 3 it is 0.71 to 1.35.
-        """
+        """Smallest and largest factor that a passive gearbox allows."""
         low, high = 0.0, math.inf
         for name, (shift, _) in self.rules.items():
             least = 0.0 if shift else -math.inf
@@ -116,20 +76,7 @@ class Scaling:
         return low, high
 
     def scaled(self, values: ArrayLike, factor: ArrayLike) -> Array:
-        """Parameter vectors that make the same torque.
-
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-        factor
-            One factor, or ``(n,)`` of them.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)`` or ``(n, n_parameters)``.
-        """
+        """Parameter vectors that make the same torque."""
         k = np.asarray(factor, dtype=np.float64)
         out = np.tile(np.asarray(values, dtype=np.float64), (*k.shape, 1))
         for name, (shift, power) in self.rules.items():
@@ -138,19 +85,7 @@ class Scaling:
         return out if k.shape else out.reshape(-1)
 
     def tangent(self, values: ArrayLike) -> Array:
-        """Differentiate :meth:`scaled` by the factor's logarithm at one.
-
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)``, the null direction of the torque's Jacobian; zero for what takes no
-            part.
-        """
+        """Differentiate :meth:`scaled` by the factor's logarithm at one."""
         at = np.asarray(values, dtype=np.float64)
         out = np.zeros_like(at)
         for name, (shift, power) in self.rules.items():
@@ -186,13 +121,13 @@ def scalings(
     tuple of Scaling
         One for every element with ``mu_1`` and ``mu_2`` that has something behind it. One mu for
         both power flows leaves none: ``lambda_1`` is 1 then. Nor does a Stribeck rise of the load
-        loss, which multiplies ``mu_1`` and not ``1 + mu_1``: low speed tells the factor.
+        loss, which multiplies ``mu_1`` and not ``1 + mu_1``: low speeds identify the factor.
     """
     known = {"load.inertia": added_inertia, "load.first_moment": added_moment}
     known = {name: amount for name, amount in known.items() if amount}
     if not set(known) <= set(chain.names):
         return ()
-    found = []
+    family = []
     for i, element in enumerate(chain.elements):
         risen = any(
             p.owner == element.name and "stribeck_load_ratio" in slots_of(p)
@@ -216,5 +151,5 @@ def scalings(
                 for p in chain.parameters
                 if p.owner == element.name and p.row.scaled_by
             }
-            found.append(Scaling(chain, element.name, rules))
-    return tuple(found)
+            family.append(Scaling(chain, element.name, rules))
+    return tuple(family)

@@ -26,8 +26,7 @@ from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.experiment import Simulation
 from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.processing import Processing
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Processing, Source
 
 # What a configuration is called in a run directory.
 RUN_CONFIG = "config.toml"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -16,16 +17,16 @@ from bayesfric.recordings.arrays import Array, Flags, Index, Segments
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A cut-off this small a share of the sampling rate leaves nothing but rounding.
+# A cut-off at a smaller share of the sampling rate leaves only rounding.
 _LOWEST_CUTOFF = 1e-6
-# Largest share of a window's weight that may lie on samples that are not usable. They count for
-# nothing, in measurement and model alike, and the rest for that much more; but what a kink of the
-# acceleration does to the samples beside them stays, so that few should be missing.
+# Largest share of a window's weight that may lie on unusable samples. They count for nothing, in
+# both measurement and model, and the others for more; but a kink of the acceleration also affects
+# the samples next to them, so few should be missing.
 SMALL_SHARE, LARGE_SHARE = 0.02, 1 / 3
-# What differentiation may take from, or add to, the highest frequency that the low-pass lets pass.
+# Largest gain error of differentiation at the cut-off of the low-pass.
 _GAIN_ERROR = 1e-4
 # Cut-off of the parallel filter over half the decimated rate at which white noise comes out white
-# (correlations of outputs below 0.003, whatever the factor). At that half itself neighbours had
+# (correlations of outputs below 0.003 for any factor). At that half itself neighbours had
 # 0.10, the next -0.07, and intervals from thousands of outputs came out 5 % too narrow.
 _WHITE = 1.0983
 # The most that rounding to whole samples makes of it, where 1.5 are rounded to 2 (neighbours then
@@ -33,8 +34,10 @@ _WHITE = 1.0983
 FOLDING, SHARING = _WHITE * 2.0 / 1.5, 0.8
 # Neighbours on either side that a derivative is made of: at least, and at most.
 _REACH = (4, 24)
-# Samples on either side that a value between two is made of.
-_BESIDE = 4
+# Chance of one false kink or more in a whole recording.
+_FALSE_KINK = 0.05
+# Neighbours on either side of an interpolated value.
+_NEIGHBOURS = 4
 
 
 def check_cutoff(cutoff: float, fs: float, where: str) -> None:
@@ -42,13 +45,14 @@ def check_cutoff(cutoff: float, fs: float, where: str) -> None:
     if cutoff < _LOWEST_CUTOFF * fs:
         raise BadInput(
             where,
-            f"the cut-off {cutoff:.3g} Hz is next to nothing beside the sampling rate "
-            f"({fs:.6g} Hz)",
+            f"the cut-off {cutoff:.3g} Hz is too low for the sampling rate ({fs:.6g} Hz)",
             "choose a higher cut-off, or 'off' for no low-pass",
         )
     if cutoff >= fs / 2:
-        what = f"the cut-off {cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)"
-        raise BadInput(where, what, "choose a lower cut-off, or 'off' for no low-pass")
+        problem = (
+            f"the cut-off {cutoff:.6g} Hz is not below half the sampling rate ({fs / 2:.6g} Hz)"
+        )
+        raise BadInput(where, problem, "choose a lower cut-off, or 'off' for no low-pass")
 
 
 @lru_cache(maxsize=64)
@@ -62,8 +66,7 @@ def _sections(order: int, cutoff: float, fs: float) -> Array:
 def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: int) -> Array:
     """Low-pass signals (..., n) forwards and backwards in every segment, without phase shift.
 
-    What lies outside the segments is left as it is. ``cutoff`` is that of the Butterworth filter
-    in Hz, -3 dB a pass, -6 dB in all, and 0 for no filter; ``order`` is that of one pass.
+    ``cutoff`` in Hz is -3 dB a pass, -6 dB in all, and 0 for no filter; ``order`` that of one pass.
     """
     if cutoff == 0:
         return values.copy()
@@ -85,9 +88,8 @@ def lowpass(values: Array, segments: Segments, fs: float, cutoff: float, order: 
 def differentiator(reach: int) -> Array:
     """Weights ``(2 reach + 1,)`` of the derivative that is exact for degree ``2 reach``.
 
-    Of all odd kernels of that length it is flattest at low frequencies: at ``w`` rad a sample
-    its gain lacks ``(reach!)^2 / (2 reach + 1)! (2 sin(w/2))^(2 reach)`` or so of ``w`` (Fornberg,
-    Math. Comp. 51, 1988). Central differences are ``reach = 1``, and lack ``w^2/6``.
+    Its gain at ``w`` rad a sample lacks about ``(reach!)^2 / (2 reach + 1)! (2 sin(w/2))^(2
+    reach)`` of ``w`` (Fornberg, Math. Comp. 51, 1988).
     """
     weights = np.zeros(2 * reach + 1)
     for k in range(1, reach + 1):
@@ -99,29 +101,27 @@ def differentiator(reach: int) -> Array:
 
 
 def reach_of(how: Literal["exact", "central"], cutoff: float, fs: float) -> int:
-    """Neighbours on either side that a derivative is made of: one for ``central`` differences.
+    """Choose the neighbours on either side of a derivative: one for ``central`` differences.
 
-    Else from 4 to 24, so many that its gain is right within 1e-4 up to a cut-off; 4 for a signal
-    without low-pass (0), of which nothing is known.
+    Else 4 to 24, so that its gain is right within 1e-4 up to the cut-off; 4 without low-pass (0).
     """
     if how == "central":
         return 1
-    least, most = _REACH
+    shortest, longest = _REACH
     w = 2.0 * np.pi * cutoff / fs
-    angles = np.arange(1, most + 1)
-    for reach in range(least, most):
+    angles = np.arange(1, longest + 1)
+    for reach in range(shortest, longest):
         gain = 2.0 * differentiator(reach)[reach + 1 :] @ np.sin(angles[:reach] * w)
         if abs(gain - w) <= _GAIN_ERROR * w:
             return reach
-    return most if cutoff else least
+    return longest if cutoff else shortest
 
 
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:
     """Differentiate signals (..., n) in every segment of at least three samples; else it is 0.
 
-    ``reach`` counts the neighbours on either side, see :func:`differentiator`; 1 for central
-    differences. Nearer to a segment's end as many count as there are, and at the end itself the
-    one-sided formula of second order.
+    Of ``reach`` neighbours on either side, see :func:`differentiator`, or of as many as there are;
+    at a segment's ends by the one-sided formula of second order.
     """
     result = np.zeros_like(values)
     for a, b in segments:
@@ -141,37 +141,33 @@ def derivative(values: Array, segments: Segments, period: float, reach: int = 1)
 
 
 def averaged(values: Array, segments: Segments, length: float) -> Array:
-    """Average a signal ``(n,)`` over ``length`` samples about each, exact to the fourth order.
-
-    The ends of segments are left as they are.
-    """
+    """Average a signal ``(n,)`` over ``length`` samples about each, exact to the fourth order."""
     result = values.copy()
     for a, b in segments:
         result[a + 1 : b - 1] += length**2 / 24.0 * np.diff(values[a:b], 2)
     return result
 
 
-def later(values: Array, samples: float, beside: int = _BESIDE) -> Array:
-    """Give a signal ``(n,)`` some samples later, which may be a fraction and negative.
+def later(values: Array, samples: float, neighbours: int = _NEIGHBOURS) -> Array:
+    """Delay a signal ``(n,)`` by a possibly fractional or negative number of samples.
 
-    Between samples it is the polynomial through the next ones, ``beside`` on either side: with
-    four right within 1e-4 at a tenth of the sampling rate, with two a cubic. Before its first and
-    after its last sample a signal is as it is there.
+    Interpolates by the polynomial through ``neighbours`` on either side: with four right within
+    1e-4 at a tenth of the sampling rate. A signal is constant beyond its ends.
     """
-    whole = math.floor(-samples)
-    weights = _between(-samples - whole, beside)
-    # what is further away than the whole signal is its end as well
-    most = len(values) + beside
-    whole = int(np.clip(whole, -most, most))
-    index = np.arange(whole - beside + 1, len(values) + whole + beside)
+    shift = math.floor(-samples)
+    weights = _between(-samples - shift, neighbours)
+    # beyond the whole signal there is only its end
+    furthest = len(values) + neighbours
+    shift = int(np.clip(shift, -furthest, furthest))
+    index = np.arange(shift - neighbours + 1, len(values) + shift + neighbours)
     padded = values[np.clip(index, 0, len(values) - 1)]
     return np.asarray(np.correlate(padded, weights, mode="valid"))
 
 
 @lru_cache(maxsize=1024)
-def _between(share: float, beside: int) -> Array:
-    """Weights ``(2 beside,)`` of the samples on either side of a place between two."""
-    offsets = np.arange(-beside + 1, beside + 1)
+def _between(share: float, neighbours: int) -> Array:
+    """Interpolation weights ``(2 neighbours,)`` between two samples."""
+    offsets = np.arange(-neighbours + 1, neighbours + 1)
     return np.array(
         [
             np.prod([(share - m) / (k - m) for m in offsets if m != k]) if share else float(k == 0)
@@ -180,13 +176,69 @@ def _between(share: float, beside: int) -> Array:
     )
 
 
+@dataclass(frozen=True)
+class Lag:
+    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
+
+    cutoff: float  # Hz, -3 dB
+    order: int  # 1 or 2
+
+
+def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:
+    """Delay a command ``(n,)`` by some samples, exact within the band.
+
+    One that is held until the next sample acts half a sample later, averaged over one.
+    """
+    late = command.copy()
+    for a, b in segments:
+        late[a:b] = later(command[a:b], samples + 0.5 * held)
+    return averaged(late, segments, 1.0) if held else late
+
+
+def integrated_kinks(values: Array, segments: Segments) -> Array:
+    """Correct a torque ``(n,)`` behind a current loop for the kinks at its commands' samples.
+
+    The trapezoid rule misses a twelfth of the slope's jump there (Euler and Maclaurin), which is
+    added. A kink is a second difference that noise of their median size would show once in twenty
+    recordings.
+    """
+    result = values.copy()
+    for a, b in segments:
+        if b - a < 5:
+            continue
+        bend = np.zeros(b - a)
+        bend[1:-1] = np.diff(values[a:b], 2)
+        # a normal's standard deviation from the median absolute value
+        sd = 1.482602218505602 * np.median(np.abs(bend))
+        threshold = NormalDist().inv_cdf(1.0 - 0.5 * _FALSE_KINK / bend.size) * sd
+        neighbour = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
+        kinks = (np.abs(bend) > threshold) & (np.abs(bend) >= neighbour) & (threshold > 0.0)
+        smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))
+        result[a:b] += np.where(kinks, bend - smooth, 0.0) / 12.0
+    return result
+
+
+def inverse_lowpass(
+    values: Array, segments: Segments, period: float, lag: Lag, reach: int
+) -> Array:
+    """Undo a causal low-pass on a signal ``(n,)``, within the band that its derivatives show.
+
+    The inverse is ``1 + s/w`` or, of a Butterworth filter of second order, ``1 + sqrt(2) s/w +
+    (s/w)²``.
+    """
+    rate = derivative(values, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    if lag.order == 1:
+        return values + rate
+    curvature = derivative(rate, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    return np.asarray(values + math.sqrt(2.0) * rate + curvature)
+
+
 @dataclass(frozen=True, eq=False)
 class ParallelFilter:
-    """Low-pass and decimation that measurement and model pass alike.
+    """Low-pass and decimation of both measurement and model.
 
-    Output m is ``gains[m] * taps @ (used * x)[starts[m]:starts[m]+L]``. A gain is one where all of
-    a window counts, and else what makes up for the samples that do not: a constant stays what it
-    is.
+    Output m is ``gains[m] * taps @ (used * x)[starts[m]:starts[m]+L]``; the gains preserve a
+    constant where samples do not count.
     """
 
     taps: Array  # (L,) symmetric weights that sum to 1
@@ -205,20 +257,17 @@ class ParallelFilter:
         return len(self.starts)
 
     def excerpt(self, outputs: Index) -> tuple[ParallelFilter, Index]:
-        """Keep some outputs ``(m,)``, rising, and the samples that they are made of.
-
-        Gives the filter that takes these samples alone, and which they are.
-        """
+        """Return the filter of some rising outputs ``(m,)``, and the samples that it takes."""
         # one after the first, minus one after the last sample of every window
         borders = np.zeros(self.used.size + 1, dtype=np.int64)
         np.add.at(borders, self.starts[outputs], 1)
         np.add.at(borders, self.starts[outputs] + len(self.taps), -1)
-        kept = np.cumsum(borders[:-1]) > 0
-        places = np.cumsum(kept) - 1
+        inside = np.cumsum(borders[:-1]) > 0
+        places = np.cumsum(inside) - 1
         chosen = ParallelFilter(
-            self.taps, places[self.starts[outputs]], self.used[kept], self.gains[outputs]
+            self.taps, places[self.starts[outputs]], self.used[inside], self.gains[outputs]
         )
-        return chosen, np.flatnonzero(kept)
+        return chosen, np.flatnonzero(inside)
 
     @property
     def centres(self) -> NDArray[np.int64]:
@@ -226,10 +275,9 @@ class ParallelFilter:
         return self.starts + len(self.taps) // 2
 
     def reached(self, weights: Array) -> Array:
-        """Weights (k, N) of samples that do what those of outputs, (k, M), do.
+        """Transpose the filter: ``weights @ apply(x)`` is ``reached(weights) @ x``.
 
-        ``weights @ apply(x)`` is ``reached(weights) @ x``: of many signals of which only a few
-        sums are wanted, none is filtered.
+        From weights (k, M) of outputs to (k, N) of samples.
         """
         out = np.zeros((len(weights), self.used.size))
         weighed = weights * self.gains
@@ -260,7 +308,7 @@ class ParallelFilter:
 
 
 def decimation(band: float, fs: float) -> int:
-    """Give the samples an output with which white noise of a band in Hz stays white, or nearly."""
+    """Return the samples per output with which noise of a band in Hz stays nearly white."""
     return max(1, round(_WHITE * fs / (2.0 * band)))
 
 
@@ -284,8 +332,8 @@ def parallel_cutoff(factor: int, band: float | None, fs: float) -> float:
 def parallel_taps(factor: int, band: float | None, fs: float) -> Array:
     """Design the weights ``(L,)`` of a parallel filter, L odd; they sum to 1.
 
-    ``factor`` is samples an output. ``band`` is the cut-off in Hz; None for that beside half the
-    decimated rate with which white noise stays white, or no filter if nothing is decimated.
+    ``factor`` is samples an output. ``band`` is the cut-off in Hz; None for the one near half the
+    decimated rate that keeps noise white, or no filter if nothing is decimated.
     """
     length = parallel_length(factor, band, fs)
     if length == 1:
@@ -314,8 +362,8 @@ def lay_windows(
         sizes = np.abs(taps) / np.abs(taps).sum()
         lost = ParallelFilter(sizes, starts, every, np.ones(len(starts))).apply(1.0 - used)
         starts = starts[lost <= largest_share]
-    whole = ParallelFilter(taps, starts, used, np.ones(len(starts)))
+    windows = ParallelFilter(taps, starts, used, np.ones(len(starts)))
     if usable.all():
-        return whole
-    # divided by nothing near zero: two thirds of the absolute weight are there
-    return replace(whole, gains=1.0 / whole.apply(every))
+        return windows
+    # never near zero: two thirds of the absolute weight are there
+    return replace(windows, gains=1.0 / windows.apply(every))

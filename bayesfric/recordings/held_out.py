@@ -1,4 +1,4 @@
-"""What is kept out of a fit, to be predicted by it."""
+"""Held-out recordings, and ends of recordings, that a fit predicts."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.options import Options
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timebase import LEAST_SAMPLES
 
-# Outputs left out before a held-out end, beyond one window of the parallel filter: noise that
-# remembers its predecessors must have forgotten them.
-_MEMORY = 10
-# Fewer outputs say nothing of the coverage of a 90 % interval.
+# Outputs left out before a held-out end, in addition to one window of the parallel filter, for the
+# autocorrelation of the noise to decay.
+_GAP = 10
+# Fewer outputs do not determine the coverage of a 90 % interval.
 _LEAST = 20
 
 
@@ -29,7 +29,7 @@ class Validation(Options):
     recordings: tuple[str, ...] = Field(
         (),
         description="names of recordings that the fit does not see; it predicts them instead, "
-        "and says how well",
+        "and reports how well",
         examples=[("run-3",)],
     )
     hold_out: float | None = Field(
@@ -58,7 +58,7 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class Divided:
-    """What is fitted, as read and as prepared in the same order, and what is to be predicted."""
+    """Fitted recordings with their observations, and what is to be predicted."""
 
     recordings: list[Measurement]
     observations: list[Observation]
@@ -68,11 +68,10 @@ class Divided:
 def divide(
     recordings: Sequence[Measurement], processing: Processing, validation: Validation
 ) -> Divided:
-    """Prepare recordings, and keep out of the fit what is to be predicted.
+    """Split recordings into what is fitted and what is held out, and prepare both.
 
-    The torque of what is held out is seen by nothing that is fitted: ends are cut off before
-    anything is filtered, and a gap of one window of the parallel filter and ten outputs
-    more is left out before them. An end is prepared with the dead zone of the rest.
+    Ends are cut off before anything is filtered, behind a gap of one window and ten outputs, so
+    that their torque does not leak into the fit. They get the dead zone of the fitted part.
     """
     names = [r.name for r in recordings]
     for name in validation.recordings:
@@ -106,12 +105,12 @@ def _without_end(
     n = recording.time.size
     begin = n - round(share * n)
     if begin > LEAST_SAMPLES:
-        # the band is chosen by what is fitted alone
+        # only the fitted part determines the band
         first = _piece(recording, 0, begin)
-        with suppress(BadInput):  # what is left is refused below, with the mend
+        with suppress(BadInput):  # a remainder that is too short is refused below
             processing = settled(first, processing)
     length, step = window(recording, processing)
-    last = begin - length - _MEMORY * step
+    last = begin - length - _GAP * step
     part = f"last {100 * share:.3g} %"
     whose = f"the {part} of recording {recording.name!r}"
     if last < 1:
@@ -120,12 +119,12 @@ def _without_end(
         raise BadInput(where, f"{whose} is not even one sample", "hold out more")
     rest, end = _piece(recording, 0, last), _piece(recording, begin, n)
     o = _observed(rest, processing, f"what is left of recording {recording.name!r}")
-    told = (
+    step_sentence = (
         f"held out: {whose}, from {end.time[0]:.4g} s on, "
         f"and {begin - last} samples before it as a gap"
     )
-    o = replace(o, steps=(*o.steps, told))
-    # a dead zone from the end's own speeds would be none where the joint is at rest
+    o = replace(o, steps=(*o.steps, step_sentence))
+    # the dead zone of an end at standstill would be zero
     same = processing.model_copy(update={"dead_zone": float(o.settings["dead_zone"])})
     predicted = _observed(end, same, whose)
     _check(end, predicted, where, whose)
@@ -136,8 +135,8 @@ def _observed(recording: Measurement, processing: Processing, whose: str) -> Obs
     try:
         return observe(recording, processing)
     except BadInput as error:
-        what = f"{whose}: {error.what}"
-        raise BadInput("validation.hold_out", what, "hold out another share") from None
+        problem = f"{whose}: {error.what}"
+        raise BadInput("validation.hold_out", problem, "hold out another share") from None
 
 
 def _check(recording: Measurement, o: Observation, where: str, whose: str) -> None:
@@ -153,8 +152,8 @@ def _check(recording: Measurement, o: Observation, where: str, whose: str) -> No
 
 
 def _piece(r: Measurement, begin: int, end: int) -> Measurement:
-    """Cut a recording to samples ``begin`` to ``end``; a segment's stump goes, as in reading."""
+    """Cut a recording to samples ``begin`` to ``end``; too short segments go, as in reading."""
     cut = [(max(a, begin), min(b, end)) for a, b in r.segments if a < end and b > begin]
-    kept = [(a, b) for a, b in cut if b - a >= LEAST_SAMPLES] or cut
-    begin, end = kept[0][0], kept[-1][1]
-    return r.part(slice(begin, end), tuple((a - begin, b - begin) for a, b in kept))
+    segments = [(a, b) for a, b in cut if b - a >= LEAST_SAMPLES] or cut
+    begin, end = segments[0][0], segments[-1][1]
+    return r.part(slice(begin, end), tuple((a - begin, b - begin) for a, b in segments))

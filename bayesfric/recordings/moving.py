@@ -1,4 +1,4 @@
-"""Which samples may be compared with a model: those that move, away from what is left out."""
+"""Detection of motion and standstill: which samples may be compared with a model."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from bayesfric.recordings.resolution import finest_step
 
 
 def moving_samples(qd: Array, segments: Segments, dead_zone: float, guard: int) -> Flags:
-    """Flag the samples that may be used for their speed: those not below the dead zone.
+    """Flag the samples whose speed is not below the dead zone, nor near a standstill.
 
-    ``guard`` samples beside a rest are not used either: the low-pass carries its torque and speed
-    a little way past its ends. As many slow samples in a row are a rest, fewer a reversal.
+    The low-pass smears a standstill over ``guard`` samples past its ends. As many slow samples in a
+    row are a standstill, fewer a reversal.
     """
     moving = np.abs(qd) >= dead_zone
-    rests = resting(qd, segments, dead_zone, guard)
-    return moving if not rests.any() else moving & ~near(rests, guard)
+    still = resting(qd, segments, dead_zone, guard)
+    return moving if not still.any() else moving & ~near(still, guard)
 
 
 def too_slow(limit: str = "the dead zone") -> str:
-    """Say of outputs why their speed leaves them out, as :func:`moving_samples` and windows do."""
+    """Say why outputs are left out for their speed."""
     return (
         f"at joint speeds below {limit}, as at rest or where it turns round, or filtered together "
         "with such samples"
@@ -49,39 +49,39 @@ def near(flags: Flags, reach: int) -> Flags:
 
 
 def without_excluded(segments: Segments, excluded: Flags) -> Segments:
-    """Split segments at excluded samples, so that no window touches one."""
+    """Split segments at excluded samples."""
     return tuple(part for a, b in segments for part in runs(~excluded[a:b], a))
 
 
-# Outputs that are kept of one recording's rests, evenly: more say the same again.
-_MOST = 200
+# Outputs kept of one recording's standstills, evenly spaced: more hold no more information.
+_MAX_OUTPUTS = 200
 # Differences of positions below this share of the largest are rounding.
 _ROUNDING = 1e-9
-# What steps may differ by.
+# Relative tolerance of an encoder step.
 _UNEVEN = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """Outputs whose whole window the joint is at rest in."""
+    """Outputs whose whole window lies in a standstill."""
 
     q: Array  # (M,) rad or m of the joint
     torque: Array  # (M,) of the motor, filtered as outputs in motion are, N m or N
     stamps: Array  # (M,) s since the file's first stamp
 
 
-def at_rest(position: Array, segments: Segments, least: int) -> Flags:
-    """Flag samples ``(N,)`` of stretches of ``least`` or more within one step of the reading.
+def standstill_samples(position: Array, segments: Segments, least: int) -> Flags:
+    """Flag samples ``(N,)`` of runs of ``least`` or more within one encoder step.
 
-    That step is the finest between positions that are read twice in a row: where a recording was
-    resampled, others lie between two steps. An encoder at rest may well flicker by one.
+    The step is the finest between positions that are read twice in a row: where a recording was
+    resampled, others lie between two steps. Allows ±1 count of jitter at standstill.
     """
     flags = np.zeros(position.size, dtype=np.bool_)
-    lost = _ROUNDING * float(np.abs(position).max(initial=0.0))
-    again = np.abs(np.diff(position)) <= lost
-    if not again.any():
+    rounding = _ROUNDING * float(np.abs(position).max(initial=0.0))
+    repeated = np.abs(np.diff(position)) <= rounding
+    if not repeated.any():
         return flags
-    step = finest_step(position[1:][again]) * (1.0 + _UNEVEN) + lost
+    step = finest_step(position[1:][repeated]) * (1.0 + _UNEVEN) + rounding
     for a, b in segments:
         if b - a < least:
             continue
@@ -94,7 +94,7 @@ def at_rest(position: Array, segments: Segments, least: int) -> Flags:
     return flags
 
 
-def rests(
+def standstill_outputs(
     position: Array,
     torque: Array,
     time: Array,
@@ -104,9 +104,9 @@ def rests(
     still: Flags,
     guard: int,
 ) -> Rest | None:
-    """Lay windows over rests, ``guard`` samples off their ends; ``None`` where none fits.
+    """Lay windows over standstills, ``guard`` samples off their ends; ``None`` where none fits.
 
-    ``torque`` has passed what outputs in motion have passed before the windows.
+    ``torque`` is filtered as for outputs in motion.
     """
     inner = tuple(
         (begin + guard, end - guard)
@@ -114,9 +114,9 @@ def rests(
         for begin, end in runs(still[a:b], a)
         if end - begin > 2 * guard
     )
-    laid = lay_windows(taps, inner, factor, np.ones(position.size, dtype=np.bool_))
-    if laid.n_outputs == 0:
+    windows = lay_windows(taps, inner, factor, np.ones(position.size, dtype=np.bool_))
+    if windows.n_outputs == 0:
         return None
-    kept = np.unique(np.linspace(0, laid.n_outputs - 1, _MOST).astype(int))
-    centres = laid.centres[kept]
-    return Rest(position[centres], laid.apply(torque)[kept], time[centres])
+    chosen = np.unique(np.linspace(0, windows.n_outputs - 1, _MAX_OUTPUTS).astype(int))
+    centres = windows.centres[chosen]
+    return Rest(position[centres], windows.apply(torque)[chosen], time[centres])

@@ -1,4 +1,4 @@
-"""Filtered, differentiated, decimated: what a model is compared with."""
+"""Filter, differentiate and decimate a recording for its comparison with a model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.acting import acting, filtered_motion
 from bayesfric.recordings.arrays import Array, Flags, Segments, runs
 from bayesfric.recordings.filters import (
     FOLDING,
@@ -21,7 +20,10 @@ from bayesfric.recordings.filters import (
     ParallelFilter,
     check_cutoff,
     decimation,
+    delayed_command,
     derivative,
+    integrated_kinks,
+    inverse_lowpass,
     lay_windows,
     lowpass,
     parallel_cutoff,
@@ -29,18 +31,16 @@ from bayesfric.recordings.filters import (
     parallel_taps,
     reach_of,
 )
-from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Inputs, Measurement, Signal
 from bayesfric.recordings.moving import (
     Rest,
-    at_rest,
     moving_samples,
     near,
-    rests,
+    standstill_outputs,
+    standstill_samples,
     too_slow,
     without_excluded,
 )
-from bayesfric.recordings.processing import Processing
 from bayesfric.recordings.resolution import (
     ABOVE_GAPS,
     LEAST_RATIO,
@@ -52,18 +52,18 @@ from bayesfric.recordings.resolution import (
     resolve,
     too_coarse,
 )
+from bayesfric.recordings.source import Processing
 
 _DEAD_SHARE = 0.01
 _TRIM_SAMPLES = 10
-# Samples beside a rest that are not used, at least; and of a rest.
+# Least number of samples of a standstill, and of those dropped next to it.
 _GUARD = 10
-# Share of the windows, and number, that the dead zone must leave before it takes samples instead.
+# Share and number of windows that the dead zone must leave; else it drops samples, not windows.
 _LEFT, _LEAST_LEFT = 0.2, 60
 # Windows and trims that should fit into the longest segment where the band is chosen.
 _FITTING = 20
-# Outputs of an excerpt: enough to search, to rank and to shape what every sample is asked of then.
-# And neighbouring ones that it keeps together, as their windows overlap.
-_SOME, _TOGETHER = 5_000, 50
+# Outputs of a subsample for the first search, and neighbours in it, as their windows overlap.
+_SUBSAMPLE, _NEIGHBOURS = 5_000, 50
 # Every number actually used, in SI units.
 Settings = dict[str, float | int | str]
 # What ends a band.
@@ -72,7 +72,7 @@ _ENDED: dict[Reason, str] = {
     "position": "beyond which the position does not resolve the acceleration",
     "torque": "beyond which the torque has next to no power",
     "length": "the narrowest that leaves enough outputs of so short a recording; its position or "
-    "torque asked for a narrower one",
+    "torque would need a narrower one",
     "model": "as in a wider one the inertia comes out smaller and more torque is unexplained: "
     "there is noise in the acceleration that grows with the motion, such as of time stamps",
     "asked": "as set, or as the fitted part's",
@@ -81,7 +81,7 @@ _ENDED: dict[Reason, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a model is compared with, and what it needs to predict it.
+    """Filtered signals that a model is compared with, and what it needs to predict them.
 
     Inside a segment outputs may be missing (dead zone, excluded spans); neighbours are those whose
     ``filter.starts`` differ by ``decimate``.
@@ -91,8 +91,8 @@ class Observation:
     q: Array  # (N,) of the joint, rad or m; so are the next two
     qd: Array
     qdd: Array
-    torque: Array  # (N,) of the motor as it acts at the samples, N m or N; see acting
-    # (N,) what the model's torque is compared with, unfiltered: the same, put right for a delay
+    torque: Array  # (N,) of the motor, see applied_torque, N m or N
+    # (N,) the same corrected for a delay: compared, unfiltered, with the model's torque
     compared: Array
     filter: ParallelFilter  # takes N samples of any signal to M outputs
     time: Array  # (M,) s since the file's first stamp at the windows' centres
@@ -101,16 +101,14 @@ class Observation:
     period: float  # s from one output to the next of the same segment
     segment_of: NDArray[np.int64]  # (M,) segment of every output
     stamps: Array  # (N,) s since the file's first stamp
-    inputs: Inputs  # what the joint feels besides its motion
-    steps: tuple[str, ...]  # one sentence for every choice made, reading included
-    warnings: tuple[str, ...]  # one sentence for everything a user should look at
+    inputs: Inputs
+    steps: tuple[str, ...]  # a sentence for every choice made, reading included
+    warnings: tuple[str, ...]
     settings: Settings
-    # smallest difference of positions as read, rad or m of the joint; 0 where it is not known
-    position_step: float = 0.0
-    # what samples at rest say, where they are asked and the position tells rest
-    rest: Rest | None = None
+    position_step: float = 0.0  # encoder step, rad or m of the joint; 0 if unknown
+    rest: Rest | None = None  # outputs at standstill, where requested and detected
     left_out: tuple[tuple[float, float], ...] = ()  # spans that the user excluded, s as time
-    # (N,) acceleration that the encoder tells, where qdd is finer
+    # (N,) acceleration of the low-passed position, where qdd is the refined one
     smooth: Array | None = None
 
     @property
@@ -118,22 +116,20 @@ class Observation:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
-    def excerpt(self, most: int = _SOME) -> Observation:
-        """Keep about so many outputs at most, in stretches all over the recording.
-
-        Each is what it was: the samples of its window are kept as they are.
-        """
+    def excerpt(self, limit: int = _SUBSAMPLE) -> Observation:
+        """Keep at most about so many outputs, unchanged, in runs all over the recording."""
         count = self.filter.n_outputs
-        if count <= most:
+        if count <= limit:
             return self
-        begins = np.linspace(0, count - _TOGETHER, max(most // _TOGETHER, 1)).astype(np.int64)
-        outputs = np.unique(begins[:, None] + np.arange(_TOGETHER))
-        chosen, samples = self.filter.excerpt(outputs)
+        runs_kept = max(limit // _NEIGHBOURS, 1)
+        begins = np.linspace(0, count - _NEIGHBOURS, runs_kept).astype(np.int64)
+        outputs = np.unique(begins[:, None] + np.arange(_NEIGHBOURS))
+        windows, samples = self.filter.excerpt(outputs)
         of_samples = ("q", "qd", "qdd", "torque", "compared", "stamps")
         of_outputs = ("time", "measured", "speed", "segment_of")
         return replace(
             self,
-            filter=chosen,
+            filter=windows,
             smooth=None if self.smooth is None else self.smooth[samples],
             **{name: getattr(self, name)[samples] for name in of_samples},
             **{name: getattr(self, name)[outputs] for name in of_outputs},
@@ -141,7 +137,7 @@ class Observation:
 
     @property
     def pace(self) -> float:
-        """How often the joint goes to and fro, Hz, two digits; at least five times in all."""
+        """Frequency of the motion, Hz, to two digits; at least five cycles in all."""
         centres = self.filter.centres
         turns = np.count_nonzero(np.diff(np.sign(self.qd[centres])) != 0) / 2.0
         return float(f"{max(turns, 5.0) / max(self.period * centres.size, 1e-9):.2g}")
@@ -149,7 +145,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class _Numbers:
-    """The processing numbers once every default is settled."""
+    """Processing settings with all defaults resolved."""
 
     fs: float
     cutoff: float
@@ -161,11 +157,11 @@ class _Numbers:
     resolution: Resolution
 
     @property
-    def alike(self) -> bool:
+    def filters_torque(self) -> bool:
         """Whether the torque passes the position's low-pass, too.
 
-        So what that takes off at the end of the band it takes from both. Not where every sample is
-        an output, whose noise it would colour, nor in what published analyses did.
+        Then both lose the same at the band's end. Not where every sample is an output, as it would
+        colour the noise, nor with central differences, as in published analyses.
         """
         return self.reach > 1 and self.cutoff > 0.0 and self.used_band > 0.0
 
@@ -182,43 +178,51 @@ def observe(
 ) -> Observation:
     """Filter, differentiate and decimate a recording.
 
-    What is None in ``processing`` is settled from the recording, whose ``resolution`` is looked at
-    where it is not given. A cut-off that the sampling rate
-    cannot carry, and settings that leave no output, are bad input.
+    Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
+    carry, and settings that leave no output, are bad input.
     """
-    numbers, made = _laid(recording, processing, resolution)
-    if made.filter.n_outputs == 0:
+    numbers, prepared = _prepare(recording, processing, resolution)
+    if prepared.filter.n_outputs == 0:
         raise BadInput(
             f"recording '{recording.name}', dead_zone",
             "the joint is never faster than the dead zone for a whole window",
             "lower dead_zone (0 for none), or decimate less",
         )
-    q, qd, chosen = made.q, made.qd, made.filter
-    segments, period, found = recording.segments, recording.period, numbers.resolution
-    compared = made.compared & ~recording.excluded
-    warnings = [*recording.warnings, *_band_warnings(numbers), *too_coarse(found, recording)]
-    settings = _settings(recording, processing, numbers, made)
+    q, qd, windows = prepared.q, prepared.qd, prepared.filter
+    segments, period = recording.segments, recording.period
+    compared = prepared.compared & ~recording.excluded
+    warnings = [*recording.warnings, *_band_warnings(numbers)]
+    warnings += too_coarse(numbers.resolution, recording)
+    settings = _settings(recording, processing, numbers, prepared)
     if law := checks.feedback(recording.torque, q, qd, compared):
         settings["feedback"] = law[0]
     if recording.velocity is not None:
         speed = derivative(q, segments, period, numbers.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
         warnings += _velocity_warnings(factor, checks.speed_delay(qd, speed, compared, period))
-        # a smaller one may come of filters
+        # a smaller mismatch may come from filters
         if factor is not None and not 0.5 < factor < 2.0:
             settings["velocity_factor"] = factor
     borders = np.array([a for a, _ in segments], dtype=np.int64)
-    torque = acting(recording, numbers.reach)
-    passed = as_position(torque, segments, period, settings)
-    inputs, resting = _smoothed(recording, settings), None
+    torque = applied_torque(recording, numbers.reach)
+    filtered_torque = as_position(torque, segments, period, settings)
+    inputs, standstill = _filtered_inputs(recording, settings), None
     if processing.rest:
-        still = (recording.position, passed, recording.time, chosen.taps, made.parts)
-        resting = rests(*still, numbers.factor, made.still, numbers.guard)
-        settings["rest_outputs"] = 0 if resting is None else resting.q.size
-        if resting is None:
+        standstill = standstill_outputs(
+            recording.position,
+            filtered_torque,
+            recording.time,
+            windows.taps,
+            prepared.parts,
+            numbers.factor,
+            prepared.still,
+            numbers.guard,
+        )
+        settings["rest_outputs"] = 0 if standstill is None else standstill.q.size
+        if standstill is None:
             warnings.append(
-                "rest: the position is never read the same for long enough to tell rest; "
-                "samples at rest say nothing"
+                "rest: the position is never constant for long enough to detect standstill; "
+                "such samples are not used"
             )
     return Observation(
         name=recording.name,
@@ -227,19 +231,19 @@ def observe(
         qdd=derivative(qd, segments, period, numbers.reach),
         torque=torque,
         compared=torque,
-        filter=chosen,
-        time=recording.time[chosen.centres],
-        measured=chosen.apply(passed),
-        speed=qd[chosen.centres],
+        filter=windows,
+        time=recording.time[windows.centres],
+        measured=windows.apply(filtered_torque),
+        speed=qd[windows.centres],
         period=numbers.factor * period,
-        segment_of=np.searchsorted(borders, chosen.starts, side="right").astype(np.int64) - 1,
+        segment_of=np.searchsorted(borders, windows.starts, side="right").astype(np.int64) - 1,
         stamps=recording.time,
         inputs=inputs,
-        steps=(*recording.steps, *_told(numbers, recording, settings)),
+        steps=(*recording.steps, *_step_sentences(numbers, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
         position_step=finest_step(recording.position),
-        rest=resting,
+        rest=standstill,
         left_out=tuple(
             (float(recording.time[a]), float(recording.time[b - 1]))
             for a, b in runs(recording.excluded)
@@ -248,9 +252,9 @@ def observe(
 
 
 def _settings(
-    recording: Measurement, processing: Processing, numbers: _Numbers, made: _Prepared
+    recording: Measurement, processing: Processing, numbers: _Numbers, prepared: _Prepared
 ) -> Settings:
-    found = numbers.resolution
+    resolution = numbers.resolution
     settings: Settings = {
         "sampling_rate": numbers.fs,
         "lowpass": numbers.cutoff,
@@ -262,67 +266,119 @@ def _settings(
         "velocity": "differentiated" if recording.velocity is None else "measured",
         "reach": numbers.reach,
         "guard": numbers.guard,
-        "band_by": found.reason,
-        "noise_seen": found.noise,
-        "dead_zone": made.dead_zone,
+        "band_by": resolution.reason,
+        "noise_seen": resolution.noise,
+        "dead_zone": prepared.dead_zone,
         "rest": processing.rest,
         "trim": numbers.trim_samples * recording.period,
         "trim_samples": numbers.trim_samples,
-        "torque_lowpass": numbers.cutoff if numbers.alike else 0.0,
+        "torque_lowpass": numbers.cutoff if numbers.filters_torque else 0.0,
         "motion": "encoder",
-        "taps": len(made.filter.taps),
-        "n_samples": len(made.q),
+        "taps": len(prepared.filter.taps),
+        "n_samples": len(prepared.q),
         "n_segments": len(recording.segments),
-        "n_outputs": made.filter.n_outputs,
-        **made.dropped,
+        "n_outputs": prepared.filter.n_outputs,
+        **prepared.dropped,
     }
-    if np.isfinite(found.acceleration_ratio):
-        settings["acceleration_ratio"] = found.acceleration_ratio
+    if np.isfinite(resolution.acceleration_ratio):
+        settings["acceleration_ratio"] = resolution.acceleration_ratio
     if recording.torque_constant is not None:
         settings["torque_constant"] = recording.torque_constant
     return settings
 
 
-def _smoothed(recording: Measurement, settings: Settings) -> Inputs:
-    """Let the torques that the recording gives pass what the measured one has passed."""
-    own = recording.inputs
+def _filtered_inputs(recording: Measurement, settings: Settings) -> Inputs:
+    """Filter the recorded load torque and further columns as the motor torque."""
+    inputs = recording.inputs
 
-    def passed(signal: Signal) -> Signal:
+    def filtered(signal: Signal) -> Signal:
         values = signal.at(recording.time)
         values = as_position(values, recording.segments, recording.period, settings)
         return Signal(recording.time, values)
 
     return replace(
-        own,
+        inputs,
         recording=recording.name,
-        load_torque=None if own.load_torque is None else passed(own.load_torque),
-        others={name: passed(signal) for name, signal in own.others.items()},
+        load_torque=None if inputs.load_torque is None else filtered(inputs.load_torque),
+        others={name: filtered(signal) for name, signal in inputs.others.items()},
     )
 
 
+def applied_torque(recording: Measurement, reach: int) -> Array:
+    """Return the torque ``(n,)`` that moves the joint at the samples, within the band.
+
+    A maker's low-pass is undone by derivatives of ``reach`` neighbours. A command held until the
+    next sample acts half a sample later, averaged over one.
+    """
+    torque, segments = recording.torque, recording.segments
+    if recording.feedback is not None:
+        return target_torque(recording)
+    if recording.torque_lag:
+        return inverse_lowpass(torque, segments, recording.period, recording.torque_lag, reach)
+    if recording.held is None:
+        return torque
+    if not recording.held:
+        return integrated_kinks(torque, segments)
+    return delayed_command(torque, segments, 0.0, held=True)
+
+
+def target_torque(recording: Measurement, delay: float = 0.0) -> Array:
+    """Compute the torque ``(n,)`` of a drive whose target acts ``delay`` s late.
+
+    Position and speed, and so the error and its limit, are the present ones.
+    """
+    law, back_emf = recording.law, recording.back_emf
+    assert law is not None
+    command = unlimited_command(recording, delay)
+    torque = law.scale * np.clip(command, -law.limit, law.limit)
+    return np.asarray(torque if back_emf is None else torque - back_emf)
+
+
+def unlimited_command(recording: Measurement, delay: float) -> Array:
+    """Compute the command ``(n,)`` of such a drive before its limit."""
+    law, samples = recording.law, delay / recording.period
+    assert law is not None
+    assert recording.feedback is not None
+    command = delayed_command(law.command, recording.segments, samples, held=law.held)
+    return np.asarray(command - recording.feedback)
+
+
+def filtered_motion(
+    recording: Measurement, cutoff: float, order: int, reach: int
+) -> tuple[Array, Array]:
+    """Low-pass position and speed of the joint ``(N,)``; differentiated if not recorded."""
+    segments, period, fs = recording.segments, recording.period, 1.0 / recording.period
+    q = lowpass(recording.position, segments, fs, cutoff, order)
+    if recording.velocity is None:
+        return q, derivative(q, segments, period, reach)
+    qd = lowpass(recording.velocity, segments, fs, cutoff, order)
+    if recording.velocity_lag:
+        qd = inverse_lowpass(qd, segments, period, recording.velocity_lag, reach)
+    return q, qd
+
+
 def as_position(torque: Array, segments: Segments, period: float, settings: Settings) -> Array:
-    """Low-pass a measured torque ``(N,)`` where the position's filter is the torque's too."""
+    """Low-pass a measured torque ``(N,)`` where it passes the position's filter, too."""
     cutoff, order = float(settings.get("torque_lowpass", 0.0)), int(settings.get("order", 1))
     return lowpass(torque, segments, 1.0 / period, cutoff, order)
 
 
 def refinable(o: Observation) -> bool:
-    """Whether what is compared ends well below the position's low-pass: a model may tell the rest.
+    """Whether the band ends well below the position's low-pass, so that a model may refine it.
 
-    See :mod:`bayesfric.estimates.fine_motion`. Not in what published analyses did.
+    See :mod:`bayesfric.estimates.fine_motion`. Not with central differences, as in published
+    analyses.
     """
-    told = o.settings
-    return told["differentiation"] == "exact" and 0.0 < 2.0 * float(told["band"]) <= float(
-        told["lowpass"]
-    )
+    band, cutoff = float(o.settings["band"]), float(o.settings["lowpass"])
+    return o.settings["differentiation"] == "exact" and 0.0 < 2.0 * band <= cutoff
 
 
 def with_motion(
     o: Observation, recording: Measurement, q: Array, qd: Array, qdd: Array
 ) -> Observation:
-    """Give an encoder's observation a motion beyond the low-pass, which then filters nothing."""
+    """Replace the low-passed motion by a refined one; the torque is then not low-passed."""
     settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
-    told = (
+    step = (
         f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes the "
         "measured torque, which is not low-passed"
     )
@@ -339,26 +395,26 @@ def with_motion(
             load_torque=recording.inputs.load_torque,
             others=recording.inputs.others,
         ),
-        steps=(*o.steps, told),
+        steps=(*o.steps, step),
         settings=settings,
     )
 
 
 def settled(recording: Measurement, processing: Processing) -> Processing:
-    """Write down what a recording's filters are, so that another part is treated alike."""
-    numbers, _ = _laid(recording, processing)
+    """Fix a recording's filters, so that another part of it gets the same."""
+    numbers, _ = _prepare(recording, processing)
     return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
 
 
 def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
-    """Count the samples that one output is made of, and from one output to the next."""
+    """Return the samples of one window, and from one output to the next."""
     numbers = _settle(recording, processing)
     return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
 
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A motion ``(N,)``, filtered and differentiated, and the windows laid over it."""
+    """The filtered motion ``(N,)`` and the windows laid over it."""
 
     q: Array
     qd: Array
@@ -366,24 +422,24 @@ class _Prepared:
     dead_zone: float
     filter: ParallelFilter
     dropped: dict[str, int]
-    still: Flags  # (N,) at rest, where that is asked for
-    parts: Segments  # of the recording, without its ends and what is excluded
+    still: Flags  # (N,) at standstill, where requested
+    parts: Segments  # without their ends and excluded spans
 
 
-def _laid(
+def _prepare(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
 ) -> tuple[_Numbers, _Prepared]:
-    """Settle the filters and lay the windows, in whichever way leaves enough of them."""
+    """Resolve the settings and lay the windows, so that enough of them remain."""
     numbers = _settle(recording, processing, resolution)
-    made = _prepared(recording, processing, numbers, SMALL_SHARE)
-    count = made.filter.n_outputs
-    if count < max(_LEFT * (count + made.dropped["dropped_dead_zone"]), _LEAST_LEFT):
+    prepared = _lay(recording, processing, numbers, SMALL_SHARE)
+    count = prepared.filter.n_outputs
+    if count < max(_LEFT * (count + prepared.dropped["dropped_dead_zone"]), _LEAST_LEFT):
         # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
         # gaps they leave fold noise from above the band into it, which the low-pass must take off.
         if processing.lowpass is None:
             numbers = _quieter(recording, processing, numbers)
-        made = _prepared(recording, processing, numbers, LARGE_SHARE)
-    return numbers, made
+        prepared = _lay(recording, processing, numbers, LARGE_SHARE)
+    return numbers, prepared
 
 
 def _settle(
@@ -395,12 +451,12 @@ def _settle(
     if band is not None:
         check_cutoff(band, fs, f"{where}, band")
     if cutoff is None and factor is None:
-        # one number settles the others: the band that is compared
+        # the band that is compared determines both
         resolution = resolve(recording, band)
         if band is None:
             longest = max(b - a for a, b in recording.segments)
-            most = max(round(0.5 / WIDEST), longest // _FITTING)
-            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, most))
+            limit = max(round(0.5 / WIDEST), longest // _FITTING)
+            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
         else:
             factor = min(decimation(band, fs), len(recording.time))
         cutoff = lowpass_above(band or fs / (2 * factor), fs)
@@ -436,16 +492,16 @@ def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) 
     return replace(_settle(recording, lower), resolution=numbers.resolution)
 
 
-def _prepared(
+def _lay(
     recording: Measurement, processing: Processing, numbers: _Numbers, share: float
 ) -> _Prepared:
     """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
     segments, trim = recording.segments, numbers.trim_samples
     q, qd = filtered_motion(recording, numbers.cutoff, processing.order, numbers.reach)
     # nothing may be left of a segment
-    kept = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
+    trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
     inside = np.zeros(len(q), dtype=np.bool_)
-    for a, b in kept:
+    for a, b in trimmed:
         inside[a:b] = True
     dead_zone = processing.dead_zone
     if isinstance(dead_zone, str):
@@ -456,29 +512,13 @@ def _prepared(
     moving = moving_samples(qd, segments, dead_zone, numbers.guard)
     still = np.zeros(len(q), dtype=np.bool_)
     if processing.rest:
-        still = at_rest(recording.position, segments, 2 * numbers.guard)
+        still = standstill_samples(recording.position, segments, 2 * numbers.guard)
         moving &= ~near(still, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
         moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
-    # the low-pass carries what is excluded a little way past its borders, as past a segment's
-    parts = without_excluded(kept, near(recording.excluded, trim))
-    chosen, dropped = _windows(recording, numbers, kept, parts, moving, share)
-    return _Prepared(q, qd, inside & moving, float(dead_zone), chosen, dropped, still, parts)
-
-
-def _windows(
-    recording: Measurement,
-    numbers: _Numbers,
-    kept: Segments,
-    parts: Segments,
-    moving: Flags,
-    share: float,
-) -> tuple[ParallelFilter, dict[str, int]]:
-    """Lay the windows, and count what every setting took away.
-
-    ``kept`` are segments without their ends, ``parts`` without what is excluded either.
-    """
+    # the low-pass smears excluded samples past their borders, as past a segment's ends
+    parts = without_excluded(trimmed, near(recording.excluded, trim))
     everything = np.ones(len(moving), dtype=np.bool_)
     where = f"recording '{recording.name}'"
     length = parallel_length(numbers.factor, numbers.band, numbers.fs)
@@ -496,8 +536,8 @@ def _windows(
     def lay(segments: Segments, usable: Flags) -> ParallelFilter:
         return lay_windows(taps, segments, numbers.factor, usable, share)
 
-    whole = lay(recording.segments, everything).n_outputs
-    inner = lay(kept, everything).n_outputs
+    untrimmed = lay(recording.segments, everything).n_outputs
+    inner = lay(trimmed, everything).n_outputs
     included = lay(parts, everything).n_outputs
     if inner == 0:
         raise BadInput(
@@ -508,49 +548,50 @@ def _windows(
         )
     if included == 0:
         raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
-    final = lay(parts, moving)
-    return final, {
-        "dropped_trim": whole - inner,
+    windows = lay(parts, moving)
+    dropped = {
+        "dropped_trim": untrimmed - inner,
         "dropped_excluded": inner - included,
-        "dropped_dead_zone": included - final.n_outputs,
+        "dropped_dead_zone": included - windows.n_outputs,
     }
+    return _Prepared(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
 
 
 def _band_warnings(numbers: _Numbers) -> Iterator[str]:
     band, half = numbers.band, numbers.fs / (2 * numbers.factor)
     if band is None:
         return
-    mend = f"decimate = {decimation(band, numbers.fs)} would fit"
+    hint = f"decimate = {decimation(band, numbers.fs)} would fit"
     # the small share is rounding
     if band > FOLDING * half * (1.0 + 1e-9):
         yield (
             f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
-            f"so higher frequencies fold back; {mend}"
+            f"so higher frequencies fold back; {hint}"
         )
     if numbers.factor > 1 and band < SHARING * half:
         yield (
             f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
-            f"neighbouring outputs share noise and intervals come out too narrow; {mend}"
+            f"neighbouring outputs share noise and intervals come out too narrow; {hint}"
         )
 
 
 def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str]:
-    mend = "leave its line out, and the position is differentiated"
+    hint = "leave its line out, and the position is differentiated"
     if late is not None:
         yield (
             f"velocity: comes {abs(late):.2g} s {'after' if late > 0.0 else 'before'} the "
-            f"differentiated position, as where a drive filters it: {mend}"
+            f"differentiated position, as where a drive filters it: {hint}"
         )
     elif factor is not None:
         yield (
             f"velocity: is {factor:.3g} times the differentiated position"
             f"{checks.between(factor)}, and inertia and speed losses come out wrong by as much: "
-            f"are column, unit, sign and side of both right? If a drive filters it, {mend}"
+            f"are column, unit, sign and side of both right? If a drive filters it, {hint}"
         )
 
 
-def _told(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iterator[str]:
-    both = ", of position and torque alike" if settings["torque_lowpass"] else ""
+def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iterator[str]:
+    both = ", of both position and torque" if settings["torque_lowpass"] else ""
     yield (
         f"low-pass: zero-phase Butterworth of order {settings['order']} at "
         f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling){both}"
@@ -558,12 +599,12 @@ def _told(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iter
         else "low-pass: none"
     )
     end = numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
-    for what, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
+    for signal, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
         if lag:
             times = math.hypot(1.0, (end / lag.cutoff) ** lag.order)
             yield (
-                f"{what}: what a low-pass at {lag.cutoff:.4g} Hz took is given back; at the end of "
-                f"the band that makes it, and what noise came after the filter, {times:.2g} times "
+                f"{signal}: the low-pass at {lag.cutoff:.4g} Hz is undone; at the end of "
+                f"the band that makes it, and noise from after the filter, {times:.2g} times "
                 "as large"
             )
     of, length = "position", "rad" if recording.motion == "rotary" else "m"
@@ -572,14 +613,14 @@ def _told(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iter
         of, unit, used = "speed", f"{length}/s", "measured velocity"
     how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
-    found = numbers.resolution
+    resolution = numbers.resolution
     if "acceleration_ratio" in settings:
         yield (
-            f"signal to noise of the acceleration in the band to {found.band:.3g} Hz (rms): "
-            f"{found.acceleration_ratio:.3g}; noise of a sample of the {of} {found.noise:.2g} "
-            f"{unit}"
+            f"signal to noise of the acceleration in the band to {resolution.band:.3g} Hz (rms): "
+            f"{resolution.acceleration_ratio:.3g}; noise of a sample of the {of} "
+            f"{resolution.noise:.2g} {unit}"
         )
-    yield f"band: ends at {end:.3g} Hz, {_ENDED[found.reason]}"
+    yield f"band: ends at {end:.3g} Hz, {_ENDED[resolution.reason]}"
     yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
     yield (
         "parallel filter: none, every sample is an output"

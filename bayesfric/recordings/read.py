@@ -6,28 +6,63 @@ import glob
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bayesfric.base.errors import BadInput
-from bayesfric.recordings import channels, checks, filters, units
+from bayesfric.base.errors import BadInput, Unfit
+from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.channels import VELOCITY, Drive, Motion
-from bayesfric.recordings.drive_law import Law
-from bayesfric.recordings.effort import Told, measured_law, position_law
-from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.measurement import Inputs, Law, Measurement, Signal
 from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Columns, Source
+from bayesfric.recordings.source import (
+    SI,
+    Channel,
+    Columns,
+    Current,
+    Effort,
+    Position,
+    Processing,
+    Source,
+    Target,
+    Torque,
+    Velocity,
+    Voltage,
+)
 from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
-# What the stamp of a mean is of its sample.
-_SAMPLED = {"average": "the middle", "start": "the start", "end": "the end"}
+Motion = Literal["rotary", "linear"]
+
+POSITION: dict[Motion, units.Kind] = {"rotary": "angle", "linear": "length"}
+VELOCITY: dict[Motion, units.Kind] = {"rotary": "angular_speed", "linear": "speed"}
+TORQUE: dict[Motion, units.Kind] = {"rotary": "torque", "linear": "force"}
+CONSTANT: dict[Motion, units.Kind] = {"rotary": "torque_constant", "linear": "force_constant"}
+# Units in which a measured signal of a joint is never a column of whole numbers.
+_NOT_COUNTED = {SI, "s", "rad", "m", "rad/s", "m/s", "N m", "Nm", "N", "A", "V"}
+# Zero degrees Celsius in each unit.
+_ZERO = {"degC": 0.0, "°C": 0.0, "K": 273.15, SI: 273.15}
+# Keys that turn what a controller gives into a torque.
+_REQUIRED: dict[units.Kind, tuple[str, ...]] = {
+    "current": ("torque_constant",),
+    "voltage": ("torque_constant", "resistance"),
+    "share": ("torque_constant", "resistance", "times"),  # of a supply voltage
+}
+# Where in its averaging period a mean is stamped.
+_STAMPED = {"average": "the middle", "start": "the start", "end": "the end"}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Motor motion per joint motion, and whether the joint and the motor turn or slide."""
+
+    ratio: float
+    motion: Motion
+    motor_motion: Motion
 
 
 def read_recordings(
@@ -42,8 +77,8 @@ def read_recordings(
     """Read all files of a recording, sorted inside a pattern, or its table in memory.
 
     ``ratio`` is motor motion per joint motion (rad/rad, rad/m, ...); ``number`` names a table in
-    memory that has no name, among others. The low-pass of ``processing`` is that of the motor's
-    speed where a voltage was measured.
+    memory without a name. The low-pass of ``processing`` is that of the motor's speed where a
+    voltage was measured.
     """
     if not np.isfinite(ratio) or ratio == 0:
         raise BadInput("ratio", f"{ratio} is no gear ratio", "give a finite number other than 0")
@@ -54,79 +89,84 @@ def read_recordings(
     if recording.table is not None:
         name = source.name or f"recording-{number}"
         table = replace(recording.table, where=f"recording {name!r}")
-        found = _read(source, table, drive, processing)
-        return [replace(found, name=name, sha256=_sha256(source, table))]
+        measurement = _read(source, table, drive, processing)
+        return [replace(measurement, name=name, sha256=_sha256(source, table))]
     assert isinstance(source, Source)
     measurements = []
-    for path, name in _found(source, recording.folder):
+    for path, name in _named_files(source, recording.folder):
         try:
-            found = _read(source, read_table(path, source), drive, processing)
+            measurement = _read(source, read_table(path, source), drive, processing)
         except MemoryError as error:
             raise BadInput(
                 str(path), "needs more memory than there is", "split it, or save fewer columns"
             ) from error
-        measurements.append(replace(found, name=name, path=path, sha256=sha256(path)))
+        measurements.append(replace(measurement, name=name, path=path, sha256=sha256(path)))
     return measurements
-
-
-def _sha256(source: Columns, table: Table) -> str:
-    """SHA-256 of the columns used."""
-    digest = hashlib.sha256()
-    for column in source.columns:
-        digest.update(f"{column}\0".encode())
-        digest.update(table.column(column).astype("<f8").tobytes())
-    return digest.hexdigest()
 
 
 # what overflows is refused by its size
 @np.errstate(all="ignore")
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
-    channels.check_columns(source, table)
-    where = table.label(source.position.column)
-    position, step = channels.joint_signal(source.position, "position", table, drive)
-    steps = [*table.notes, step]
+    """Take a table's columns, check them, and bring them onto a uniform time base."""
+    steps, warnings = [*table.notes], list[str]()
+    # columns
+    _check_columns(source, table)
+    position, step = joint_signal(source.position, "position", table, drive)
+    steps.append(step)
     time = recorded_time(source, table, len(position))
     chosen = slice(*chosen_rows(source, time, table.where))
-    checks.check_size(position, where, "position")
+    at_position = table.label(source.position.column)
+    checks.check_size(position, at_position, "position")
     velocity = None
     if source.velocity is not None:
-        velocity, step = channels.joint_signal(source.velocity, "velocity", table, drive)
+        velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         checks.check_size(velocity, table.label(source.velocity.column), "velocity")
         steps.append(step)
-    told = measured_law(source, table, drive)
-    channel, kind = told.channel, told.kind
-    checks.check_size(told.law.command, table.label(channel.column), kind)
+    recorded = _recorded_torque(source, table, drive)
+    channel, kind = recorded.channel, recorded.kind
+    at_torque = table.label(channel.column)
 
+    # checks
+    checks.check_size(recorded.law.command, at_torque, kind)
     grid = make_grid(time, (chosen.start, chosen.stop), table.where)
-    checks.check_moves(position[chosen], where, "position")
-    checks.check_moves(told.law.command[chosen], table.label(channel.column), kind)
-    warnings = [*grid.warnings]
-    if not told.law.closed:
-        warnings += checks.clipped(channels.signed(channel, table)[chosen], kind)
-    if (read_in := checks.quantisation(position[chosen])) is not None:
+    checks.check_moves(position[chosen], at_position, "position")
+    checks.check_moves(recorded.law.command[chosen], at_torque, kind)
+    warnings += grid.warnings
+    if not recorded.law.closed:
+        warnings += checks.clipped(_signed(channel, table)[chosen], kind)
+    if (encoder_step := checks.quantisation(position[chosen])) is not None:
         unit = "rad" if drive.motion == "rotary" else "m"
-        steps.append(f"position: read in steps of {read_in:.3g} {unit} at the joint")
-    warnings += channels.counts(source, table, chosen)
-    steps.extend(grid.steps)
+        steps.append(f"position: read in steps of {encoder_step:.3g} {unit} at the joint")
+    warnings += _count_warnings(source, table, chosen)
+    steps += grid.steps
 
+    # arrays
     joint = grid.smooth(position)
     speed = None if velocity is None else grid.linear(velocity)
-    law = told.law.on(grid)
+    law = recorded.law.on(grid)
     if channel.sampled != "instant":
         length = float(np.median(np.diff(time))) / grid.period
         law = replace(law, command=_centred(law.command, channel.sampled, grid, length))
-        # what the torque has passed the motion passes too
+        # position and speed pass the same averaging as the torque
         joint = filters.averaged(joint, grid.segments, length)
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
-        whose = _SAMPLED[channel.sampled]
-        steps.append(f"{kind}: means over samples, stamped at {whose}; position averaged alike")
-    torque, back_emf, feedback, step = _torque(told, law, joint, speed, grid, processing)
-    steps.append(step)
-    checks.check_size(joint, where, "position", checks.TINY)
-    checks.check_size(torque, table.label(channel.column), "torque", checks.TINY)
+        stamped = _STAMPED[channel.sampled]
+        steps.append(f"{kind}: means over samples, stamped at {stamped}; position averaged alike")
+    if speed is None and (law.back_emf or law.kd):
+        motor_speed = _differentiated(joint, grid, processing)
+    else:
+        motor_speed = np.zeros(joint.shape) if speed is None else speed
+    torque = law.drives(joint, motor_speed)
+    feedback = law.kp * joint + law.kd * motor_speed if law.closed else None
+    back_emf = law.back_emf * motor_speed if law.back_emf else None
+    if back_emf is not None:
+        torque = torque - back_emf
+    steps.append(recorded.step + _law_step(law, joint, motor_speed, measured=speed is not None))
+    checks.check_size(joint, at_position, "position", checks.TINY)
+    checks.check_size(torque, at_torque, "torque", checks.TINY)
     inputs = _inputs(source, table, drive, grid, steps)
     if source.target is not None:
-        law = position_law(source.target, table, drive).law.on(grid)
+        law = _target_law(source.target, table, drive).law.on(grid)
     off, excluded = _excluded(source, table, grid, warnings)
     if excluded.any():
         steps.append(f"exclude: {int(excluded.sum())} of {len(excluded)} samples not compared")
@@ -146,51 +186,94 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
-        # a mean over the sample has no bend to miss
+        # a mean over the sample has no kink at the sample
         held=channel.held if channel.held or channel.sampled == "instant" else None,
         torque_lag=channel.lag,
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
-        torque_constant=told.torque_constant,
+        torque_constant=recorded.torque_constant,
         law=replace(law, off=off),
         ratio=drive.ratio,
     )
 
 
-def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list[str]) -> Inputs:
-    warmth = pushed = None
-    if source.temperature is not None:
-        degrees = grid.linear(channels.temperature(source.temperature, table))
-        warmth = Signal(grid.time, degrees)
-        steps.append(f"temperature: {degrees.min():.3g} to {degrees.max():.3g} degC")
-    if source.load_torque is not None:
-        outside = channels.load_torque(source.load_torque, table, drive)
-        pushed = Signal(grid.time, grid.linear(outside))
-        steps.append(f"load {channels.TORQUE[drive.motion]}: as measured")
-    return Inputs(
-        source.added_mass,
-        source.radius,
-        temperature=warmth,
-        load_torque=pushed,
-        others={str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others},
-    )
+# --- columns ------------------------------------------------------------------------------------
 
 
-def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
-    """Bring means over ``length`` samples from where they begin or end to their middles."""
-    late = {"start": 0.5, "end": -0.5}.get(sampled, 0.0) * length
-    out = signal.copy()
-    for a, b in grid.segments:
-        out[a:b] = filters.later(signal[a:b], late)
-    return out
+def _check_columns(source: Columns, table: Table) -> None:
+    """Refuse an unusable column, one that serves two channels, and different lengths."""
+    first = source.position.column
+    count = len(table.column(first))
+    channel_at: dict[tuple[int, int | None], str] = {}
+    for key, channel in source.channels.items():
+        other = channel_at.setdefault(table.place(channel.column), key)
+        if other != key:
+            problem = f"is taken both for {other} and for {key}"
+            raise BadInput(table.label(channel.column), problem, f"name another column for {key}")
+    for column in source.columns:
+        if len(table.column(column)) != count:
+            problem = f"has {len(table.column(column))} values, column '{first}' has {count}"
+            raise BadInput(table.label(column), problem, "give columns of one length")
+
+
+def _signed(channel: Channel, table: Table) -> Array:
+    """Return a channel's raw numbers with their sign, before any factor, shape (n,)."""
+    values = table.column(channel.column)
+    if channel.twos_complement is not None:
+        full = 2.0**channel.twos_complement
+        wrong = (values < 0) | (values >= full) | (values != np.floor(values))
+        if wrong.any():
+            index = int(np.argmax(wrong))
+            raise BadInput(
+                f"{table.label(channel.column)}, {table.row(index)}",
+                f"{values[index]:g} is no unsigned number of {channel.twos_complement} bits",
+                "correct or leave out twos_complement",
+            )
+        values = np.where(values >= full / 2, values - full, values)
+    return values * channel.sign
+
+
+def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constants: str) -> Array:
+    """Return a channel in SI units, shape (n,), times constants with units."""
+    texts = [channel.unit, *constants]
+    if channel.times is not None:
+        texts.insert(1, channel.times_unit)
+    both = " and times_unit" if channel.times is not None else ""
+    where = f"{table.label(channel.column)}, unit{both} of {key}"
+    factor = 1.0 if texts == [SI] else units.scale(texts, kind, where)
+    values = _signed(channel, table)
+    if channel.times is not None:
+        values = values * table.column(channel.times)
+    return values * factor
+
+
+def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tuple[Array, str]:
+    """Return the joint's position or velocity in SI units, shape (n,), and the step in words."""
+    if channel.side is None and (drive.ratio != 1 or drive.motion != drive.motor_motion):
+        raise BadInput(
+            table.label(channel.column),
+            f"the {key}'s side is not given, and the gear ratio is {drive.ratio:g}"
+            + ("" if drive.motion == drive.motor_motion else " from turning to sliding"),
+            'set side = "motor" or side = "joint"',
+        )
+    motor = channel.side == "motor"
+    motion = drive.motor_motion if motor else drive.motion
+    kinds = VELOCITY if isinstance(channel, Velocity) else POSITION
+    values = _scaled(channel, table, kinds[motion], key)
+    step = f"{key}: of the motor, divided by {drive.ratio:g}" if motor else f"{key}: of the joint"
+    if kinds is POSITION and motion == "rotary":
+        values, jumps = checks.unwrapped(values)
+        if jumps:
+            step += f"; jumps by a turn at {jumps} places, unwrapped"
+    return values / drive.ratio if motor else values, step
 
 
 def recorded_time(source: Columns, table: Table, count: int) -> Array:
-    """Give the stamps ``(count,)`` in s since the first."""
+    """Return the stamps ``(count,)`` in s since the first."""
     if source.time is None:
         assert source.rate is not None
         return np.arange(count) / source.rate
-    time = channels.scaled(source.time, table, "time", "time")
+    time = _scaled(source.time, table, "time", "time")
     where = table.label(source.time.column)
     check_order(time, where, table.row)
     checks.check_size(time, where, "time")
@@ -201,56 +284,63 @@ def recorded_time(source: Columns, table: Table, count: int) -> Array:
 
 
 def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
-    """Give the first row from ``start`` on and the one after ``stop``."""
+    """Return the first row from ``start`` on and the one after ``stop``."""
     first = 0 if source.start is None else int(np.searchsorted(time, source.start, "left"))
     last = len(time) if source.stop is None else int(np.searchsorted(time, source.stop, "right"))
     if source.start is not None and first >= len(time):
         end = time[-1] if len(time) else 0.0
-        what = f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s"
-        raise BadInput(where, what, "choose an earlier start")
+        problem = f"ends {end:.6g} s after its first stamp, before start = {source.start:g} s"
+        raise BadInput(where, problem, "choose an earlier start")
     return first, last
 
 
-def _torque(
-    told: Told,
-    law: Law,
-    position: Array,
-    velocity: Array | None,
-    grid: Grid,
-    processing: Processing,
-) -> tuple[Array, Array | None, Array | None, str]:
-    """Return the motor torque on the grid, what speed has taken off it, and how it came about.
+def _count_warnings(source: Columns, table: Table, chosen: slice) -> Iterator[str]:
+    """Warn of whole numbers in a unit that is not counted in."""
+    for key, channel in source.channels.items():
+        if channel.unit not in _NOT_COUNTED or channel.times is not None or key == "temperature":
+            continue
+        constant = channel.constant if isinstance(channel, Torque) else None
+        if constant is None and checks.whole_numbers(table.column(channel.column)[chosen]):
+            counted = "thousandths" if key == "time" else "encoder counts, or thousandths"
+            yield (
+                f"{key}: all numbers are whole, and its unit is {channel.unit}: are they "
+                f"{counted}? Its unit is what a raw 1 is worth"
+            )
 
-    In third place what position and speed take off the command of a target.
-    """
-    step = told.step
-    if velocity is None:
-        velocity = np.zeros(position.shape)
-        if law.back_emf or law.kd:
-            fs = 1 / grid.period
-            cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
-            smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
-            reach = filters.reach_of(processing.differentiation, cutoff, fs)
-            velocity = filters.derivative(smooth, grid.segments, grid.period, reach)
-            step += ", differentiated speed"
-    elif law.back_emf or law.kd:
-        step += ", measured speed"
-    if np.isfinite(law.limit):
-        share = float(np.mean(law.limited(position, velocity)))
-        step += f"; at its limit in {100 * share:.2g} % of the samples"
-    torque = law.drives(position, velocity)
-    feedback = law.kp * position + law.kd * velocity if law.closed else None
-    if not law.back_emf:
-        return torque, None, feedback, step
-    back_emf = law.back_emf * velocity
-    step += "; what that back-EMF is off by counts as viscous loss"
-    return torque - back_emf, back_emf, feedback, step
+
+def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list[str]) -> Inputs:
+    """Read what acts on the joint in addition to the motor: mass, temperature, load torque."""
+    temperature = load_torque = None
+    if (channel := source.temperature) is not None:
+        if channel.unit not in _ZERO:
+            raise BadInput(
+                f"{table.label(channel.column)}, unit of temperature",
+                f"'{channel.unit}' is no temperature",
+                "write 'degC' or 'K'",
+            )
+        degrees = _signed(channel, table) - _ZERO[channel.unit]
+        checks.check_size(degrees, table.label(channel.column), "temperature")
+        temperature = Signal(grid.time, grid.linear(degrees))
+        low, high = temperature.values.min(), temperature.values.max()
+        steps.append(f"temperature: {low:.3g} to {high:.3g} degC")
+    if (channel := source.load_torque) is not None:
+        values = _scaled(channel, table, TORQUE[drive.motion], "load_torque")
+        checks.check_size(values, table.label(channel.column), "load torque")
+        load_torque = Signal(grid.time, grid.linear(values))
+        steps.append(f"load {TORQUE[drive.motion]}: as measured")
+    return Inputs(
+        source.added_mass,
+        source.radius,
+        temperature=temperature,
+        load_torque=load_torque,
+        others={str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others},
+    )
 
 
 def _excluded(
     source: Columns, table: Table, grid: Grid, warnings: list[str]
 ) -> tuple[Flags | None, Flags]:
-    """Flag where the drive is off, if that is told, and what is not to be compared."""
+    """Flag where the drive is off, if a column gives it, and what is not to be compared."""
     off = None
     excluded = np.zeros(len(grid.time), dtype=np.bool_)
     if source.valid is not None:
@@ -266,22 +356,182 @@ def _excluded(
     return off, excluded
 
 
-def _found(source: Source, folder: Path) -> list[tuple[Path, str]]:
-    """Find every file once, in the order of the source and sorted inside a pattern; and a name."""
+# --- torque of the motor ------------------------------------------------------------------------
+
+
+class _RecordedTorque(NamedTuple):
+    """The motor's torque as a recording gives it; the law is on the file's stamps."""
+
+    channel: Effort
+    kind: str  # what was measured: torque, force, current or voltage
+    law: Law
+    step: str  # how the torque is computed, in words
+    torque_constant: float | None = None  # torque per current, of a measured current
+
+
+def _recorded_torque(source: Columns, table: Table, drive: Drive) -> _RecordedTorque:
+    """Take the torque from its channel, from current or voltage, or from a position target."""
+    kind = TORQUE[drive.motor_motion]
+    if (channel := source.torque) is not None:
+        constant = [] if channel.constant is None else [channel.constant]
+        torque = _scaled(channel, table, kind, kind, *constant)
+        step = f"{kind}: as measured"
+        if constant:
+            step = f"{kind}: the signal in {channel.unit} times {channel.constant}"
+            if constant[0].endswith("/V"):
+                step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
+                step += "loss, and the key voltage takes it off"
+        law = Law(torque, np.ones(torque.shape), held=bool(channel.held))
+        return _RecordedTorque(channel, kind, law, step)
+    if source.current is not None:
+        command = _scaled(source.current, table, "current", "current")
+        scale, _, formula = _motor("current", source.current, table, drive)
+        law = Law(command * scale, np.ones(command.shape), held=bool(source.current.held))
+        return _RecordedTorque(source.current, "current", law, f"{kind}: {formula}", scale)
+    if source.voltage is not None:
+        command = _scaled(source.voltage, table, "voltage", "voltage")
+        scale, back_emf, formula = _motor("voltage", source.voltage, table, drive)
+        held = bool(source.voltage.held)
+        law = Law(command, np.full(command.shape, scale), back_emf=back_emf, held=held)
+        return _RecordedTorque(source.voltage, "voltage", law, f"{kind}: {formula}")
+    assert source.target is not None
+    return _target_law(source.target, table, drive)
+
+
+def _target_law(target: Target, table: Table, drive: Drive) -> _RecordedTorque:
+    """Read the law of a position-controlled drive.
+
+    The unit of the gains says what its controller gives: the motor's torque, current, voltage, or
+    the duty of a supply.
+    """
+    where, kind = table.label(target.column), TORQUE[drive.motor_motion]
+    motion = drive.motor_motion if target.side == "motor" else drive.motion
+    # the column in 'times' is the supply, and multiplies the scale below
+    goal, _ = joint_signal(target.model_copy(update={"times": None}), "target", table, drive)
+    gives, kp = _gain(target.kp, POSITION[motion], (kind, *_REQUIRED), f"{where}, kp")
+    missing = [key for key in _REQUIRED.get(gives, ()) if getattr(target, key) is None]
+    if missing:
+        problem = f"is not given, and kp = '{target.kp}' needs it"
+        raise BadInput(f"{where}, {missing[0]}", problem, f"add {missing[0]} = ...")
+    kd, limit = 0.0, np.inf
+    if target.kd is not None:
+        _, kd = _gain(target.kd, VELOCITY[motion], (gives,), f"{where}, kd")
+    if target.limit is not None:
+        limit = units.scale([target.limit], gives, f"{where}, limit")
+    to_side = drive.ratio if target.side == "motor" else 1.0
+    factor, back_emf, formula = _motor(gives, target, table, drive)
+    scale = np.full(goal.shape, factor)
+    if gives == "share" and target.times is not None:
+        unit = units.scale([target.times_unit], "voltage", f"{where}, times_unit")
+        scale = scale * table.column(target.times) * unit
+    kp, kd = kp * to_side, kd * to_side
+    # no drive holds a mean over the sample
+    held = bool(target.held) and target.sampled == "instant"
+    law = Law(kp * goal, scale, kp, kd, limit, back_emf, held=held)
+    step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
+    step += f"; {formula}" if formula else ""
+    return _RecordedTorque(target, "voltage" if gives == "share" else gives, law, step)
+
+
+def _motor(
+    gives: units.Kind, channel: Current | Voltage | Target, table: Table, drive: Drive
+) -> tuple[float, float, str]:
+    """Return the motor's torque per unit of its input, and per speed; and the formula in words."""
+    if gives not in _REQUIRED:
+        return 1.0, 0.0, ""
+    assert channel.torque_constant is not None
+    where, kind = table.label(channel.column), CONSTANT[drive.motor_motion]
+    constant = units.scale([channel.torque_constant], kind, f"{where}, torque_constant")
+    if gives == "current" or isinstance(channel, Current):
+        return constant, 0.0, f"current times {channel.torque_constant}"
+    assert channel.resistance is not None
+    resistance = units.scale([channel.resistance], "resistance", f"{where}, resistance")
+    formula = f"kt V/R - kt^2 (motor speed)/R with kt = {channel.torque_constant}, "
+    formula += f"R = {channel.resistance}"
+    return constant / resistance, constant**2 * drive.ratio / resistance, formula
+
+
+def _gain(
+    text: str, per: units.Kind, kinds: Sequence[units.Kind], where: str
+) -> tuple[units.Kind, float]:
+    """Read a gain per angle or speed, and of which kind it is."""
+    for kind in kinds:
+        with suppress(Unfit):
+            return kind, units.product([text, units.si(per)], [kind])
+    wanted = ", ".join(f"'{units.si(kind) or 1}/({units.si(per)})'" for kind in kinds)
+    raise BadInput(where, f"'{text}' is no gain", f"give it in one of {wanted}")
+
+
+def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
+    """Shift means over ``length`` samples, stamped at their start or end, to their middles."""
+    shift = {"start": 0.5, "end": -0.5}.get(sampled, 0.0) * length
+    out = signal.copy()
+    for a, b in grid.segments:
+        out[a:b] = filters.later(signal[a:b], shift)
+    return out
+
+
+def _differentiated(position: Array, grid: Grid, processing: Processing) -> Array:
+    """Differentiate the low-passed position ``(n,)`` of the joint."""
+    fs = 1 / grid.period
+    cutoff = fs / 10 if processing.lowpass is None else processing.lowpass
+    smooth = filters.lowpass(position, grid.segments, fs, cutoff, processing.order)
+    reach = filters.reach_of(processing.differentiation, cutoff, fs)
+    return filters.derivative(smooth, grid.segments, grid.period, reach)
+
+
+def _law_step(law: Law, position: Array, speed: Array, *, measured: bool) -> str:
+    """Say which speed the drive's law took, how often it is at its limit, and the back-EMF."""
+    step = ""
+    if law.back_emf or law.kd:
+        step += ", measured speed" if measured else ", differentiated speed"
+    if np.isfinite(law.limit):
+        share = float(np.mean(law.limited(position, speed)))
+        step += f"; at its limit in {100 * share:.2g} % of the samples"
+    return step + "; what that back-EMF is off by counts as viscous loss" * bool(law.back_emf)
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def _sha256(source: Columns, table: Table) -> str:
+    """SHA-256 of the columns used."""
+    digest = hashlib.sha256()
+    for column in source.columns:
+        digest.update(f"{column}\0".encode())
+        digest.update(table.column(column).astype("<f8").tobytes())
+    return digest.hexdigest()
+
+
+def _named_files(source: Source, folder: Path) -> list[tuple[Path, str]]:
+    """Name the files of a source: by its ``name``, by stem, or by the parts that differ."""
     paths = recorded_files(source, folder)
-    if source.name is None:
-        return list(zip(paths, _names(paths), strict=True))
-    if len(paths) > 1:
+    if source.name is not None and len(paths) > 1:
         raise BadInput(
             f"name = '{source.name}'",
             f"one name for {len(paths)} files",
             "leave name out, or give every file its own entry",
         )
-    return [(paths[0], source.name)]
+    if source.name is not None:
+        return [(paths[0], source.name)]
+    absolute = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  (links stay)
+    common = os.path.commonpath([path.parent for path in absolute])
+    below = [path.relative_to(common) for path in absolute]
+    choices = (
+        [path.stem for path in below],
+        ["-".join((*path.parent.parts, path.stem)) for path in below],
+        ["-".join(path.parts) for path in below],
+    )
+    counts = [Counter(names) for names in choices]
+    names = [
+        next((name for name, of in zip(file, counts, strict=True) if of[name] == 1), file[-1])
+        for file in zip(*choices, strict=True)
+    ]
+    return list(zip(paths, names, strict=True))
 
 
 def recorded_files(source: Source, folder: Path) -> list[Path]:
-    """Find the files of a recording; one named without wildcards may not be there."""
+    """Find the files of a source once each, sorted inside a pattern; plain names may not exist."""
     paths: list[Path] = []
     for pattern in source.files:
         if (folder / pattern).exists() or not glob.has_magic(pattern):
@@ -291,26 +541,8 @@ def recorded_files(source: Source, folder: Path) -> list[Path]:
         names = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207
         matches = sorted(path for name in names if is_recording(path := folder / name))
         if not matches:
-            what = f"no file in {folder} matches it"
-            raise BadInput(f"file = '{pattern}'", what, "check the pattern and the folder")
+            problem = f"no file in {folder} matches it"
+            raise BadInput(f"file = '{pattern}'", problem, "check the pattern and the folder")
         paths.extend(matches)
-    # a file named twice, say by two patterns, would count its measurements twice
+    # two patterns that match one file would count its measurements twice
     return list(dict.fromkeys(paths))
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Name files by their stem, or else by what of their path tells them apart."""
-    whole = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  (links stay)
-    folder = os.path.commonpath([path.parent for path in whole])
-    below = [path.relative_to(folder) for path in whole]
-    choices = (
-        [path.stem for path in below],
-        ["-".join((*path.parent.parts, path.stem)) for path in below],
-        ["-".join(path.parts) for path in below],
-    )
-    counts = [Counter(names) for names in choices]
-    each = zip(*choices, strict=True)
-    return [
-        next((name for name, of in zip(one, counts, strict=True) if of[name] == 1), one[-1])
-        for one in each
-    ]

@@ -1,4 +1,4 @@
-"""From a log to the columns that a recording needs, by their names and the units beside them."""
+"""Recognition of the columns of a log by their names and units."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.tables.table import Table
 
-# Signals of one column that are looked at.
-_MOST_OF_ONE = 64
+# Most signals of one column.
+_MAX_SIGNALS = 64
 # Columns that number the recordings of a log of several.
 _EPISODES = ("episode_index", "episode", "episode_id", "run", "trial")
 _DRIVES = ("torque", "current", "voltage")
-# Words for each channel, the surest first.
+# Words for each channel, the most specific first.
 _WORDS = {
     "time": "time timestamp t stamp clock seconds received",
     "position": "position positions pos q qpos angle theta phi encoder enc qm state",
@@ -31,11 +31,11 @@ _WORDS = {
     # not what was measured, or not of the joint
     "wanted": "target desired goal command commanded cmd ref reference setpoint des sp action "
     "error limit max min raw bus input supply",
-    # nothing of which joint it is
+    # no name of a joint
     "": "joint joints motor observation observations obs header in the output axis data value "
     "values signal log electrical control actual measured meas estimate est feedback",
 }
-# Letters that say something only where they are the whole name.
+# Letters that count only as the whole name.
 _LETTERS = {"t", "v", "i", "u"}
 _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "time": ("time",),
@@ -45,7 +45,7 @@ _KINDS: dict[str, tuple[units.Kind, ...]] = {
     "current": ("current",),
     "voltage": ("voltage",),
 }
-# Units as they are written in names, where pint would not read them so.
+# Units in names that pint would read otherwise.
 _SPELT = {
     **dict.fromkeys(("rads", "radps", "rad s"), "rad/s"),
     **dict.fromkeys(("degs", "degps", "deg s", "dps"), "deg/s"),
@@ -59,7 +59,7 @@ _PARTS = re.compile(r"(?:m[AV]|mNm|Nm)(?![A-Za-z])|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|
 
 
 class Chosen(NamedTuple):
-    """A column taken for a channel; ``unit`` is empty where neither name nor file tells it."""
+    """A column chosen for a channel; ``unit`` is empty where unknown."""
 
     column: str
     unit: str
@@ -67,56 +67,50 @@ class Chosen(NamedTuple):
 
 @dataclass(frozen=True)
 class Log:
-    """What was recognised in a log."""
+    """Recognised columns of a log."""
 
     chosen: dict[str, Chosen]  # by channel
-    columns: tuple[str | int, ...]  # all that there are
-    joint: str = ""  # the one that was chosen of several
+    columns: tuple[str | int, ...]  # all columns
+    joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
     where: dict[str, float] = field(default_factory=dict)  # rows of the first recording of several
 
 
 class Named(NamedTuple):
-    """What a column's name says."""
+    """Meaning of a column's name."""
 
     channel: str  # key of a channel, empty if nothing is recognised
     rank: int  # lower is surer
-    wanted: bool  # whether it is not what was measured
-    joint: str  # which joint, empty if the name does not tell
-    unit: str  # empty if the name does not tell
+    wanted: bool  # whether it is a command, not measured
+    joint: str  # empty if unknown
+    unit: str  # empty if unknown
 
 
 class _Signal(NamedTuple):
     column: str
     values: Array
-    said: Named
+    name: Named
 
 
 def recognise(table: Table, joint: str | None = None) -> Log:
-    """Take the columns of one joint, which may be named, out of a table by their names.
-
-    Raises
-    ------
-    BadInput
-        If there is no such joint.
-    """
+    """Choose the columns of one joint, which may be named, by their names."""
     table, where = _one_episode(table)
-    signals = sorted((s for s in _signals(table) if not s.said.wanted), key=lambda s: s.said.rank)
-    joints = tuple(dict.fromkeys(s.said.joint for s in signals if s.said.channel == "position"))
-    label = next((one for one in joints if joint is None or one.lower() == joint.lower()), None)
+    signals = sorted((s for s in _signals(table) if not s.name.wanted), key=lambda s: s.name.rank)
+    joints = tuple(dict.fromkeys(s.name.joint for s in signals if s.name.channel == "position"))
+    label = next((j for j in joints if joint is None or j.lower() == joint.lower()), None)
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
     chosen: dict[str, Chosen] = {}
     for channel in ("time", "position", "velocity", *_DRIVES):
-        of = [s for s in signals if s.said.channel == channel]
+        of = [s for s in signals if s.name.channel == channel]
         if channel == "time":
             of = [s for s in of if np.all(np.diff(s.values) > 0.0)]
         if not of or (channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES)):
             continue
-        # the joint's, or else one that names none
-        first = min(of, key=lambda s: (s.said.joint != label, s.said.joint != ""))
-        chosen[channel] = Chosen(first.column, first.said.unit)
+        # the joint's, or else one without a joint
+        first = min(of, key=lambda s: (s.name.joint != label, s.name.joint != ""))
+        chosen[channel] = Chosen(first.column, first.name.unit)
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     return Log(chosen, columns, label or "", joints if len(joints) > 1 else (), where)
 
@@ -132,7 +126,7 @@ def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:
 
 
 def _signals(table: Table) -> Iterator[_Signal]:
-    """Read what has a name that tells: vectors, and parts of wider columns."""
+    """Read the columns of recognised names: vectors, and parts of wider columns."""
     for name, written in zip(table.names, table.units or [""] * len(table.names), strict=True):
         if not named(name).channel:
             continue
@@ -141,7 +135,7 @@ def _signals(table: Table) -> Iterator[_Signal]:
             table.column(name)
         except BadInput:
             # the fourth signal of three is refused, which ends a column of several
-            keys = [f"{name}[{k}]" for k in range(_MOST_OF_ONE)]
+            keys = [f"{name}[{k}]" for k in range(_MAX_SIGNALS)]
             # a message that names its joints may have them in any order
             if any(other.startswith(f"{name}[") for other in table.names):
                 continue
@@ -151,24 +145,21 @@ def _signals(table: Table) -> Iterator[_Signal]:
 
 
 def named(name: str, written: str = "") -> Named:
-    """Take a column's name apart; ``written`` is a unit that the file gives for it elsewhere.
-
-    The channel is that whose word stands last, as in ``motor current`` and ``pos_estimate``.
-    """
+    """Parse a column's name, and the unit ``written`` in the file; the last known word counts."""
     text, inside = name.strip(), ""
-    if found := _BRACKETS.search(text):
-        text, inside = text[: found.start()], found[1].strip()
+    if brackets := _BRACKETS.search(text):
+        text, inside = text[: brackets.start()], brackets[1].strip()
     text = text.rpartition("/")[2].replace("i_q", "iq").replace("I_q", "Iq")
     words = [part.lower() for part in _PARTS.findall(text)]
     alone = sum(not word.isdecimal() for word in words) == 1
-    telling = [w for w in words if w in _CHANNEL and (alone or w not in _LETTERS)]
-    if not telling:
+    known_words = [w for w in words if w in _CHANNEL and (alone or w not in _LETTERS)]
+    if not known_words:
         return Named("", 0, False, inside, "")
-    channel, rank = _CHANNEL[telling[-1]]
+    channel, rank = _CHANNEL[known_words[-1]]
     left = [w for w in words if w not in _WORDS[channel].split()]
-    # texts that may be the unit, and how many of the words that are left they take
-    said = ((written, 0), (inside, 0), (" ".join(left[-2:]), 2), (" ".join(left[-1:]), 1))
-    unit, used = next(((u, n) for one, n in said if (u := _unit_of(channel, one))), ("", 0))
+    # texts that may be the unit, and how many of the remaining words they take
+    texts = ((written, 0), (inside, 0), (" ".join(left[-2:]), 2), (" ".join(left[-1:]), 1))
+    unit, used = next(((u, n) for t, n in texts if (u := _unit_of(channel, t))), ("", 0))
     known = " ".join(_WORDS.values()).split()
     label = [w for w in left[: max(len(left) - used, 0)] if w not in known]
     label += [inside] if inside and not _unit_of(channel, inside) else []
@@ -177,7 +168,7 @@ def named(name: str, written: str = "") -> Named:
 
 
 def _unit_of(channel: str, text: str) -> str:
-    """Give a unit as a configuration writes it; empty where it is none of the channel's kind."""
+    """Return a unit as in a configuration; empty where it is not of the channel's kind."""
     text = text.strip().strip("[]()").strip()
     spelt = _SPELT.get(text.lower(), text)
     is_unit = any(map(str.isalpha, spelt))

@@ -1,4 +1,4 @@
-"""A recording as a user gives it: a file or columns in memory, and what its numbers mean."""
+"""A recording given by a user: a file or columns in memory, and the meaning of its numbers."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Recording:
         """
         keys |= {"time": time, "position": position, "torque": torque}
         names = [key for key in (*CHANNELS, "valid") if keys.get(key) is not None]
-        # what is changed later is not what was recorded
+        # copied, as the caller may change them
         arrays = [np.array(keys[name]) for name in names]
         source = _checked(Columns, keys | {name: name for name in names}, units, side)
         return cls(source, table=Table("recording", names, arrays.__getitem__))
@@ -157,8 +157,7 @@ class Recording:
         """Give the keys of the recording once :meth:`saved` has made it a file of that name."""
         keys = self.source.model_dump(exclude_unset=True, exclude_none=True)
         for channel in (keys[key] for key in CHANNELS if key in keys):
-            found = [k for k in ("column", "times") if k in channel]
-            channel |= {k: self._header[channel[k]] for k in found}
+            channel |= {k: self._header[channel[k]] for k in ("column", "times") if k in channel}
         if "valid" in keys:
             keys["valid"] = self._header[keys["valid"]]
         return Source(file=file, **keys)
@@ -175,12 +174,12 @@ class Recording:
 def _checked(
     kind: type[_Keys], keys: Mapping[str, Any], units: Mapping[str, str] | None, side: Side | None
 ) -> _Keys:
-    """Check what is said of a recording as a ``[[recordings]]`` table is checked."""
+    """Check keys as those of a ``[[recordings]]`` table."""
     document = {key: value for key, value in keys.items() if value is not None}
     for key in CHANNELS:
         if key in document:
-            given = document[key]
-            channel = dict(given) if isinstance(given, Mapping) else {"column": given}
+            column = document[key]
+            channel = dict(column) if isinstance(column, Mapping) else {"column": column}
             channel.setdefault("unit", (units or {}).get(key, SI))
             if side is not None and key in ("position", "velocity", "target"):
                 channel.setdefault("side", side)

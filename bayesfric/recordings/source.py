@@ -1,4 +1,4 @@
-"""The ``[[recordings]]`` table: where a recording is, and what its columns mean."""
+"""The ``[[recordings]]`` and ``[processing]`` tables of a configuration."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
 from bayesfric.recordings import units
-from bayesfric.recordings.measurement import Lag
+from bayesfric.recordings.filters import Lag
 from bayesfric.recordings.tables.reader import TableOptions
-from bayesfric.recordings.units import Hertz, Kilograms, Metres, Seconds
+from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Seconds
 
 CHANNELS = (
     "time",
@@ -29,7 +29,7 @@ SI = "SI"
 
 
 def _text_of(*kinds: units.Kind) -> AfterValidator:
-    """Check a text's dimension but keep the text, for kinds settled only by the mechanism."""
+    """Check a text's dimension but keep the text, as the mechanism determines the kind."""
 
     def check(text: str) -> str:
         if not units.quantity(text, *kinds) > 0:
@@ -155,10 +155,10 @@ class Voltage(Effort):
 
 
 class Target(Effort, Position):
-    """The position that the drive goes for; what its controller makes of it is the torque.
+    """The target position of the drive, whose controller determines the torque.
 
     ``clip(kp (target - position) - kd velocity, limit)``, on the side where the target is
-    given. The unit of ``kp`` says what that is: torque, current, voltage, or the duty of a supply.
+    given. The unit of ``kp`` determines that: torque, current, voltage, or the duty of a supply.
     """
 
     kp: str = Field(
@@ -248,15 +248,13 @@ class Columns(Options):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.time is None) == (self.rate is None):
-            found = "neither" if self.time is None else "both"
+            got = "neither" if self.time is None else "both"
+            raise Unfit("exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {got}")
+        drives = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
+        if len(drives) > 1 or not (drives or self.target):
+            got = " and ".join(f"'{key}'" for key in drives) or "none"
             raise Unfit(
-                "exactly one of 'time' (a channel) and 'rate' (like '1 kHz')", f"got {found}"
-            )
-        given = [key for key in ("torque", "current", "voltage") if getattr(self, key) is not None]
-        if len(given) > 1 or not (given or self.target):
-            found = " and ".join(f"'{key}'" for key in given) or "none"
-            raise Unfit(
-                "exactly one of 'torque', 'current', 'voltage', or a 'target'", f"got {found}"
+                "exactly one of 'torque', 'current', 'voltage', or a 'target'", f"got {got}"
             )
         if self.start is not None and self.stop is not None and not self.start < self.stop:
             raise ValueError(f"'stop' ({self.stop:g} s) must lie after 'start' ({self.start:g} s)")
@@ -265,15 +263,16 @@ class Columns(Options):
     @property
     def channels(self) -> dict[str, Channel]:
         """The channels that are given, by key."""
-        return {key: found for key in CHANNELS if (found := getattr(self, key)) is not None}
+        channels = {key: getattr(self, key) for key in CHANNELS}
+        return {key: channel for key, channel in channels.items() if channel is not None}
 
     @property
     def columns(self) -> list[str | int]:
         """Every column that is read."""
         channels = self.channels.values()
-        found = [c for one in channels for c in (one.column, one.times) if c is not None]
-        found += self.others
-        return found if self.valid is None else [*found, self.valid]
+        columns = [c for x in channels for c in (x.column, x.times) if c is not None]
+        columns += self.others
+        return columns if self.valid is None else [*columns, self.valid]
 
 
 class Source(Columns, TableOptions):
@@ -295,4 +294,67 @@ class Source(Columns, TableOptions):
         files = [value] if isinstance(value, str) else value
         if not files or not all(files):
             raise ValueError("names no file")
+        return value
+
+
+class Processing(Options):
+    """How a recording is filtered, differentiated and decimated."""
+
+    lowpass: HertzOrOff | None = Field(
+        None,
+        description="Cut-off of the zero-phase Butterworth low-pass, in Hz; if left out three "
+        "times the band (six where samples at reversals are left out), at most a fifth of the "
+        "sampling rate; a tenth of it where decimate is given; 'off' or 0 for none.",
+    )
+    order: int = Field(4, ge=1, le=12, description="Order of the Butterworth filter.")
+    decimate: int | None = Field(
+        None,
+        ge=1,
+        description="Keep one output in this many samples; if left out what the band, or else "
+        "the low-pass, takes.",
+    )
+    band: Hertz | None = Field(
+        None,
+        description="Cut-off in Hz of the filter that torque and model pass alike. If left out "
+        "a tenth above half the decimated rate, where white noise comes out white; and without "
+        "low-pass and decimate that rate is as high as the position resolves the acceleration "
+        "and the torque has power, at most a tenth of the sampling rate.",
+    )
+    differentiation: Literal["exact", "central"] = Field(
+        "exact",
+        description="'exact': its gain is right within 1e-4 in all that the low-pass lets pass; "
+        "'central': differences of the two neighbours, whose gain falls with frequency, as in "
+        "published analyses.",
+    )
+    dead_zone: float | str | None = Field(
+        None,
+        description="Joint speed below which a sample is not used, in SI units or text such as "
+        "'1 deg/s'; 1 % of the 99th percentile of the speed if left out; 0 for none.",
+    )
+    rest: bool = Field(
+        False,
+        description="true: samples at rest, where the position as read does not change, say that "
+        "the torque lies within static friction to either side; false: they are left out as all "
+        "below the dead zone.",
+    )
+    trim: Seconds | None = Field(
+        None,
+        description="Cut from both ends of every segment after differentiation, in seconds; the "
+        "longer of 10 samples and one period of the low-pass if left out.",
+    )
+
+    @property
+    def chooses_band(self) -> bool:
+        """Whether the band is chosen by the recording, none of its filters being given."""
+        return self.lowpass is None and self.decimate is None and self.band is None
+
+    @field_validator("dead_zone")
+    @classmethod
+    def _speed(cls, value: float | str | None) -> float | str | None:
+        # kept as text: whether rad/s or m/s is meant is settled by the mechanism
+        number = (
+            units.quantity(value, "angular_speed", "speed") if isinstance(value, str) else value
+        )
+        if number is not None and not 0 <= number < float("inf"):
+            raise Unfit("a speed of 0 or more", f"got {value}")
         return value

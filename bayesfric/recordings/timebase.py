@@ -13,7 +13,7 @@ from bayesfric.recordings.arrays import Array, Segments
 
 _SLOWEST = 1.0
 _FASTEST = 1e-6
-# a period outside these is no sampling at all, and its square leaves floating point
+# possible sampling periods, whose squares stay in floating point
 _POSSIBLE = (1e-12, 1e9)
 # A step longer than so many median ones separates segments, of which shorter ones are left out.
 _GAP = 5.0
@@ -24,28 +24,23 @@ _JITTER = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A uniform time base in s made from time stamps.
+    """A uniform time base in s made from time stamps."""
 
-    ``stamps`` (n,) are used in the half-open ranges ``pieces``; ``time`` (m,) is the grid, with a
-    range of ``segments`` a piece. ``steps`` and ``warnings`` hold a sentence for every choice made,
-    and for everything to look at.
-    """
-
-    stamps: Array
-    pieces: Segments
-    time: Array
-    segments: Segments
+    stamps: Array  # (n,)
+    pieces: Segments  # used ranges of stamps
+    time: Array  # (m,) of the grid
+    segments: Segments  # ranges of time, one a piece
     period: float
     resampled: bool
-    steps: tuple[str, ...]
+    steps: tuple[str, ...]  # a sentence for every choice made
     warnings: tuple[str, ...]
 
     def linear(self, values: Array) -> Array:
-        """Bring a signal ``(n,)`` onto the grid ``(m,)`` by linear interpolation."""
+        """Interpolate a signal ``(n,)`` linearly on the grid ``(m,)``."""
         return self._bring(values, np.interp)
 
     def smooth(self, values: Array) -> Array:
-        """Bring a signal onto the grid by PCHIP, which keeps its slope continuous."""
+        """Interpolate by PCHIP, which keeps the slope continuous."""
         from scipy.interpolate import pchip_interpolate
 
         return self._bring(values, lambda x, xp, fp: np.asarray(pchip_interpolate(xp, fp, x)))
@@ -72,15 +67,17 @@ def check_order(time: Array, where: str, row: Callable[[int], str]) -> None:
             f"repeats the time stamp {time[index]:.9g} s of the row before",
             "cut the repeated rows out, or record time with finer resolution",
         )
-    what = f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s"
-    raise BadInput(f"{where}, {row(index)}", what, "sort the rows by time, or split the file there")
+    problem = f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s"
+    raise BadInput(
+        f"{where}, {row(index)}", problem, "sort the rows by time, or split the file there"
+    )
 
 
 def make_grid(time: Array, chosen: tuple[int, int], where: str) -> Grid:
-    """Find segments without gaps in increasing stamps (n,), and put a uniform grid over them.
+    """Put a uniform grid over the segments without gaps of increasing stamps (n,).
 
-    Only the half-open range ``chosen`` is used; ``where`` is the file, for messages. Steps that
-    jitter by more than 1 % rms are resampled to their median.
+    Only the half-open range ``chosen`` is used. Steps that jitter by more than 1 % rms are
+    resampled to their median.
     """
     steps: list[str] = []
     warnings: list[str] = []
@@ -104,8 +101,8 @@ def make_grid(time: Array, chosen: tuple[int, int], where: str) -> Grid:
         warnings.append(f"time: the sampling period is {period:.3g} s; is the unit of time right?")
     ends = np.cumsum([len(part) for part in times]).tolist()
     segments = tuple(pairwise([0, *ends]))
-    told = (tuple(steps), tuple(warnings))
-    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *told)
+    sentences = tuple(steps), tuple(warnings)
+    return Grid(time, pieces, np.concatenate(times), segments, period, resampled, *sentences)
 
 
 def _evenly(stamps: Array, period: float) -> Array:
@@ -117,31 +114,31 @@ def _evenly(stamps: Array, period: float) -> Array:
 def _pieces(
     time: Array, chosen: tuple[int, int], where: str, steps: list[str], warnings: list[str]
 ) -> tuple[Segments, float]:
-    """Divide the stamps at gaps, and give the median step."""
+    """Split the stamps at gaps; also return the median step."""
     first, last = chosen
     count = last - first
     if count < LEAST_SAMPLES:
-        what = f"has {count} samples, fewer than {LEAST_SAMPLES}"
-        raise BadInput(where, what, "record longer, or check start and stop")
+        problem = f"has {count} samples, fewer than {LEAST_SAMPLES}"
+        raise BadInput(where, problem, "record longer, or check start and stop")
     intervals = np.diff(time[first:last])
     if intervals.min() < _POSSIBLE[0]:
-        what = f"two time stamps are only {float(intervals.min()):.3g} s apart"
-        raise BadInput(where, what, "check the unit of time, or cut repeated rows out")
+        problem = f"two time stamps are only {float(intervals.min()):.3g} s apart"
+        raise BadInput(where, problem, "check the unit of time, or cut repeated rows out")
     median = float(np.median(intervals))
     borders = first + 1 + np.flatnonzero(intervals > _GAP * median)
-    found = list(pairwise([first, *borders.tolist(), last]))
-    pieces = tuple((a, b) for a, b in found if b - a >= LEAST_SAMPLES)
+    ranges = list(pairwise([first, *borders.tolist(), last]))
+    pieces = tuple((a, b) for a, b in ranges if b - a >= LEAST_SAMPLES)
     if not pieces:
-        longest = max(b - a for a, b in found)
-        what = f"time gaps leave no segment of {LEAST_SAMPLES} samples"
-        what += f" (the longest of {len(found)} has {longest})"
-        raise BadInput(where, what, "record without gaps")
-    if len(found) > 1:
-        steps.append(f"time: gaps split the recording into {len(found)} segments")
-    if len(pieces) < len(found):
+        longest = max(b - a for a, b in ranges)
+        problem = f"time gaps leave no segment of {LEAST_SAMPLES} samples"
+        problem += f" (the longest of {len(ranges)} has {longest})"
+        raise BadInput(where, problem, "record without gaps")
+    if len(ranges) > 1:
+        steps.append(f"time: gaps split the recording into {len(ranges)} segments")
+    if len(pieces) < len(ranges):
         lost = count - sum(b - a for a, b in pieces)
         warnings.append(
-            f"time: {len(found) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
+            f"time: {len(ranges) - len(pieces)} segments of fewer than {LEAST_SAMPLES} "
             f"samples left out ({lost} samples)"
         )
     return pieces, median

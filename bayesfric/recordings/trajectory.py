@@ -1,4 +1,4 @@
-"""Torque in, position out: what a simulation is compared with."""
+"""Measured torque and position that simulations are compared with (output error)."""
 
 from __future__ import annotations
 
@@ -11,22 +11,17 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Hold, Measurement
+from bayesfric.recordings.measurement import Hold, Inputs, Measurement
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
 
-# Two initial states come off every segment; what is shorter would say next to nothing.
+# Shorter segments do not determine much more than their two initial states.
 _LEAST_SAMPLES = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One recording for the output error, cut into segments that each start anew.
-
-    ``q0`` and ``qd0`` (K,) are position and speed at the first sample of each segment, from the
-    filtered position; a place to start from, no more.
-    """
+    """One recording for the output error, cut into segments with separate initial states."""
 
     name: str  # of the recording
     time: Array  # (N,) s since the file's first stamp
@@ -34,10 +29,10 @@ class Trajectory:
     torque: Array  # (N,) of the motor as measured, not filtered, N m or N
     period: float  # s
     segments: NDArray[np.int64]  # (K, 2) half-open ranges of samples
-    q0: Array
+    q0: Array  # (K,) starting values of position and speed at each segment's first sample
     qd0: Array
-    inputs: Inputs  # what the joint feels besides its motion
-    hold: Hold = "linear"  # how the torque goes between samples
+    inputs: Inputs
+    hold: Hold = "linear"  # interpolation of the torque between samples
 
     @property
     def samples(self) -> NDArray[np.int64]:
@@ -51,23 +46,19 @@ class Trajectory:
 
 
 def trajectory(recording: Measurement, observation: Observation, length: float) -> Trajectory:
-    """Cut a recording into segments for the output error.
-
-    Stretches between gaps and excluded samples are divided about evenly into segments of ``length``
-    (s; infinite for no division), at samples where the joint is fast.
-    """
+    """Cut a recording into segments of about ``length`` (s; may be infinite) where it is fast."""
     computed = recording.back_emf is not None or recording.feedback is not None
     if computed and observation.inputs.torque_rate is not None:
-        what = (
-            "a simulation does not know it of a torque that was computed from a voltage or target"
+        problem = "a simulation cannot delay a torque that was computed from a voltage or target"
+        raise BadInput(
+            "mechanism.delay", problem, "give torque or current, or leave output-error out"
         )
-        raise BadInput("mechanism.delay", what, "give torque or current, or leave output-error out")
     parts = without_excluded(recording.segments, recording.excluded)
     return Trajectory(
         name=recording.name,
         time=recording.time,
         position=recording.position,
-        # a target is held, and the position goes on
+        # a target is held, and the position moves on
         torque=recording.torque if recording.feedback is None else observation.torque,
         period=recording.period,
         inputs=observation.inputs,
@@ -76,33 +67,32 @@ def trajectory(recording: Measurement, observation: Observation, length: float) 
     )
 
 
-def divided(whole: Trajectory, observation: Observation, length: float) -> Trajectory:
+def divided(long: Trajectory, observation: Observation, length: float) -> Trajectory:
     """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`."""
-    pieces = [(int(a), int(b)) for a, b in whole.segments]
-    return replace(whole, **_cut(pieces, whole.name, whole.period, length, observation))
+    ranges = [(int(a), int(b)) for a, b in long.segments]
+    return replace(long, **_cut(ranges, long.name, long.period, length, observation))
 
 
 def _cut(
-    stretches: Sequence[tuple[int, int]],
+    ranges: Sequence[tuple[int, int]],
     name: str,
     period: float,
     length: float,
     observation: Observation,
 ) -> dict[str, Any]:
-    """Divide stretches about evenly, ``(K, 2)``, and give their starts; too short ones go.
+    """Divide ranges about evenly, ``(K, 2)``, with initial states; too short segments go.
 
-    Borders are put where the joint is fastest within a quarter of a piece of the even
-    ones: at rest, whether it moves off depends on its state in no way that could be
-    linearised.
+    Borders are where the joint is fastest within a quarter of a segment: at standstill, breakaway
+    cannot be linearised in the state.
     """
     pieces: list[tuple[int, int]] = []
     speed = observation.qd
-    for a, b in stretches:
+    for a, b in ranges:
         if length < _LEAST_SAMPLES * period:
             break
         parts = max(1, round((b - a) * period / length)) if np.isfinite(length) else 1
         borders = np.linspace(a, b, parts + 1).round().astype(int)
-        # no piece may get so short that it would be dropped
+        # no segment may become too short
         reach = min((b - a) // (4 * parts), max(((b - a) // parts - _LEAST_SAMPLES - 1) // 2, 0))
         for i in range(1, parts):
             near = np.abs(speed[borders[i] - reach : borders[i] + reach + 1])
@@ -117,7 +107,7 @@ def _cut(
     if not pieces:
         raise BadInput(
             f"recording '{name}', segment",
-            f"has no stretch of {_LEAST_SAMPLES} samples to simulate",
+            f"has no run of {_LEAST_SAMPLES} samples to simulate",
             f"give at least {_LEAST_SAMPLES * period:.3g} s, exclude less, or record longer",
         )
     segments = np.array(pieces, dtype=np.int64)

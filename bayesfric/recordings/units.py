@@ -1,4 +1,4 @@
-"""Units: every measured number becomes SI here, and nowhere else."""
+"""Conversion of units to SI."""
 
 from __future__ import annotations
 
@@ -36,43 +36,43 @@ Kind = Literal[
 ]
 
 
-class _Told(NamedTuple):
-    """The SI unit of a kind, and how to tell a user about it."""
+class _Kind(NamedTuple):
+    """The SI unit of a kind of quantity, and an example for messages."""
 
     unit: str
     example: str
 
 
-_KINDS: dict[Kind, _Told] = {
-    "time": _Told("s", "a time like 's' or '5 ms'"),
-    "angle": _Told("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
-    "length": _Told("m", "a length like 'm' or '2.5 mm'"),
-    "angular_speed": _Told("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
-    "speed": _Told("m/s", "a speed like 'm/s' or 'mm/s'"),
-    "torque": _Told("N m", "a torque like 'N m' or '9.84e-5 N m'"),
-    "force": _Told("N", "a force like 'N'"),
-    "current": _Told("A", "a current like 'A' or 'mA'"),
-    "voltage": _Told("V", "a voltage like 'V' or 'V/885'"),
-    "resistance": _Told("ohm", "a resistance like '3.4 ohm'"),
-    "frequency": _Told("Hz", "a frequency like '100 Hz'"),
-    "mass": _Told("kg", "a mass like '2 kg'"),
-    "torque_constant": _Told("N m/A", "a torque constant like '0.32 N m/A'"),
-    "force_constant": _Told("N/A", "a force constant like '35 N/A'"),
-    "share": _Told("", "a plain number like '1' or '0.9'"),
+_KINDS: dict[Kind, _Kind] = {
+    "time": _Kind("s", "a time like 's' or '5 ms'"),
+    "angle": _Kind("rad", "an angle like 'rad', 'deg' or 'turn/4096'"),
+    "length": _Kind("m", "a length like 'm' or '2.5 mm'"),
+    "angular_speed": _Kind("rad/s", "an angular speed like 'rad/s', 'deg/s' or 'rpm'"),
+    "speed": _Kind("m/s", "a speed like 'm/s' or 'mm/s'"),
+    "torque": _Kind("N m", "a torque like 'N m' or '9.84e-5 N m'"),
+    "force": _Kind("N", "a force like 'N'"),
+    "current": _Kind("A", "a current like 'A' or 'mA'"),
+    "voltage": _Kind("V", "a voltage like 'V' or 'V/885'"),
+    "resistance": _Kind("ohm", "a resistance like '3.4 ohm'"),
+    "frequency": _Kind("Hz", "a frequency like '100 Hz'"),
+    "mass": _Kind("kg", "a mass like '2 kg'"),
+    "torque_constant": _Kind("N m/A", "a torque constant like '0.32 N m/A'"),
+    "force_constant": _Kind("N/A", "a force constant like '35 N/A'"),
+    "share": _Kind("", "a plain number like '1' or '0.9'"),
 }
 
-# What a joint that slides has in place of what one that turns has.
+# Kinds of a sliding joint in place of those of a turning one.
 _SLIDING: dict[Kind, Kind] = {"angle": "length", "angular_speed": "speed", "torque": "force"}
 
 # pint reads "Nm" as a number times a metre; everybody else means newton metre
 _NEWTON_METRE = re.compile(r"(?<![A-Za-zµμ])([mkMcuµμ]?)N-?m(?![A-Za-z])")
-# What ``bayesfric init --from`` writes for what a log does not tell.
+# Written by ``bayesfric init --from`` for what a log does not give.
 OPEN = "?"
 
 
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
-    # pint takes half a second to set up, so only who converts pays for it
+    # pint takes half a second to set up
     import pint
 
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry()
@@ -100,7 +100,7 @@ def _base(text: str) -> tuple[float, dict[str, float]]:
 
 
 def known(text: str) -> str:
-    """Refuse what a configuration made of a log leaves open."""
+    """Refuse a unit that ``init --from`` left open."""
     if OPEN in text:
         raise Unfit("what is right", f"'{text}' was left open by init")
     return text
@@ -130,14 +130,14 @@ def scale(units: Sequence[str], kind: Kind, where: str = "unit") -> float:
     try:
         factor = product(units, [kind])
     except Unfit as error:
-        mend = f"{'give' if len(units) == 1 else 'their product has to be'} {error.wanted}"
+        hint = f"{'give' if len(units) == 1 else 'their product has to be'} {error.wanted}"
         with suppress(ValueError):
             if kind == "angle" and not any(_base(text)[1] for text in units):
-                mend = "an angle needs its unit: write 'turn/4096', not '1/4096'"
-        raise BadInput(where, str(error), mend) from error
+                hint = "an angle needs its unit: write 'turn/4096', not '1/4096'"
+        raise BadInput(where, str(error), hint) from error
     if not factor > 0:
-        what = f"{_listed(units)} is {factor:g}, not positive"
-        raise BadInput(where, what, "give a positive value; use sign = -1")
+        problem = f"{_listed(units)} is {factor:g}, not positive"
+        raise BadInput(where, problem, "give a positive value; use sign = -1")
     return factor
 
 
@@ -151,11 +151,11 @@ def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
     powers = Counter[str]()
     for text in texts:
         try:
-            part, found = _base(text)
+            part, unit_powers = _base(text)
         except ValueError as error:
             raise Unfit(expected, str(error)) from error
         factor *= part
-        powers.update(found)
+        powers.update(unit_powers)
     if any(_of(powers, kind) for kind in kinds):
         return factor
     got = f"got {_listed(texts)}"
@@ -167,9 +167,9 @@ def product(texts: Sequence[str], kinds: Sequence[Kind]) -> float:
 def _of(powers: Counter[str], kind: Kind) -> bool:
     """Whether powers of base units are those of a kind."""
     # a torque constant is also quoted as its reciprocal speed constant, V s/rad
-    beside = {"radian"} if kind == "torque_constant" else set[str]()
-    seen = {name: power for name, power in powers.items() if power and name not in beside}
-    return seen == _base(_KINDS[kind].unit)[1]
+    ignored = {"radian"} if kind == "torque_constant" else set[str]()
+    dimension = {name: power for name, power in powers.items() if power and name not in ignored}
+    return dimension == _base(_KINDS[kind].unit)[1]
 
 
 def si(kind: Kind) -> str:

@@ -23,9 +23,8 @@ from bayesfric.problem.config import Config, parse_config, read_document, read_t
 from bayesfric.problem.config_text import config_of, document_text, recording_table
 from bayesfric.problem.problem import Problem
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Law, Measurement
 from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.recording import Recording

@@ -21,8 +21,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.forward import Motion, simulate
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.drive_law import Law
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs, Law
 
 Array = NDArray[np.float64]
 

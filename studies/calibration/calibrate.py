@@ -43,7 +43,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import parse_config
-from bayesfric.recordings.drive_law import Law
+from bayesfric.recordings.measurement import Law
 
 Array = NDArray[np.float64]
 

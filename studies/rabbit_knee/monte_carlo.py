@@ -34,10 +34,9 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings import Processing
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.recordings.observation import Observation, observe
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import trajectory
 
 HERE = Path(__file__).resolve().parent

@@ -16,7 +16,7 @@ import numpy as np
 
 import bayesfric as bf
 from bayesfric.mechanism.closed_loop import follow
-from bayesfric.recordings.drive_law import Law
+from bayesfric.recordings.measurement import Law
 
 RATE, SECONDS, KP, KD = 250.0, 12.0, 4.0, 0.05
 N = int(RATE * SECONDS)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings import Processing, Recording, Source
 from bayesfric.recordings.read import read_recordings
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Processing, Source
 
 from .bench import cases, has
 from .test_identify import AXIS

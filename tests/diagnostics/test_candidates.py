@@ -12,7 +12,7 @@ from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.scans import TARGET_DELAY, late
 from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
 from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 from bayesfric.recordings.timing import FAR_DELAYS
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording

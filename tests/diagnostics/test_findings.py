@@ -16,7 +16,7 @@ from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
 from bayesfric.diagnostics.regression import Step
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import ParallelFilter
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import axis

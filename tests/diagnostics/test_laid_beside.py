@@ -14,8 +14,8 @@ from bayesfric.diagnostics.scans import late
 from bayesfric.diagnostics.twins import NoTwin
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps
-from bayesfric.recordings.inputs import Inputs
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.measurement import Inputs
+from bayesfric.recordings.source import Processing
 from tests.axis import AXIS, VALUES, swing
 from tests.conftest import made_observation, made_recording
 

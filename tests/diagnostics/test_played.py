@@ -11,8 +11,8 @@ from bayesfric.diagnostics import twins as made_by
 from bayesfric.diagnostics.twins import _seen, _sensed, played, settled_as, twins
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows
-from bayesfric.recordings.inputs import Inputs, Signal
-from bayesfric.recordings.processing import Processing
+from bayesfric.recordings.measurement import Inputs, Signal
+from bayesfric.recordings.source import Processing
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 

@@ -23,7 +23,7 @@ from bayesfric.diagnostics.statistics import (
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.recordings.filters import ParallelFilter
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from tests.axis import AXIS, VALUES, swing
 from tests.conftest import made_observation
 from tests.diagnostics.bench import dense_covariance, laid_out

@@ -9,7 +9,7 @@ import bayesfric as bf
 from bayesfric.diagnostics.twins import settled_as, twins
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.inputs import Signal
+from bayesfric.recordings.measurement import Signal
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.resolution import finest_step
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model

@@ -15,7 +15,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.drive_law import Law
+from bayesfric.recordings.measurement import Law
 from tests.axis import AXIS, VALUES, recording_of
 
 RATE, FINE = 500.0, 20

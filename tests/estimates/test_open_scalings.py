@@ -9,7 +9,7 @@ from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()

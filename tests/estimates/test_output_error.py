@@ -15,7 +15,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from tests.estimates.simulated import excite, move, prepare
 
 # torque that moves each joint well, s of it

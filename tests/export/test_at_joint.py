@@ -23,7 +23,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.inputs import AT_ROOM, Inputs
+from bayesfric.recordings.measurement import AT_ROOM, Inputs
 
 from .made import found, made, numbers, preset
 

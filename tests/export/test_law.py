@@ -20,7 +20,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.recordings.inputs import AT_ROOM
+from bayesfric.recordings.measurement import AT_ROOM
 
 from ..mechanism.joints import EVERYTHING, everything
 from ..report.conftest import EVERYTHING as OTHERS

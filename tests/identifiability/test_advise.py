@@ -26,9 +26,9 @@ from bayesfric.mechanism.element import Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings import Processing
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 from tests.identifiability.bench import AXIS, CHAIN, KNEE, PERIOD, VALUES, problem
 

@@ -17,9 +17,8 @@ from bayesfric.identifiability.open_directions import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
-from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import lay_windows, parallel_taps
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs, Law
 from tests.conftest import made_observation, made_recording
 from tests.identifiability.bench import AXIS, CHAIN, KNEE, PERIOD, VALUES, problem
 

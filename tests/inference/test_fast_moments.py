@@ -15,7 +15,7 @@ from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.inputs import Signal
+from bayesfric.recordings.measurement import Signal
 
 from .test_residual_moments import with_gaps
 

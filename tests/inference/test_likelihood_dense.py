@@ -16,7 +16,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.recordings.filters import lay_windows, parallel_taps
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.moving import Rest
 from bayesfric.recordings.trajectory import Trajectory
 from tests.axis import AXIS, VALUES

@@ -14,7 +14,7 @@ from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.trajectory import Trajectory
 
 KNEE = PRESETS["rabbit-knee"]

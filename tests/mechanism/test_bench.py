@@ -9,7 +9,7 @@ from bayesfric.mechanism import excitation
 from bayesfric.mechanism.experiment import Simulation, measure, record
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from tests.mechanism.joints import GEARED, KNEE, LIGHT
 
 EXACT = {"encoder_counts": 0, "torque_noise": 0.0, "lag": 0.0, "parameters": LIGHT}

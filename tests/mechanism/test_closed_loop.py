@@ -11,7 +11,7 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.drive_law import Law
+from bayesfric.recordings.measurement import Law
 from tests.mechanism.joints import EVERYTHING, GEARED, KNEE, LIGHT, everything
 
 PERIOD = 0.004

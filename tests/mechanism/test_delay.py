@@ -9,7 +9,7 @@ from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import derivative, later
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 from tests import axis
 
 PERIOD = 1e-3

@@ -15,7 +15,7 @@ from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from tests.mechanism.joints import EVERYTHING, KNEE, axis, carried_to_motor, everything, signal
 
 

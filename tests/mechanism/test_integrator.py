@@ -7,7 +7,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, square
 from bayesfric.mechanism.forward import simulate, simulate_segments
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from tests.mechanism.joints import EVERYTHING, KNEE, axis, everything, signal
 
 

@@ -11,7 +11,7 @@ from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 
 positive = st.floats(1e-3, 10.0)
 

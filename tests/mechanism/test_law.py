@@ -10,7 +10,7 @@ from bayesfric.mechanism import kernels
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.law import Statements, Unwritten, formula_of
 from bayesfric.mechanism.quantities import CYCLES, QUANTITIES, State
-from bayesfric.recordings.inputs import AT_ROOM
+from bayesfric.recordings.measurement import AT_ROOM
 
 from ..report.conftest import EVERYTHING
 from .joints import everything

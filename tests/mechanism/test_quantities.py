@@ -33,7 +33,7 @@ from bayesfric.mechanism.quantities import (
     State,
 )
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 
 PLACES = ("motor", "gearbox", "joint", "load")
 SHORT = 1e-9

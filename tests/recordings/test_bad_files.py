@@ -3,7 +3,7 @@
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Position, Processing, Torque
+from bayesfric.recordings.source import Position, Processing, Torque
 from bayesfric.recordings.tables import read_table
 
 from .samples import has, lines, numbered, read, refused, source, write

@@ -10,7 +10,8 @@ import pytest
 from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Position, units
+from bayesfric.recordings import units
+from bayesfric.recordings.source import Position
 from bayesfric.recordings.tables import read_table, sha256
 from tests.recordings import file_formats
 

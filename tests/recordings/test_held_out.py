@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 
 PROCESSING = Processing(lowpass=20.0, decimate=5)

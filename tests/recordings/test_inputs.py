@@ -8,7 +8,7 @@ import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.inputs import Inputs, Signal
+from bayesfric.recordings.measurement import Inputs, Signal
 from tests.axis import swing
 from tests.recordings.samples import measured
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings import Recording, Source
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Source
 from bayesfric.recordings.tables import read_table, sha256
 from bayesfric.recordings.tables.reader import TableOptions
 from tests.recordings import logs

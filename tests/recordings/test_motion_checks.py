@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesfric.recordings import Position, Processing, Torque, Velocity, observe
 from bayesfric.recordings.checks import clipped, feedback, speed_delay, unwrapped
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Position, Processing, Torque, Velocity
 from tests.conftest import made_recording
 from tests.recordings.samples import has, read, refused, source, write
 

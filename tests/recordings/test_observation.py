@@ -9,7 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Processing, observe
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 
 W = 2 * np.pi * 0.5

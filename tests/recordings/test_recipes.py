@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings import Recording, Source
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Source
 from tests.conftest import REPOSITORY
 from tests.recordings.samples import measured
 

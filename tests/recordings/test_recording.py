@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Channel, Processing, Recording, Source, Torque, observe
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Channel, Processing, Source, Torque
 
 from .samples import has, lines, measured, source, swing, write
 

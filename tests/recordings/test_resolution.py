@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings import Processing, observe
+from bayesfric.recordings.observation import observe
 from bayesfric.recordings.resolution import WIDEST, finest_step, resolve
+from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
 
 FS, N = 500.0, 10_000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings.moving import at_rest, rests
+from bayesfric.recordings.moving import standstill_outputs, standstill_samples
 
 STEP = 2.0 * np.pi / 4096
 
@@ -17,7 +17,7 @@ def test_a_plateau_is_a_rest_and_a_ramp_is_none():
     position = counts(
         np.concatenate([np.linspace(0, 1, 200), np.full(50, 1.0), np.linspace(1, 2, 200)])
     )
-    flags = at_rest(position, ((0, 450),), 20)
+    flags = standstill_samples(position, ((0, 450),), 20)
     assert flags[200:250].all()
     # one step of the ramp on either side is not told from it
     assert not flags[:198].any()
@@ -27,8 +27,8 @@ def test_a_plateau_is_a_rest_and_a_ramp_is_none():
 def test_an_encoder_that_flickers_by_one_step_is_at_rest_and_by_two_is_not():
     rng = np.random.default_rng(1)
     one, two = (STEP * rng.integers(0, n + 1, 100) for n in (1, 2))
-    assert at_rest(one, ((0, 100),), 20).all()
-    assert not at_rest(two, ((0, 100),), 20).any()
+    assert standstill_samples(one, ((0, 100),), 20).all()
+    assert not standstill_samples(two, ((0, 100),), 20).any()
 
 
 def test_a_resampled_position_keeps_its_rests():
@@ -36,14 +36,14 @@ def test_a_resampled_position_keeps_its_rests():
     time = np.arange(400) * 0.01
     position = counts(np.where(time < 2.0, time, 2.0))
     uneven = np.sort(np.random.default_rng(2).uniform(0.0, 3.99, 500))
-    flags = at_rest(np.interp(uneven, time, position), ((0, 500),), 20)
+    flags = standstill_samples(np.interp(uneven, time, position), ((0, 500),), 20)
     assert flags[uneven > 2.02].all()
     assert not flags[uneven < 1.95].any()
 
 
 def test_rests_of_different_segments_do_not_meet():
     position = np.zeros(60)
-    assert not at_rest(position, ((0, 15), (15, 30), (30, 60)), 20)[:30].any()
+    assert not standstill_samples(position, ((0, 15), (15, 30), (30, 60)), 20)[:30].any()
 
 
 def test_windows_lie_inside_and_keep_off_the_ends():
@@ -51,12 +51,12 @@ def test_windows_lie_inside_and_keep_off_the_ends():
     still[50:150] = True
     taps = np.full(11, 1 / 11)
     ramp = np.arange(200.0)
-    found = rests(np.zeros(200), ramp, ramp, taps, ((0, 200),), 3, still, 20)
+    found = standstill_outputs(np.zeros(200), ramp, ramp, taps, ((0, 200),), 3, still, 20)
     assert found.torque == pytest.approx(found.stamps)
     assert found.stamps.min() >= 50 + 20 + 5
     assert found.stamps.max() <= 149 - 20 - 5
     assert np.diff(found.stamps) == pytest.approx(3.0)
-    assert rests(np.zeros(200), ramp, ramp, taps, ((0, 200),), 3, still, 46) is None
+    assert standstill_outputs(np.zeros(200), ramp, ramp, taps, ((0, 200),), 3, still, 46) is None
 
 
 def stop_and_go():

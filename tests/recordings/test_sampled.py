@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings import Recording, Torque
+from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Torque
 
 from .samples import measured, source, write
 

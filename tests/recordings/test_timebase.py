@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Channel, Current, Position, Processing, Torque, Velocity, Voltage
 from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import (
+    Channel,
+    Current,
+    Position,
+    Processing,
+    Torque,
+    Velocity,
+    Voltage,
+)
 
 from .samples import read, source, swing
 

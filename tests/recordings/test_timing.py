@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Processing
-from bayesfric.recordings.acting import aimed, commanded
-from bayesfric.recordings.drive_law import Law
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.observation import observe
+from bayesfric.recordings.measurement import Law
+from bayesfric.recordings.observation import observe, target_torque, unlimited_command
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timing import retimed, timed
 from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
@@ -121,7 +120,7 @@ def test_a_late_target_moves_the_target_alone(delay, held):
     late = delay + 0.5 * PERIOD * held
     sinc = np.sinc(2.0 * PERIOD) if held else 1.0
     expected = 0.5 * (KP * 1.2 * sinc * wave(TIME - late) - r.feedback)
-    assert commanded(r, delay)[20:-20] == pytest.approx(expected[20:-20], abs=1e-6)
+    assert target_torque(r, delay)[20:-20] == pytest.approx(expected[20:-20], abs=1e-6)
 
 
 def test_the_rate_of_a_late_target_is_the_derivative_by_its_delay():
@@ -129,8 +128,8 @@ def test_the_rate_of_a_late_target_is_the_derivative_by_its_delay():
     r, step = by_target(lambda t: 1.2 * wave(t), limit=LIMIT), 1e-5
     o = observe(r, Processing(lowpass=0.0, decimate=1))
     rate = retimed(o, r.segments, PERIOD, 0.01, r).inputs.torque_rate.values
-    slope = (commanded(r, 0.01 - step) - commanded(r, 0.01 + step)) / (2.0 * step)
-    inside = np.abs(np.abs(aimed(r, 0.01)) - LIMIT) > 0.01
+    slope = (target_torque(r, 0.01 - step) - target_torque(r, 0.01 + step)) / (2.0 * step)
+    inside = np.abs(np.abs(unlimited_command(r, 0.01)) - LIMIT) > 0.01
     inside[:20] = inside[-20:] = False
     assert (rate[inside] == 0.0).mean() > 0.1
     assert rate[inside] == pytest.approx(slope[inside], abs=2e-3 * np.abs(slope).max())
@@ -138,5 +137,5 @@ def test_the_rate_of_a_late_target_is_the_derivative_by_its_delay():
 
 def test_a_target_that_is_not_late_gives_the_torque_that_was_computed():
     r = by_target(lambda t: 1.2 * wave(t), limit=LIMIT)
-    np.testing.assert_allclose(commanded(r), r.torque, atol=1e-12)
+    np.testing.assert_allclose(target_torque(r), r.torque, atol=1e-12)
     np.testing.assert_allclose(observe(r, Processing()).torque, r.torque, atol=1e-12)

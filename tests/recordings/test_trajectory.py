@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings import Processing
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import divided, trajectory
 from tests.conftest import made_recording
 
@@ -59,7 +59,7 @@ def test_gaps_and_excluded_samples_are_never_simulated_over():
 def test_pieces_of_a_few_samples_are_left_out():
     t = cut(made(excluded=((15, 20),)), np.inf)
     assert t.segments.tolist() == [[20, 1000]]
-    with pytest.raises(BadInput, match="no stretch of 20 samples"):
+    with pytest.raises(BadInput, match="recording 'made-up', segment"):
         cut(made(), 0.1)
 
 
@@ -79,14 +79,14 @@ def test_divided_is_what_trajectory_makes():
     again, direct = divided(whole, observation, 1.0), trajectory(recording, observation, 1.0)
     assert np.array_equal(again.segments, direct.segments)
     assert np.array_equal(again.qd0, direct.qd0)
-    with pytest.raises(BadInput, match="segment: has no stretch of 20 samples"):
+    with pytest.raises(BadInput, match="segment: "):
         divided(whole, observation, 0.05)
 
 
 @pytest.mark.parametrize("length", [0.21, 0.25, 0.3, 1e-9])
 def test_short_segments_lose_no_samples_or_are_refused(length):
     if length < 0.2:
-        with pytest.raises(BadInput, match="no stretch"):
+        with pytest.raises(BadInput, match="recording 'made-up', segment"):
             cut(made(), length)
         return
     t = cut(made(), length)

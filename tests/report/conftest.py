@@ -13,8 +13,8 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings import Processing
 from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
 from bayesfric.report import run_directory
 from bayesfric.report.summary.summary import summarise
 from tests.conftest import made_recording

@@ -114,7 +114,7 @@ def test_a_total_by_a_parameters_name_is_not_held_against_it_where_losses_bend_i
     cell = found["motor.viscous"].cells["least-squares"]
     assert cell.value == total["value"]
     assert (cell.disagreement is None) == bent
-    assert ("load losses" in cell.remark) == bent
+    assert ("load-dependent friction" in cell.remark) == bent
     assert ("motor.viscous" in found.contested) != bent
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings import Processing
+from bayesfric.recordings.source import Processing
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.residual import residual_figure

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 import bayesfric.report.figures.prediction as module
-from bayesfric.recordings import Processing
+from bayesfric.recordings.source import Processing
 from bayesfric.report.figures.prediction import prediction_figure, predictive
 from bayesfric.report.figures.style import save
 

@@ -9,8 +9,8 @@ import pytest
 from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings import Processing
 from bayesfric.recordings.held_out import Validation, divide
+from bayesfric.recordings.source import Processing
 from bayesfric.report.summary.validation_part import share_of, validation_record
 
 from .conftest import NOISE, recording

@@ -14,7 +14,7 @@ from bayesfric.fit.finished_run import finished
 from bayesfric.fit.result import result_of
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.recordings.drive_law import Law
+from bayesfric.recordings.measurement import Law
 from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.summary.rows import rollout_part
 from bayesfric.rollouts.rollout import (

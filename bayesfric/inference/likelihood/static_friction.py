@@ -16,7 +16,7 @@ import numpy as np
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.inputs import Inputs
+from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.moving import Rest
 
 # A speed beside which every other speed of the model is large, rad/s or m/s.

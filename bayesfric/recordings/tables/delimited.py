@@ -1,8 +1,8 @@
-"""Reading delimited text: CSV, TSV, and what recorders make of them.
+"""Read delimited text: CSV, TSV and their variants.
 
-Promised, as pandas' own sniffing does not: a wrong encoding, a decimal comma, rows of another width
-than the header or the others, quoted cells over several lines and doubled names are refused with
-their line; lines above the table and a row of units are skipped and told.
+Unlike pandas' sniffing it refuses a wrong encoding, a decimal comma, rows of another width, quoted
+cells over several lines and repeated names with their line; lines above the table and a row of
+units are skipped, which is reported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.recordings.tables.reader import Reader, TableOptions, read_text
 from bayesfric.recordings.tables.table import Table, check_names, column_cells, is_number, row_name
 
-# Lines that tell the layout.
+# Lines from which the layout is detected.
 _HEAD = 400
 _CANDIDATES = (",", ";", "\t", "|", "whitespace")
 _NO_TABLE = "check delimiter, decimal and skip_rows, or whether this is a text table at all"
@@ -53,8 +53,8 @@ def read_delimited(path: Path, options: TableOptions) -> Table:
     width = _width([row.numbers for row in rows])
     header, first = _find_header(path, rows, width)
     if first >= len(rows):
-        what = "holds a header but no row of numbers"
-        raise BadInput(str(path), what, "check the recorder's export")
+        problem = "holds a header but no row of numbers"
+        raise BadInput(str(path), problem, "check the recorder's export")
     top = rows[first if header is None else header]
     names, units, notes = [""] * width, list[str](), list[str]()
     if header is not None:
@@ -93,7 +93,7 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _delimiter(path: Path, lines: Sequence[str], options: TableOptions) -> str:
-    """Find what makes most cells numbers; what ``options`` say is not guessed."""
+    """Return the given delimiter, or the one with which most cells are numbers."""
     if options.delimiter:
         return {"tab": "\t", " ": "whitespace"}.get(options.delimiter, options.delimiter)
 
@@ -105,10 +105,10 @@ def _delimiter(path: Path, lines: Sequence[str], options: TableOptions) -> str:
     def best(decimal: str) -> str:
         return max((c for c in _CANDIDATES if c != decimal), key=lambda c: numbers(c, decimal))
 
-    found = best(options.decimal)
-    if options.decimal == "." and numbers(best(","), ",") > numbers(found, "."):
+    delimiter = best(options.decimal)
+    if options.decimal == "." and numbers(best(","), ",") > numbers(delimiter, "."):
         raise BadInput(str(path), "its numbers have a decimal comma", 'set decimal = ","')
-    return found
+    return delimiter
 
 
 def _find_header(path: Path, rows: Sequence[_Row], width: int) -> tuple[int | None, int]:
@@ -117,9 +117,9 @@ def _find_header(path: Path, rows: Sequence[_Row], width: int) -> tuple[int | No
     fitting = (n for n, row in enumerate(rows) if like[n] and 2 * sum(row.numbers) >= width > 0)
     first = next(fitting, -1)
     if first < 0 and len(rows) > 2:
-        what = f"no cell is a number ('{rows[-1].cells[0][:40]}')" if width == 0 else ""
-        what = what or "in no row is half of the cells numbers"
-        raise BadInput(f"{path}, line {rows[-1].line}", what, _NO_TABLE)
+        problem = f"no cell is a number ('{rows[-1].cells[0][:40]}')" if width == 0 else ""
+        problem = problem or "in no row is half of the cells numbers"
+        raise BadInput(f"{path}, line {rows[-1].line}", problem, _NO_TABLE)
     if first <= 0:
         return (None, 0) if first == 0 else (0, len(rows))
     while first > 0 and like[first - 1] and any(rows[first - 1].numbers):
@@ -128,9 +128,9 @@ def _find_header(path: Path, rows: Sequence[_Row], width: int) -> tuple[int | No
     if above is None:
         return None, first
     if not like[first - 1] and any(above.numbers):
-        # it can only be data that would be lost unseen
-        what = f"has {len(above.cells)} cells, the rows below have {width}"
-        raise BadInput(f"{path}, line {above.line}", what, _NOT_OF_IT)
+        # data that would be lost silently
+        problem = f"has {len(above.cells)} cells, the rows below have {width}"
+        raise BadInput(f"{path}, line {above.line}", problem, _NOT_OF_IT)
     if not like[first - 1]:
         return None, first
     two = first > 1 and like[first - 2] and not any(rows[first - 2].numbers)
@@ -166,16 +166,16 @@ def _parse(
         )
     except (pd.errors.ParserError, ValueError) as error:
         _refuse_ragged(path, body, delimiter, width, lines)
-        what = f"is not readable as CSV ({error})"
-        raise BadInput(str(path), what, "check its rows and quotes") from error
+        problem = f"is not readable as CSV ({error})"
+        raise BadInput(str(path), problem, "check its rows and quotes") from error
     last = frame.iloc[:, -1]
     suspicious = last.dtype.kind not in "biuf" and bool((last.isna() | (last == "")).any())
     if suspicious or frame.shape != (len(lines), width):
         _refuse_ragged(path, body, delimiter, width, lines)
     if frame.shape != (len(lines), width):
-        what = f"has {len(lines)} lines of {width} cells, read as {frame.shape[0]} rows of "
-        what += f"{frame.shape[1]}"
-        raise BadInput(str(path), what, "close the quotes, or give its delimiter")
+        problem = f"has {len(lines)} lines of {width} cells, read as {frame.shape[0]} rows of "
+        problem += f"{frame.shape[1]}"
+        raise BadInput(str(path), problem, "close the quotes, or give its delimiter")
     return [column_cells(frame.iloc[:, i]) for i in range(width)]
 
 

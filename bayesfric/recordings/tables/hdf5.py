@@ -1,4 +1,4 @@
-"""Reading HDF5 and MATLAB files, of which 7.3 are HDF5 of MATLAB's own making."""
+"""Read HDF5 and MATLAB files; MATLAB 7.3 is HDF5."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _NO_NUMBERS = (b"char", b"cell", b"function_handle")
 def read_hdf5(path: Path, options: TableOptions) -> Table:
     """Read a file, one column a dataset, named by its path below the group that is the table.
 
-    ``options.table`` is the path of that group; if left out the only group that holds datasets,
-    else all of the file. No link is followed, to another file least of all.
+    Without ``options.table``, its path, the only group with datasets, else the whole file. No link
+    is followed.
     """
     return _read(path, options.table or "", matlab=False)
 
@@ -32,21 +32,21 @@ def _read(path: Path, table: str, matlab: bool) -> Table:
     # h5py takes long to import, which only reading HDF5 should cost
     import h5py
 
-    found: list[str] = []
+    datasets: list[str] = []
 
     def visit(name: str, item: Any) -> None:
-        # what begins with # MATLAB keeps for itself
+        # MATLAB's internal datasets begin with #
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-            found.append(name)
+            datasets.append(name)
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
-    if not found:
+    if not datasets:
         raise BadInput(str(path), "holds no datasets of numbers", "check the export")
-    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in found))
+    groups = list(dict.fromkeys(name.rpartition("/")[0] for name in datasets))
     table = table.strip("/") or (groups[0] if len(groups) == 1 else "")
     prefix = f"{table}/" if table else ""
-    columns = [name for name in found if name.startswith(prefix)]
+    columns = [name for name in datasets if name.startswith(prefix)]
     if not columns:
         known = ", ".join(f"'{name}'" for name in groups[:20] if name)
         raise BadInput(
@@ -73,8 +73,8 @@ def _values(dataset: Any, where: str, matlab: bool) -> NDArray[Any]:
     try:
         values = read_array(dataset)
     except ValueError as error:
-        mend = "save the recording's values alone, one row a sample, in one file"
-        raise BadInput(where, f"holds {error}", mend) from None
+        hint = "save the recording's values alone, one row a sample, in one file"
+        raise BadInput(where, f"holds {error}", hint) from None
     # MATLAB stores arrays transposed, and knows no vectors
     return np.squeeze(values.T if matlab else values)
 
@@ -83,10 +83,9 @@ _HDF5_AT = 512
 
 
 def read_matlab(path: Path, options: TableOptions) -> Table:
-    """Read a file, one column a vector of any orientation; of version 7.3 it is HDF5.
+    """Read a file, one column a vector; ``options.table`` is a dotted path of structs.
 
-    ``options.table`` is a dotted path of structs.
-    Objects and functions beside the columns, which only MATLAB can read, are left out and told.
+    Objects and functions, which only MATLAB can read, are left out, which is reported.
     """
     with path.open("rb") as file:
         start = file.read(_HDF5_AT + 4)
@@ -98,16 +97,16 @@ def read_matlab(path: Path, options: TableOptions) -> Table:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
         content = loadmat(path, simplify_cells=True)
-    given = {key: value for key, value in content.items() if not key.startswith("__")}
+    contents = {key: value for key, value in content.items() if not key.startswith("__")}
     kinds = (MatlabFunction, MatlabOpaque)
-    variables = {key: value for key, value in given.items() if not isinstance(value, kinds)}
-    objects = ", ".join(key for key in given if key not in variables)
+    variables = {key: value for key, value in contents.items() if not isinstance(value, kinds)}
+    objects = ", ".join(key for key in contents if key not in variables)
     variables = inside(str(path), variables, options.table)
     if not isinstance(variables, dict):
         raise BadInput(f"{path}, table '{options.table}'", "is no struct", "name a struct")
     if not variables:
-        what = "holds only objects and functions" if given else "holds no variables"
-        raise BadInput(str(path), what, "save the columns as plain arrays")
+        problem = "holds only objects and functions" if contents else "holds no variables"
+        raise BadInput(str(path), problem, "save the columns as plain arrays")
     values = list(variables.values())
     return Table(
         str(path),

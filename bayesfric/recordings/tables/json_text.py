@@ -1,4 +1,4 @@
-"""Reading JSON: rows of objects, or an object of lists; and JSON lines, an object a line."""
+"""Read JSON: rows of objects, or an object of lists; and JSON lines, an object a line."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from bayesfric.recordings.tables.table import Table, row_name
 def read_json(path: Path, options: TableOptions) -> Table:
     """Read a list of objects, or an object of lists; one column a key.
 
-    Either lies at the path of keys that ``options.table`` gives, or is the file's own, or the
-    only list of objects in it. True and false become 1 and 0.
+    It is at the path ``options.table``, at the top, or the only list of objects in the file.
     """
     data = inside(str(path), parse(str(path), read_text(path)), options.table)
     if options.table is None and isinstance(data, dict):
         rows = [key for key, value in data.items() if _is_rows(value)]
         if len(rows) > 1:
-            what = f"holds several tables ({', '.join(repr(key) for key in rows[:20])})"
-            raise BadInput(str(path), what, "name one with table")
+            problem = f"holds several tables ({', '.join(repr(key) for key in rows[:20])})"
+            raise BadInput(str(path), problem, "name one with table")
         data = data[rows[0]] if rows else data
     if isinstance(data, list):
         return from_rows(path, data)
     if not isinstance(data, dict) or not any(isinstance(value, list) for value in data.values()):
-        what = "is neither a list of objects nor an object of lists"
-        raise BadInput(str(path), what, "give the dotted path to it with table")
+        problem = "is neither a list of objects nor an object of lists"
+        raise BadInput(str(path), problem, "give the dotted path to it with table")
     values = list(data.values())
 
     def load(index: int) -> NDArray[Any]:
@@ -47,9 +46,9 @@ def parse(where: str, text: str) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        why = f"{error.msg} in line {error.lineno}"
+        reason = f"{error.msg} in line {error.lineno}"
         raise BadInput(
-            where, f"is not valid JSON ({why})", "export it again, or cut it out"
+            where, f"is not valid JSON ({reason})", "export it again, or cut it out"
         ) from error
 
 
@@ -72,17 +71,17 @@ def _is_rows(value: Any) -> bool:
 
 
 def from_rows(path: Path, rows: list[Any], lines: Sequence[int] | None = None) -> Table:
-    """Make a table of objects, one a row; ``lines`` are those of the file that they stand in."""
+    """Make a table of objects, one a row, at some ``lines`` of the file."""
     if not rows:
         raise BadInput(str(path), "holds no rows", "check the recorder's export")
-    found: dict[str, None] = {}
+    keys: dict[str, None] = {}
     for index, row in enumerate(rows):
         if not isinstance(row, dict):
             raise BadInput(
                 f"{path}, {row_name(index, lines)}", "is no object", "give an object a row"
             )
-        found.update(dict.fromkeys(row))
-    names = list(found)
+        keys.update(dict.fromkeys(row))
+    names = list(keys)
 
     def load(index: int) -> NDArray[Any]:
         return np.array([row.get(names[index]) for row in rows], dtype=object)

@@ -1,4 +1,4 @@
-"""Reading one NumPy array: a structured one by its fields' names, a matrix by columns' numbers."""
+"""Read one NumPy array: a structured one by its fields' names, a matrix by columns' numbers."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def read_npy(path: Path, _: TableOptions) -> Table:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
     fields = array.dtype.names
     if array.ndim != (1 if fields else 2):
-        what = f"holds an array of shape {array.shape}"
-        raise BadInput(str(path), what, "save a structured array (n,), or numbers (n, columns)")
+        problem = f"holds an array of shape {array.shape}"
+        raise BadInput(str(path), problem, "save a structured array (n,), or numbers (n, columns)")
 
     def load(index: int) -> NDArray[Any]:
         column = array[fields[index]] if fields else array[:, index]

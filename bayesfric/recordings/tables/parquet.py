@@ -1,4 +1,4 @@
-"""Reading Parquet files and NumPy archives."""
+"""Read Parquet files and NumPy archives."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
         is_any = (pa.types.is_nested, pa.types.is_temporal, pa.types.is_binary)
         plain = kind.value_type if lists else kind
         if any(is_kind(plain) for is_kind in is_any):
-            what = f"holds {str(kind)[:60]}, not numbers"
-            raise BadInput(f"{path}, column '{names[index]}'", what, "export it as numbers")
+            problem = f"holds {str(kind)[:60]}, not numbers"
+            raise BadInput(f"{path}, column '{names[index]}'", problem, "export it as numbers")
         with pq.ParquetFile(path) as file:
             check_size(8 * _count(file.metadata, names[index]))
             # by name: a name with a dot also selects a field inside a table
@@ -49,11 +49,13 @@ def read_parquet(path: Path, _: TableOptions) -> Table:
     return Table(str(path), names, load, names_at="schema", by_rows=True)
 
 
-def _count(told: Any, name: str) -> int:
-    """Count a column's numbers by what a file tells of itself; few bytes may repeat for ever."""
-    groups = (told.row_group(k) for k in range(told.num_row_groups))
+def _count(metadata: Any, name: str) -> int:
+    """Count a column's numbers by the metadata: a small file may repeat a value forever."""
+    groups = (metadata.row_group(k) for k in range(metadata.num_row_groups))
     parts = (group.column(k) for group in groups for k in range(group.num_columns))
-    return sum(one.num_values for one in parts if f"{one.path_in_schema}.".startswith(f"{name}."))
+    return sum(
+        part.num_values for part in parts if f"{part.path_in_schema}.".startswith(f"{name}.")
+    )
 
 
 def _matrix(column: Any) -> NDArray[Any]:

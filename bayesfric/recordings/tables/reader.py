@@ -1,4 +1,4 @@
-"""Opening a file of any registered format as a table, and what a user may say of its layout."""
+"""Open a file of any registered format as a table, with the keys of its layout."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class TableOptions(Options):
 
     format: str | None = Field(
         None,
-        description="File format; found from the suffix if left out.",
+        description="File format; by the suffix if left out.",
         json_schema_extra=_name_formats,
     )
     delimiter: Literal[",", ";", ":", "|", " ", "\t", "tab", "whitespace"] | None = Field(
         None,
-        description="Text: the character between columns, or 'tab' or 'whitespace'; found by "
-        "itself if left out.",
+        description="Text: the character between columns, or 'tab' or 'whitespace'; detected "
+        "if left out.",
     )
     decimal: Literal[".", ","] = Field(".", description="Text: decimal mark.")
     skip_rows: int = Field(0, ge=0, description="Text: lines to skip at the beginning of the file.")
@@ -68,10 +68,7 @@ class TableOptions(Options):
 
 @dataclass(frozen=True)
 class Reader:
-    """A format of files: its name, its suffixes, and what reads it.
-
-    ``mark`` is the file that a folder holds which is read as one.
-    """
+    """A file format; ``mark`` is the file in a folder that is read as one recording."""
 
     name: str
     suffixes: tuple[str, ...]
@@ -81,31 +78,30 @@ class Reader:
 
 @cache
 def readers() -> dict[str, Reader]:
-    """Find the readers: what every module of this folder calls ``READERS``, by name."""
+    """Collect the ``READERS`` of every module of this folder, by name."""
     package = import_module("bayesfric.recordings.tables")
     names = (f"{package.__name__}.{m.name}" for m in pkgutil.iter_modules(package.__path__))
-    found = (one for name in names for one in getattr(import_module(name), "READERS", ()))
-    return {reader.name: reader for reader in found}
+    modules = (import_module(name) for name in names)
+    return {r.name: r for module in modules for r in getattr(module, "READERS", ())}
 
 
 def read_table(path: Path, options: TableOptions) -> Table:
-    """Open a recorded file; its columns are checked when asked for.
+    """Open a recorded file; its columns are checked when read.
 
-    The format goes by the suffix if ``options`` do not tell it. What is missing, not allowed, no
-    ordinary file, empty, of unknown format, or damaged is bad input.
+    The format goes by the suffix unless ``options`` give it.
     """
     known = readers()
-    by_suffix = {suffix: one for one in known.values() for suffix in one.suffixes}
-    by_folder = next((one for one in known.values() if _is_folder_of(one, path)), None)
+    by_suffix = {suffix: r for r in known.values() for suffix in r.suffixes}
+    by_folder = next((r for r in known.values() if _is_folder_of(r, path)), None)
     reader = known[options.format] if options.format else by_folder
     reader = reader or by_suffix.get(path.suffix.lower())
     if reader is None or not _is_folder_of(reader, path):
-        mend = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag"
-        if check_file(path, mend) == 0:
+        hint = "give a file, a pattern such as '*.csv', or the folder of a ROS 2 bag"
+        if check_file(path, hint) == 0:
             raise BadInput(str(path), "is empty", "check whether the recorder wrote anything")
     if reader is None:
-        what = f"the suffix '{path.suffix}' says nothing about its format"
-        raise BadInput(str(path), what, f"set format to {', '.join(known)}")
+        problem = f"the suffix '{path.suffix}' is of no known format"
+        raise BadInput(str(path), problem, f"set format to {', '.join(known)}")
     with _damage_named(path, reader.name):
         table = reader.read(path, options)
 
@@ -129,7 +125,7 @@ def read_text(path: Path) -> str:
 
 @contextmanager
 def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
-    """Name the file whatever a library raises: of damaged files they raise dozens of types."""
+    """Turn any error of a library into bad input: damaged files raise dozens of types."""
     try:
         yield
     except BadInput:
@@ -139,29 +135,26 @@ def _damage_named(path: Path, kind: str, where: str = "") -> Iterator[None]:
     except Exception as error:
         text = str(error).replace(f"{path}/", "")
         text = text if " object at 0x" not in text else "damaged header"
-        what = f"is not a readable {kind} file ({type(error).__name__}: {text})"
-        raise BadInput(where or str(path), what, "export it again; it may be cut off") from error
+        problem = f"is not a readable {kind} file ({type(error).__name__}: {text})"
+        raise BadInput(where or str(path), problem, "export it again; it may be cut off") from error
 
 
 def is_recording(path: Path) -> bool:
     """Whether something is a file, or a folder that is read as one."""
-    return path.is_file() or any(_is_folder_of(one, path) for one in readers().values())
+    return path.is_file() or any(_is_folder_of(r, path) for r in readers().values())
 
 
 def sha256(path: Path) -> str:
-    """Return a file's SHA-256 in hexadecimal, or raise ``BadInput`` if it cannot be read.
-
-    That of a folder is of the names and SHA-256 of its files, sorted by name.
-    """
+    """Return the SHA-256 of a file, or of the names and SHA-256 of a folder's sorted files."""
     try:
         if path.is_dir():
             digest = hashlib.sha256()
-            for one in sorted(path.iterdir(), key=lambda one: one.name):
-                if one.is_file():
-                    digest.update(f"{one.name}\0{sha256(one)}\n".encode())
+            for file in sorted(path.iterdir(), key=lambda file: file.name):
+                if file.is_file():
+                    digest.update(f"{file.name}\0{sha256(file)}\n".encode())
             return digest.hexdigest()
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise unreadable(path, error) from error
 

@@ -1,4 +1,4 @@
-"""Reading ROS 1 bags, ROS 2 bags and MCAP files, by the optional package rosbags."""
+"""Read ROS 1 bags, ROS 2 bags and MCAP files, by the optional package rosbags."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from bayesfric.base.errors import BadInput
 from bayesfric.recordings.tables.reader import Reader, TableOptions
 from bayesfric.recordings.tables.table import Table
 
-# Messages inside a message that are looked into.
-_MOST_PARTS = 200
-_DEEPEST = 20
+# Most parts of a list of messages that become columns.
+_MAX_PARTS = 200
+_MAX_DEPTH = 20
 _TIME, _DURATION = "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"
-# Where a message lists the joints that its other lists are about.
+# Fields that list the joints of a message.
 _JOINTS = ("name", "joint_names")
-# Units that a message's definition settles, by the beginning of a column's name.
+# Units by message definition, by the beginning of a column's name.
 _UNITS = {
     "sensor_msgs/msg/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
-# What every bag holds beside measurements.
-_TALK = {
+# Message types without measurements.
+_NOT_MEASURED = {
     "rcl_interfaces/msg/Log",
     "rcl_interfaces/msg/ParameterEvent",
     "rosbag2_interfaces/msg/WriteSplitEvent",
@@ -46,15 +46,14 @@ class _Column:
     name: str
     path: _Path
     is_time: bool = False
-    joint: str | None = None  # the signal of which joint, where the message lists them
+    joint: str | None = None  # whose signal it is, where the message lists joints
 
 
 def read_bag(path: Path, options: TableOptions) -> Table:
     """Read one topic, a row a message; ``options.table`` is the topic, if there are several.
 
-    Columns are fields by their path, as ``wrench.torque.z``, ``data[3]``, and of messages that
-    list joints their signals by name, as ``effort[knee]``, whatever order a message has them in.
-    ``received`` and stamps such as ``header.stamp`` are in s since the first message.
+    Columns are fields by path, as ``wrench.torque.z`` and ``data[3]``, and joints' signals by name,
+    as ``effort[knee]``. ``received`` and stamps are in s since the first message.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -89,9 +88,9 @@ def read_bag(path: Path, options: TableOptions) -> Table:
 
 
 def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Sequence[Any]]:
-    """Choose a topic: its name, its type, and what has published on it."""
-    topics = {name: found for name, found in reader.topics.items() if found.msgcount}
-    useful = [name for name, found in topics.items() if found.msgtype not in _TALK]
+    """Choose a topic: its name, its type and its connections."""
+    topics = {name: topic for name, topic in reader.topics.items() if topic.msgcount}
+    useful = [name for name, topic in topics.items() if topic.msgtype not in _NOT_MEASURED]
     if wanted is None and len(useful) == 1:
         wanted = useful[0]
     if wanted is None or wanted not in topics:
@@ -101,8 +100,8 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
             "there is no message on this topic" if wanted else "holds no one topic with numbers",
             f"name one of {known} with table" if known else "check what was recorded",
         )
-    found = topics[wanted]
-    kind = found.msgtype or "several types"
+    topic = topics[wanted]
+    kind = topic.msgtype or "several types"
     if kind not in reader.typestore.fielddefs:
         raise BadInput(
             f"{path}, table '{wanted}'",
@@ -110,11 +109,11 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
             "record one type a topic, as MCAP, which holds definitions, or convert the bag with "
             "'ros2 bag convert'",
         )
-    return wanted, kind, found.connections
+    return wanted, kind, topic.connections
 
 
 def _columns(message: Any) -> Iterator[_Column]:
-    """Name everything in a message; of lists that are about its joints also by joint."""
+    """Name all values of a message, and those of its joints also by joint."""
     listed: list[Any] = next((names for k in _JOINTS if (names := getattr(message, k, None))), [])
     joints = listed if all(isinstance(name, str) for name in listed) else []
     for name, path, value in _leaves(message, "", (), 0):
@@ -125,9 +124,9 @@ def _columns(message: Any) -> Iterator[_Column]:
 
 
 def _leaves(value: Any, name: str, path: _Path, depth: int) -> Iterator[tuple[str, _Path, Any]]:
-    """Walk down to what is no message, or a time."""
-    if depth > _DEEPEST:
-        raise ValueError(f"a message is nested deeper than {_DEEPEST}")
+    """Walk down to values and times."""
+    if depth > _MAX_DEPTH:
+        raise ValueError(f"a message is nested deeper than {_MAX_DEPTH}")
     kind = getattr(value, "__msgtype__", None)
     if kind is not None and kind not in (_TIME, _DURATION):
         for field in dataclasses.fields(value):
@@ -135,7 +134,7 @@ def _leaves(value: Any, name: str, path: _Path, depth: int) -> Iterator[tuple[st
             part = getattr(value, field.name)
             yield from _leaves(part, inner, (*path, field.name), depth + 1)
     elif isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
-        for k, part in enumerate(value[:_MOST_PARTS]):
+        for k, part in enumerate(value[:_MAX_PARTS]):
             yield from _leaves(part, f"{name}[{k}]", (*path, k), depth + 1)
     else:
         yield name, path, value
@@ -143,26 +142,26 @@ def _leaves(value: Any, name: str, path: _Path, depth: int) -> Iterator[tuple[st
 
 def _unit(kind: str, column: _Column) -> str:
     units = _UNITS.get(kind, {})
-    found = (unit for begin, unit in units.items() if column.name.startswith(begin))
-    return "s" if column.is_time else next(found, "")
+    matches = (unit for begin, unit in units.items() if column.name.startswith(begin))
+    return "s" if column.is_time else next(matches, "")
 
 
 def _value(message: Any, column: _Column) -> Any:
-    """Take a column's value out of one message; ``None`` where it has none."""
-    found = message
+    """Return a column's value in a message; ``None`` where it has none."""
+    value = message
     for step in column.path:
         if isinstance(step, str):
-            found = getattr(found, step)
-        elif step < len(found):
-            found = found[step]
+            value = getattr(value, step)
+        elif step < len(value):
+            value = value[step]
         else:
             return None
     if column.joint is None:
-        return found
+        return value
     listed = next(names for key in _JOINTS if (names := getattr(message, key, None)) is not None)
-    if column.joint not in listed or len(found) != len(listed):
+    if column.joint not in listed or len(value) != len(listed):
         return None
-    return found[listed.index(column.joint)]
+    return value[listed.index(column.joint)]
 
 
 def _cells(values: list[Any]) -> NDArray[Any]:
@@ -172,13 +171,13 @@ def _cells(values: list[Any]) -> NDArray[Any]:
         return _since_first(stamps) if kind == _TIME else np.array([n / 10**9 for n in stamps])
     plain = [v.tolist() if isinstance(v, np.ndarray | np.generic) else v for v in values]
     with suppress(ValueError):  # lists of different lengths
-        if (found := np.array(plain)).dtype.kind in "biuf":
-            return found
+        if (value := np.array(plain)).dtype.kind in "biuf":
+            return value
     return np.array(plain, dtype=object)
 
 
 def _since_first(stamps: list[int]) -> NDArray[np.float64]:
-    """Seconds since the first stamp in ns; whole numbers until they are divided, once."""
+    """Convert stamps in ns to seconds since the first, without loss."""
     return np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])
 
 

@@ -1,8 +1,4 @@
-"""A table of numbers as it stands in a file, with names for what is wrong in it.
-
-A cell that is not a plain finite number is refused with its column, row and line, whatever pandas,
-NumPy or Python would make of it.
-"""
+"""A table of numbers in a file: cells that are not finite numbers are refused with their place."""
 
 from __future__ import annotations
 
@@ -16,10 +12,10 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
 
-# possessive: what is no number is so at its first wrong character
+# possessive, so that it fails at the first wrong character
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
-# Values that are told of a column without the one that was asked for.
-_MOST = 20
+# Values of a column listed where the requested one is missing.
+_MAX_SHOWN = 20
 _MOST_COLUMNS = 10_000
 _PLAIN = (bool, int, float, np.integer, np.floating, np.bool_)
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
@@ -27,7 +23,7 @@ _LISTS = (list, tuple, np.ndarray)
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
-    """Tell whether text is a plain decimal number: ``-2.5e-3``; not ``nan``, ``0x1F``, ``1_0``."""
+    """Whether text is a plain decimal number: ``-2.5e-3``; not ``nan``, ``0x1F``, ``1_0``."""
     text = text.strip()
     if decimal != ".":
         if "." in text:
@@ -45,18 +41,18 @@ class Table:
     array (n,) of lists, or an array (n, k) or (k, n), of which ``"name[3]"`` is the fourth signal.
     """
 
-    where: str  # the file, or what stands for it in messages
+    where: str  # the file, for messages
     names: Sequence[str]  # one a column, empty for one without; no name comes twice
     load: Callable[[int], NDArray[Any]]
-    names_at: str = "header"  # what holds the names, for messages
+    names_at: str = "header"  # place of the names, for messages
     lines: Sequence[int] | None = None  # line of every row (n,) in a text file
     header_line: int | None = None
     decimal: str = "."  # mark of cells that are text
-    notes: tuple[str, ...] = ()  # one sentence for every choice made in reading
-    units: Sequence[str] = ()  # one a column as it is written in the file, empty for none
-    by_rows: bool = False  # whether the first axis of an array is that of the samples in any case
-    rows: int | None = None  # how many there are, where only some are used
-    kept: NDArray[np.intp] | None = None  # those that are used, all where None
+    notes: tuple[str, ...] = ()  # a sentence for every choice made in reading
+    units: Sequence[str] = ()  # one a column as in the file, empty for none
+    by_rows: bool = False  # whether the first axis of an array is always that of the samples
+    rows: int | None = None  # number in the file, where only some are used
+    kept: NDArray[np.intp] | None = None  # indices of the rows used; None for all
     _columns: dict[tuple[int, int | None], NDArray[np.float64]] = field(
         default_factory=dict, init=False
     )
@@ -74,17 +70,14 @@ class Table:
         return f"{self.where}, column {shown}"
 
     def column(self, key: str | int) -> NDArray[np.float64]:
-        """Return a column's numbers as they stand in the file, by name or number from 1.
-
-        A cell that is empty, no number, NaN or infinite is bad input.
-        """
+        """Return a column's numbers by name or number from 1; all must be finite."""
         place = self.place(key)
         if place not in self._columns:
             self._columns[place] = self._checked(self._cells(key), key)
         return self._columns[place]
 
     def only(self, conditions: Mapping[str, bool | int | float | str]) -> Table:
-        """Keep the rows in which columns equal values; bad input where there are none."""
+        """Select the rows in which columns equal values."""
         table = self
         for name, value in conditions.items():
             key = int(name) if name.isdecimal() and name not in self.names else name
@@ -93,25 +86,27 @@ class Table:
                 cells = np.array([str(cell).strip() for cell in cells], dtype=object)
             else:
                 cells = table._checked(cells, key)
-            found = np.flatnonzero(cells == value)
-            if not found.size:
-                there = list(dict.fromkeys(cells.tolist()))
-                shown = [_shown(v) if isinstance(v, str) else f"{v:.10g}" for v in there[:_MOST]]
-                more = f" and {len(there) - _MOST} more" if len(there) > _MOST else ""
-                what = f"is {_shown(value)} in no row"
-                mend = f"it has {', '.join(shown)}{more}"
-                raise BadInput(f"{table.label(key)}, where", what, mend)
-            table = table.at(found, len(cells))
+            rows = np.flatnonzero(cells == value)
+            if not rows.size:
+                present = list(dict.fromkeys(cells.tolist()))
+                shown = [
+                    _shown(v) if isinstance(v, str) else f"{v:.10g}" for v in present[:_MAX_SHOWN]
+                ]
+                more = f" and {len(present) - _MAX_SHOWN} more" if len(present) > _MAX_SHOWN else ""
+                problem = f"is {_shown(value)} in no row"
+                hint = f"it has {', '.join(shown)}{more}"
+                raise BadInput(f"{table.label(key)}, where", problem, hint)
+            table = table.at(rows, len(cells))
         return table
 
     def at(self, rows: NDArray[np.intp], count: int) -> Table:
-        """Keep some of its ``count`` rows, which every column that is read must have."""
+        """Select some of ``count`` rows, which every column must have."""
         if self.kept is None:
             return replace(self, kept=rows, rows=count)
         return replace(self, kept=self.kept[rows])
 
     def _cells(self, key: str | int) -> NDArray[Any]:
-        """Take the raw cells of the rows used: (n,), unless it is no column of one value."""
+        """Return the raw cells of the rows used, (n,) or, of several signals, (n, k)."""
         place, index = self.place(key)
         cells = self.load(place)
         # of samples there are more than signals
@@ -119,34 +114,34 @@ class Table:
             cells = cells.T
         if self.kept is not None and cells.ndim:
             if len(cells) != self.rows:
-                what = f"has {len(cells)} values, the column in where has {self.rows}"
-                raise BadInput(self.label(key), what, "give columns of one length")
+                problem = f"has {len(cells)} values, the column in where has {self.rows}"
+                raise BadInput(self.label(key), problem, "give columns of one length")
             cells = cells[self.kept]
         return cells if index is None else self._signal(cells, index, key)
 
     def _signal(self, cells: NDArray[Any], index: int, key: str | int) -> NDArray[Any]:
-        """Take one of several signals out of a column that holds them all."""
+        """Select one of several signals of a column."""
         if cells.ndim == 1 and cells.size and isinstance(cells[0], _LISTS):
             width = len(cells[0])  # those of one length are a matrix by now
             wrong = (isinstance(cell, _LISTS) and len(cell) == width for cell in cells)
             row = list(wrong).index(False)
-            what = f"holds {_shown(cells[row])}, the first row a list of {width}"
-            raise self._bad_cell(key, row, what)
+            problem = f"holds {_shown(cells[row])}, the first row a list of {width}"
+            raise self._bad_cell(key, row, problem)
         if cells.ndim != 2:
             raise BadInput(self.label(key), "holds no lists", "leave the index in brackets out")
         count = cells.shape[1]
         if index >= count:
-            mend = f"give an index from 0 to {count - 1}" if count else "choose another column"
-            raise BadInput(self.label(key), f"holds {count} values a sample", mend)
+            hint = f"give an index from 0 to {count - 1}" if count else "choose another column"
+            raise BadInput(self.label(key), f"holds {count} values a sample", hint)
         return cells[:, index]
 
     def _checked(self, cells: NDArray[Any], key: str | int) -> NDArray[np.float64]:
         if cells.ndim != 1:
             shape = " x ".join(str(n) for n in cells.shape) or "one value"
-            mend = "give a vector of one value a sample"
+            hint = "give a vector of one value a sample"
             if cells.ndim == 2:
-                mend = f"name one of its signals with an index from 0, such as '{key}[0]'"
-            raise BadInput(self.label(key), f"is no vector but {shape}", mend)
+                hint = f"name one of its signals with an index from 0, such as '{key}[0]'"
+            raise BadInput(self.label(key), f"is no vector but {shape}", hint)
         if cells.dtype.kind in "biuf":
             with np.errstate(all="ignore"):  # a long double may become infinite
                 values = cells.astype(np.float64, copy=False)
@@ -174,15 +169,12 @@ class Table:
             pass
         raise self._bad_cell(key, index, f"holds {_shown(cell)}, not a number")
 
-    def _bad_cell(self, key: str | int, index: int, what: str) -> BadInput:
-        mend = "correct the cell, or cut the row out of the file"
-        return BadInput(f"{self.label(key)}, {self.row(index)}", what, mend)
+    def _bad_cell(self, key: str | int, index: int, problem: str) -> BadInput:
+        hint = "correct the cell, or cut the row out of the file"
+        return BadInput(f"{self.label(key)}, {self.row(index)}", problem, hint)
 
     def place(self, key: str | int) -> tuple[int, int | None]:
-        """Give the place of a column among the others, and of a signal in it, from 0.
-
-        A column that is named so goes before one of several signals.
-        """
+        """Return the index of a column, and of a signal in it, by name or number from 1."""
         if isinstance(key, str) and key and key in self.names:
             return list(self.names).index(key), None
         part = _ONE_OF_SEVERAL.fullmatch(key) if isinstance(key, str) else None
@@ -192,41 +184,41 @@ class Table:
         if isinstance(key, int):
             if 1 <= key <= count:
                 return key - 1, None
-            what = f"does not exist, the file has {count} columns"
+            problem = f"does not exist, the file has {count} columns"
         elif not named:
-            what = "does not exist, the columns have no names"
+            problem = "does not exist, the columns have no names"
         else:
             line = f" (header in line {self.header_line})" if self.header_line is not None else ""
             raise BadInput(self.label(key), f"does not exist{line}", nearest(key, named))
-        raise BadInput(self.label(key), what, f"give a number from 1 to {count}")
+        raise BadInput(self.label(key), problem, f"give a number from 1 to {count}")
 
 
 def row_name(index: int, lines: Sequence[int] | None) -> str:
-    """Name a row, given from 0, and the line of a text file that it stands in."""
+    """Name a row, given from 0, and its line of a text file."""
     return f"row {index + 1}" + ("" if lines is None else f" (line {lines[index]})")
 
 
 def column_cells(series: Any) -> NDArray[Any]:
-    """Take the cells out of a pandas column, numbers where it holds nothing else."""
+    """Return the cells of a pandas column, as numbers where all are."""
     if series.dtype.kind in "biuf" and isinstance(series.dtype, np.dtype):
         return np.array(series)
     return np.asarray(series.to_numpy(dtype=object, na_value=None))
 
 
 def check_names(where: str, names: Sequence[str], names_at: str) -> None:
-    """Refuse two columns of one name, and more columns than a recording has."""
+    """Refuse repeated names, and too many columns."""
     if len(names) > _MOST_COLUMNS:
         raise BadInput(
             f"{where}, {names_at}",
             f"has {len(names)} columns, more than {_MOST_COLUMNS}",
             "save only the recording's columns, one row a sample",
         )
-    seen: dict[str, int] = {}
+    numbers: dict[str, int] = {}
     for number, name in enumerate(names, start=1):
-        if name and name in seen:
-            what = f"columns {seen[name]} and {number} are both named '{name}'"
-            raise BadInput(f"{where}, {names_at}", what, "rename one of them")
-        seen[name] = number
+        if name and name in numbers:
+            problem = f"columns {numbers[name]} and {number} are both named '{name}'"
+            raise BadInput(f"{where}, {names_at}", problem, "rename one of them")
+        numbers[name] = number
 
 
 def _shown(cell: object) -> str:
