@@ -34,22 +34,8 @@ def open_scalings(
 ) -> tuple[Scaling, ...]:
     """Scalings that neither known loads nor a known value of a parameter takes away (section 4.2).
 
-    One known mass in all recordings alike might as well be more leg, and zero times any
-    factor is zero: neither fixes a scale.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    knowledge
-        Fixed values, and those with a standard deviation; bounds alone fix no scale.
-    observations
-        Whose known loads count.
-
-    Returns
-    -------
-    tuple of Scaling
-        None, one, or one for each of several such elements.
+    One known mass in all recordings alike might as well be more leg, and zero times any factor is
+    zero: neither fixes a scale.
     """
     masses = {o.inputs.load(chain.load.motion) for o in observations}
     if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
@@ -70,17 +56,7 @@ def open_directions(
 ) -> Array:
     """Directions of the open scalings at a vector.
 
-    Parameters
-    ----------
-    chain, knowledge, observations
-        As for :func:`open_scalings`.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(k, d)`` tangents, one a row, of the ``d`` free parameters, in their units.
+    Shapes: values (n_parameters,); returns (k, d).
     """
     columns = [chain.names.index(name) for name in knowledge.free(chain)]
     found = [s.tangent(values)[columns] for s in open_scalings(chain, knowledge, observations)]
@@ -94,17 +70,7 @@ def centred(
 
     All vectors that it may become fit as well (section 4.2).
 
-    Parameters
-    ----------
-    chain, knowledge, observations
-        As for :func:`open_scalings`.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``, within the limits.
-
-    Returns
-    -------
-    ndarray
-        ``(n_parameters,)``; the factor is the geometric mean of its bounds.
+    Shapes: values (n_parameters,); returns (n_parameters,).
     """
     free = knowledge.free(chain)
     limits = dict(zip(free, zip(*knowledge.limits(chain), strict=True), strict=True))
@@ -118,20 +84,7 @@ def centred(
 def units_of(chain: Joint, free: Sequence[str], values: Array) -> Array:
     """Say what counts as a change of one: the value; for mu_1 and mu_2 that of 1/alpha, eq. (6).
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    free
-        Names of the parameters that are asked for.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(len(free),)`` positive, in the parameters' units: ``1 + mu_1`` and ``|1 - mu_2|`` for
-        load-dependent friction by power flow, ``|value|`` for all others.
+    Shapes: values (n_parameters,); returns (len(free),).
     """
     units = []
     for p in (chain.parameters[chain.names.index(name)] for name in free):
@@ -150,16 +103,6 @@ def alpha_way(p: Parameter) -> int:
 
     Only ``mu_1`` and ``mu_2`` have an alpha, not one mu of both power flows: what a term takes
     while power flows either way says which it is.
-
-    Parameters
-    ----------
-    p
-        Any parameter.
-
-    Returns
-    -------
-    int
-        1 for ``mu_1``, -1 for ``mu_2``, 0 for one loss of both power flows and for all others.
     """
     if p.row.role != "loss" or p.row.column is None:
         return 0
@@ -178,29 +121,10 @@ def assemble(
 ) -> tuple[EstimatedValue, ...]:
     """State totals, derived quantities and parameters of a fitted vector.
 
-    Parameters
-    ----------
-    chain, observations, knowledge
-        What was fitted, and to what.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    information
-        Of the ``d`` free parameters, in the chain's order. Bounds are left out of it: beside a
-        parameter that stands on one, others would look far too certain.
-    at_bound
-        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
-
-    Returns
-    -------
-    tuple of EstimatedValue
-        Totals of eq. (11) as least squares would see this vector's torque, derived quantities,
-        free parameters. What the data leave open has an infinite standard deviation; what stands on
-        a bound has none.
-
-    Notes
-    -----
     Standard deviations are of first order: ``sqrt(g' C g)`` with the gradient ``g`` of a number by
     the parameters and their covariance ``C``. Gradients are central differences.
+
+    Shapes: values (n_parameters,); at_bound (d,).
     """
     columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
     scale = np.zeros(values.size)
@@ -230,25 +154,13 @@ def assemble(
 
 @dataclass(frozen=True, eq=False)
 class _Stated:
-    """States numbers that a fitted vector makes up.
+    """States numbers that a fitted vector makes up."""
 
-    Attributes
-    ----------
-    values
-        ``(n_parameters,)``.
-    columns
-        ``(d,)`` the free ones among them.
-    information, at_bound
-        Of the free ones.
-    scalings
-        Those that are open.
-    """
-
-    values: Array
-    columns: NDArray[np.int64]
-    information: Information
+    values: Array  # (n_parameters,)
+    columns: NDArray[np.int64]  # (d,) the free ones among them
+    information: Information  # Of the free ones
     at_bound: NDArray[np.int_]
-    scalings: tuple[Scaling, ...]
+    scalings: tuple[Scaling, ...]  # Those that are open
 
     def __call__(
         self,
@@ -288,17 +200,7 @@ class _Stated:
 def bounds_met(values: Array, lower: Array, upper: Array, sizes: Array) -> NDArray[np.int_]:
     """Find which free parameters stand on a bound.
 
-    Parameters
-    ----------
-    values, lower, upper
-        ``(d,)`` each, in the parameters' units.
-    sizes
-        ``(d,)``, what is a large change of each besides the value itself.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``: -1 within a millionth of that of the lower bound, 1 of the upper, else 0.
+    Shapes: values, lower, upper (d,) each; sizes (d,); returns (d,).
     """
     width = _ON_BOUND * np.maximum(np.abs(values), sizes)
     out = np.zeros(values.size, dtype=np.int_)

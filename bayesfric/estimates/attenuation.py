@@ -42,46 +42,24 @@ _FREE = 20
 
 @dataclass(frozen=True)
 class Attenuated:
-    """A recording's band in which part of the inertia is lost, and one without that.
+    """A recording's band in which part of the inertia is lost, and one without that."""
 
-    Attributes
-    ----------
-    recording
-        Its name.
-    band, narrower
-        Upper ends of the two bands, Hz.
-    inertia, larger
-        Inertia seen by the motor, by least squares in either, kg m² or kg.
-    """
-
-    recording: str
-    band: float
+    recording: str  # Its name
+    band: float  # Upper ends of the two bands, Hz
     narrower: float
-    inertia: float
+    inertia: float  # Inertia seen by the motor, by least squares in either, kg m² or kg
     larger: float
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Least squares of the totals in one band.
+    """Least squares of the totals in one band."""
 
-    Attributes
-    ----------
-    band
-        Hz.
-    inertia, sd
-        Total inertia seen by the motor and its standard deviation.
-    left
-        Unexplained variance of the torque per hertz of the band.
-    free
-        Degrees of freedom of the residuals.
-    """
-
-    band: float
-    inertia: float
+    band: float  # Hz
+    inertia: float  # Total inertia seen by the motor and its standard deviation
     sd: float
-    left: float
-    free: int
+    left: float  # Unexplained variance of the torque per hertz of the band
+    free: int  # Degrees of freedom of the residuals
 
 
 def attenuations(
@@ -92,23 +70,6 @@ def attenuations(
 ) -> list[Attenuated]:
     """Find recordings whose band is contradicted by a narrower one, and none narrower by that.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    recordings, observations
-        The same recordings, as measured and prepared.
-    processing
-        That of the observations.
-
-    Returns
-    -------
-    list of Attenuated
-        Where the recording cannot tell, as with too few outputs or no identified inertia, its band
-        is taken to be right.
-
-    Notes
-    -----
     Bands narrow by a factor of 1.4 until two in a row contradict no more. A narrower band
     contradicts a wider one where the inertia grows by more than 1 %, less variance is left per
     hertz, and either the inertia grows by 1.7 standard deviations or the variances differ by more

@@ -14,23 +14,6 @@ _TOLD = 0.5
 def collinear_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tuple[str, ...]:
     """Name load-dependent frictions of several elements where data identify none by itself.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    estimate
-        With every parameter, such as the input error's.
-    known
-        Names of parameters that a prior was given for.
-
-    Returns
-    -------
-    tuple of str
-        Parameter names; empty where one loss is identified (standard deviation below half of all
-        losses together) or known, or only one element has any.
-
-    Notes
-    -----
     The torque that leaves one element is that which enters the next but for what stands between: a
     motion tells little more than the sum of their losses. Sampling that is slow: walkers wander
     along it, and two load losses make no moments that the likelihood would be cheap with (20000

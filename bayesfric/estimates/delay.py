@@ -33,25 +33,6 @@ _FAR_LESS = 0.5
 def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
     """Estimate the delay that a mechanism has as a parameter.
 
-    Parameters
-    ----------
-    given
-        Mechanism with ``drive.delay``, its prepared observations, knowledge and options.
-    recordings
-        The same recordings as measured.
-
-    Returns
-    -------
-    float
-        s, positive where the position comes late.
-
-    Raises
-    ------
-    BadInput
-        If nothing can be estimated from these recordings.
-
-    Notes
-    -----
     Least squares gives it where the torque is linear. Where load-dependent friction or a Stribeck
     rise bend that, it is the input error's, which begins each round where the last one ended.
     """
@@ -76,23 +57,6 @@ def found_delay(
 ) -> float:
     """Look for the one delay of all recordings that an estimate of the chain settles at.
 
-    Parameters
-    ----------
-    pairs
-        Recordings as measured, and prepared.
-    estimate
-        Of observations that are timed by a delay; its ``drive.delay`` is the next one.
-    chain
-        The mechanism.
-
-    Returns
-    -------
-    float
-        s. At most 0.25 s or a tenth of the shortest recording, whichever is less, or the trimmed
-        ends where these are longer; zero where least squares does not determine it.
-
-    Notes
-    -----
     Ten rounds at most; it has settled where it moves by less than 0.02 standard deviations. The
     first is a far one only if that leaves less than half the squared torque: at one frequency a
     quarter of a period makes a delay look like a spring.

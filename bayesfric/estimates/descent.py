@@ -30,29 +30,13 @@ _SAMPLES = 200_000
 class TorqueProblem:
     """Modelled torque as a function of the free parameters, and what is known of them.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its recordings, prepared.
-    knowledge
-        Fixed values, bounds, values with a standard deviation.
-
-    Attributes
-    ----------
-    free, columns
-        Names of the ``d`` free parameters, and their indices among the chain's.
-    lower, upper
-        ``(d,)`` limits.
-    measured
-        ``(n_outputs,)`` filtered motor torque of all recordings, N m or N.
-    totals
-        Their least squares.
-    base
-        ``(n_parameters,)`` fixed values, zero elsewhere.
-    typical
-        ``(n_parameters,)`` sizes of the parameters, for steps and units.
-    rounding
-        Sum of squares that is rounding.
+    @@ATTR chain, observations: The mechanism and its recordings, prepared. | knowledge: Fixed
+    values, bounds, values with a standard deviation. | free, columns: Names of the ``d`` free
+    parameters, and their indices among the chain's. | lower, upper: ``(d,)`` limits. | measured:
+    ``(n_outputs,)`` filtered motor torque of all recordings, N m or N. | totals: Their least
+    squares. | base: ``(n_parameters,)`` fixed values, zero elsewhere. | typical:
+    ``(n_parameters,)`` sizes of the parameters, for steps and units. | rounding: Sum of squares
+    that is rounding.
     """
 
     def __init__(
@@ -82,17 +66,7 @@ class TorqueProblem:
     def split(self, mu: float, share: float) -> Array:
         """Split the totals of least squares into parameters, to start from.
 
-        Parameters
-        ----------
-        mu
-            Load-dependent friction wherever there is some.
-        share
-            Of the motor in each total.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)``, see :func:`bayesfric.estimates.least_squares.starting_values`.
+        Shapes: returns (n_parameters,).
         """
         return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
 
@@ -130,17 +104,10 @@ class TorqueProblem:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What is squared and summed up: weighted residuals, and values that are known besides.
+    """What is squared and summed up: weighted residuals, and values that are known besides."""
 
-    Attributes
-    ----------
-    weights
-        ``(n_outputs,)`` factors on the residuals.
-    rows, targets
-        ``(k, d)`` and ``(k,)``: ``targets - rows @ x`` are further residuals; none if left out.
-    """
-
-    weights: Array
+    weights: Array  # (n_outputs,) factors on the residuals
+    # (k, d) and (k,): targets - rows @ x are further residuals; none if left out
     rows: Array | None = None
     targets: Array | None = None
 
@@ -159,18 +126,10 @@ class Terms:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search ended.
+    """Where a search ended."""
 
-    Attributes
-    ----------
-    x
-        ``(d,)`` free parameters.
-    height
-        Sum of squares there.
-    """
-
-    x: Array
-    height: float
+    x: Array  # (d,) free parameters
+    height: float  # Sum of squares there
 
 
 def descend(
@@ -184,30 +143,12 @@ def descend(
 ) -> Found:
     """Search downhill (Levenberg-Marquardt with exact limits).
 
-    Parameters
-    ----------
-    problem
-        The modelled torque.
-    terms
-        What is squared and summed up.
-    x
-        ``(d,)`` start, within the limits.
-    lower, upper
-        ``(d,)`` limits; those of the problem if left out. Equal ones hold a parameter.
-    iterations
-        At most.
-
-    Returns
-    -------
-    Found
-        A local minimum, unless the iterations ran out.
-
-    Notes
-    -----
     Every step solves the linear problem within the limits, so what a limit stops stands on it to
     the last digit. Damping follows the gain over the predicted one (Nielsen's rule). The search
     ends where neither the last step nor the linear problem lowers the sum of squares by a share of
     1e-10.
+
+    Shapes: x (d,); lower, upper (d,) each.
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
@@ -277,25 +218,8 @@ def bounded_step(
 ) -> Array:
     """Solve a linear least-squares problem within limits.
 
-    Parameters
-    ----------
-    matrix, target
-        ``(n, d)`` and ``(n,)``.
-    lower, upper
-        ``(d,)``; limits closer than ``room`` are taken to be ``room`` apart.
-    room
-        Least distance of the limits.
-    tol
-        Of the bounded solver.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``.
-
-    References
-    ----------
-    Stark and Parker, Bounded-variable least squares, Computational Statistics 10, 1995.
+    Shapes: matrix, target (n, d) each; lower, upper (d,) each; returns (d,). Stark and Parker,
+    Bounded-variable least squares, Computational Statistics 10, 1995.
     """
     step = np.linalg.lstsq(matrix, target, rcond=None)[0]
     if np.all(step >= lower) and np.all(step <= upper):
@@ -310,13 +234,8 @@ def bounded_step(
 def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
     """Keep linear algebra to one thread, and compiled kernels while recordings are short.
 
-    Between many short calls the threads of the kernels and those of linear algebra wait
-    for each other: on two busy cores that was measured to cost thirty times the work.
-
-    Parameters
-    ----------
-    observations
-        Whose samples are counted: above 200 000 the kernels keep their threads.
+    Between many short calls the threads of the kernels and those of linear algebra wait for each
+    other: on two busy cores that was measured to cost thirty times the work.
     """
     before = numba.get_num_threads()
     if sum(o.q.size for o in observations) < _SAMPLES:

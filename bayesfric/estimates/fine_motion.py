@@ -53,25 +53,10 @@ def with_fine_motion(
 ) -> tuple[Array | None, list[Observation]]:
     """Refine the motion of recordings by what a first estimate of the joint makes of their torque.
 
-    Parameters
-    ----------
-    chain, recordings, observations
-        The mechanism, its recordings, and the same prepared.
-    knowledge, options
-        Of that estimate, an input error.
-
-    Returns
-    -------
-    values : ndarray or None
-        ``(n_parameters,)`` of the estimate; none where nothing can be estimated, or no filter sets
-        what is compared apart from what the encoder does not tell.
-    refined : list of Observation
-        As they were where there is no estimate.
-
-    Notes
-    -----
     Two passes: an estimate by the encoder's motion may be off by a standard deviation or more, one
     by the motion that the first pass made is not.
+
+    Shapes: returns values (n_parameters,).
     """
     found, point = list(observations), None
     if not any(map(refinable, found)):
@@ -93,25 +78,10 @@ def fine_motion(
 ) -> Observation:
     """Refine the motion of one recording by the parameters of its joint.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    recording, observation
-        As measured, and prepared.
-
-    Returns
-    -------
-    Observation
-        The same where no acceleration, or more than one, goes with a torque, and where what the
-        model makes of it is further from what was recorded than the encoder's noise explains.
-
-    Notes
-    -----
     Four rounds, each with the direction of motion of the one before. At standstill and in excluded
     spans the encoder's acceleration is kept.
+
+    Shapes: values (n_parameters,).
     """
     if not refinable(observation):
         return observation

@@ -26,43 +26,22 @@ _LEAST_LEFT = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Singular value decomposition of a Jacobian, largest singular value first.
+    """Singular value decomposition of a Jacobian, largest singular value first."""
 
-    Attributes
-    ----------
-    units
-        ``(d,)`` what counts as a change of one, in each parameter's unit.
-    singular_values
-        ``(d,)`` of the Jacobian in those units.
-    rows
-        ``(d, d)`` right singular vectors, one a row, in those units.
-    tolerance
-        Singular values below this share of the largest are rounding.
-    known_null
-        ``(d, k)`` orthonormal, in those units: directions known to change no output.
-    """
-
-    units: Array
-    singular_values: Array
-    rows: Array
-    tolerance: float = NULL
+    units: Array  # (d,) what counts as a change of one, in each parameter's unit
+    singular_values: Array  # (d,) of the Jacobian in those units
+    rows: Array  # (d, d) right singular vectors, one a row, in those units
+    tolerance: float = NULL  # Singular values below this share of the largest are rounding
+    # (d, k) orthonormal, in those units: directions known to change no output
     known_null: Array | None = None
 
     def off_known(self, gradient: Array) -> Array:
         """Take from a gradient what points along directions known to be null.
 
-        For functions that theory says no scaling changes; their numerical derivatives
-        point along it by the rounding, and by the kinks, of differences.
+        For functions that theory says no scaling changes; their numerical derivatives point along
+        it by the rounding, and by the kinks, of differences.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` by the parameters, per their units.
-
-        Returns
-        -------
-        ndarray
-            ``(d,)``.
+        Shapes: gradient (d,); returns (d,).
         """
         if self.known_null is None:
             return gradient
@@ -83,16 +62,7 @@ class Directions:
     def sd(self, gradient: Array) -> float:
         """Give the standard deviation that is left of a function of the parameters.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` ``g`` of the function.
-
-        Returns
-        -------
-        float
-            ``sqrt(g' (J'J)^-1 g)``, for residuals of unit noise; infinite where the function
-            changes along a null direction.
+        Shapes: gradient (d,).
         """
         weight = self.solve(gradient)
         return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
@@ -100,10 +70,7 @@ class Directions:
     def solve(self, gradient: Array) -> Array | None:
         """Multiply the inverse of ``J'J`` by the gradient ``(d,)`` of a function of the parameters.
 
-        Returns
-        -------
-        ndarray or None
-            ``(d,)``; ``None`` where the function changes along a null direction.
+        Shapes: returns (d,).
         """
         along = self.rows @ (gradient * self.units)
         null = self.null
@@ -116,23 +83,7 @@ class Directions:
 def directions(
     jacobian: Array, units: Array, tolerance: float = NULL, *, known_null: Array | None = None
 ) -> Directions:
-    """Decompose a Jacobian.
-
-    Parameters
-    ----------
-    jacobian
-        ``(n, d)`` of outputs by parameters.
-    units, tolerance
-        As in :class:`Directions`.
-    known_null
-        ``(k, d)`` directions, in parameter units, of which theory says that no output changes:
-        they come out as null however the derivatives were taken.
-
-    Returns
-    -------
-    Directions
-        By the SVD of the triangle of a QR decomposition, which has the same singular values.
-    """
+    """Decompose a Jacobian. Shapes: jacobian (n, d); known_null (k, d)."""
     scaled = jacobian * units
     basis = None
     if known_null is not None and known_null.size:
@@ -149,36 +100,17 @@ def directions(
 class Information:
     """Standard deviations of whatever is computed from estimated parameters.
 
-    Parameters
-    ----------
-    jacobian
-        ``(n, d)`` of the modelled outputs by the free parameters.
-    residual
-        ``(n,)`` measured minus modelled.
-    units
-        ``(d,)`` what counts as a change of one; for example the values themselves.
-    places
-        ``(n,)`` where each residual stands on an even grid of time; other recordings are far apart.
-    known
-        ``(k, d)`` rows 1/sd of independent knowledge.
-    tolerance, known_null
-        As for :func:`directions`.
-    groups
-        ``(n,)`` number of the group each residual belongs to, where they may be correlated within
-        groups in any way but not between them.
-    lost
-        Quantities fitted besides and already taken out, such as initial states.
-    least
-        Standard deviation of a residual that rounding alone makes, as of an encoder.
-
-    Attributes
-    ----------
-    freedom
-        Degrees of freedom of the residuals: n less the rank and ``lost``, at least 1.
-    sigma
-        Standard deviation of a residual, ``sqrt(residual' residual/freedom)`` or ``least``.
-    directions
-        Of Jacobian and knowledge together; a value known to 1/sd weighs as ``sigma`` over its sd.
+    @@ATTR jacobian: ``(n, d)`` of the modelled outputs by the free parameters. | residual: ``(n,)``
+    measured minus modelled. | units: ``(d,)`` what counts as a change of one; for example the
+    values themselves. | places: ``(n,)`` where each residual stands on an even grid of time; other
+    recordings are far apart. | known: ``(k, d)`` rows 1/sd of independent knowledge. | tolerance,
+    known_null: As for :func:`directions`. | groups: ``(n,)`` number of the group each residual
+    belongs to, where they may be correlated within groups in any way but not between them. | lost:
+    Quantities fitted besides and already taken out, such as initial states. | least: Standard
+    deviation of a residual that rounding alone makes, as of an encoder. | freedom: Degrees of
+    freedom of the residuals: n less the rank and ``lost``, at least 1. | sigma: Standard deviation
+    of a residual, ``sqrt(residual' residual/freedom)`` or ``least``. | directions: Of Jacobian and
+    knowledge together; a value known to 1/sd weighs as ``sigma`` over its sd.
     """
 
     def __init__(
@@ -221,26 +153,12 @@ class Information:
     def sds(self, gradient: Array) -> tuple[float, float]:
         """Give the standard deviations of a function of the parameters.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` of the function by the parameters.
-
-        Returns
-        -------
-        plain : float
-            For uncorrelated residuals; infinite, as the other, where the function changes along a
-            null direction.
-        robust : float
-            Accounting for correlation: within groups, where there are enough, else by
-            :func:`long_run_variance`.
-
-        Notes
-        -----
         With ``w = (J'J)^-1 g`` and residuals ``r``, plain is ``sigma |J w|``, and robust the root
         of the variance of ``sum (J w) r`` (a sandwich estimate): in time times n over the degrees
         of freedom, in groups with each group's part made larger for its leverage (Bell and
         McCaffrey, Survey Methodology 28, 2002). What is known besides adds its own share to both.
+
+        Shapes: gradient (d,).
         """
         if not np.any(gradient):
             return 0.0, 0.0
@@ -289,25 +207,11 @@ class Information:
 def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
     """Variance of the sum of a correlated series of mean zero, with gaps.
 
-    Parameters
-    ----------
-    score
-        ``(n,)`` terms of the sum.
-    places
-        ``(n,)`` positions on an even grid, rising; gaps count as zeros.
-
-    Returns
-    -------
-    float
-        At least zero.
-
-    Notes
-    -----
     Sum of autocovariances, weighted by the quadratic spectral kernel with the bandwidth of a
     first-order autoregression.
 
-    References
-    ----------
+    Shapes: score (n,); places (n,).
+
     Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4; gaps: Parzen 1963.
     """
     grid = np.zeros(int(places[-1] - places[0]) + 1)
@@ -337,18 +241,7 @@ def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
 def lag_one(residual: Array, follows: Flags) -> float:
     """Correlate each residual with the next where that follows one step later.
 
-    Parameters
-    ----------
-    residual
-        ``(M,)``.
-    follows
-        ``(M - 1,)`` of bool: whether the next one does.
-
-    Returns
-    -------
-    float
-        Mean product of neighbours over the mean square; ``nan`` with fewer than ten such pairs, or
-        where all residuals are zero.
+    Shapes: residual (M,); follows (M - 1,).
     """
     first, second, power = residual[:-1][follows], residual[1:][follows], np.mean(residual**2)
     if first.size < 10 or power == 0.0:

@@ -108,22 +108,7 @@ def contradicted(
     options: Estimation,
     start: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
-    """Compare priors with an estimate that only has the support and what is fixed.
-
-    Parameters
-    ----------
-    chain, observations, knowledge, options
-        As for :func:`input_error`.
-    start
-        Values of all parameters to begin at: an estimate that has the priors.
-
-    Returns
-    -------
-    dict
-        Name of each parameter that the data alone have farther from its prior than
-        :data:`CONTRADICTED` standard deviations of both: their value, and that distance. What the
-        data do not determine, or physics bounds, contradicts nothing.
-    """
+    """Compare priors with an estimate that only has the support and what is fixed."""
     support = {p.name: (p.lower, p.upper) for p in chain.parameters}
     # how wide those of a column's coefficient must be, an arm asks all its joints together
     columns = {p.name for p in chain.parameters if p.row.option == "signals"}

@@ -14,21 +14,14 @@ from bayesfric.recordings.arrays import Array
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Known values, bounds and data-sheet values of a chain's parameters, by name, in SI units.
+    """Known values, bounds and data-sheet values of a chain's parameters, by name, in SI units."""
 
-    Attributes
-    ----------
-    fixed
-        Values taken as known; these parameters are not estimated.
-    bounds
-        Lower and upper limit of others; the support where left out.
-    told
-        Mean and standard deviation of others, as a data sheet or a prior gives them: one more
-        residual each.
-    """
-
+    # Values taken as known; these parameters are not estimated
     fixed: Mapping[str, float] = field(default_factory=dict)
+    # Lower and upper limit of others; the support where left out
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # Mean and standard deviation of others, as a data sheet or a prior gives them: one more
+    # residual each
     told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def free(self, chain: Joint) -> tuple[str, ...]:
@@ -36,13 +29,7 @@ class Knowledge:
         return tuple(name for name in chain.names if name not in self.fixed)
 
     def limits(self, chain: Joint) -> tuple[Array, Array]:
-        """Lower and upper limits of the free parameters.
-
-        Returns
-        -------
-        lower, upper : ndarray
-            ``(d,)`` each, in the parameters' units; infinite where there is no limit.
-        """
+        """Lower and upper limits of the free parameters. Shapes: returns lower, upper (d,)."""
         support = {p.name: (p.lower, p.upper) for p in chain.parameters}
         pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
@@ -50,17 +37,7 @@ class Knowledge:
     def on_turn(self, chain: Joint, values: Array) -> Array:
         """Bring the angles of free parameters to the turn their limits lie on.
 
-        Parameters
-        ----------
-        chain
-            The mechanism.
-        values
-            ``(d,)``.
-
-        Returns
-        -------
-        ndarray
-            ``(d,)``; without limits the turn is the one around zero.
+        Shapes: values (d,); returns (d,).
         """
         described = {p.name: p for p in chain.parameters}
         out = values.copy()
@@ -79,12 +56,7 @@ class Knowledge:
     def rows(self, chain: Joint) -> tuple[Array, Array]:
         """Write values with a standard deviation as residuals ``(mean - value)/sd``.
 
-        Returns
-        -------
-        rows : ndarray
-            ``(k, d)``, ``1/sd`` in the column of the parameter.
-        targets : ndarray
-            ``(k,)``, ``mean/sd``: residuals are ``targets - rows @ x`` for free parameters ``x``.
+        Shapes: returns rows (k, d), targets (k,).
         """
         free = self.free(chain)
         told = [name for name in free if name in self.told]

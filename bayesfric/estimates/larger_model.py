@@ -25,18 +25,10 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model, and its estimate of the input error.
+    """A model, and its estimate of the input error."""
 
-    Attributes
-    ----------
-    given
-        Mechanism, observations, knowledge and options.
-    estimate
-        By :func:`bayesfric.estimates.input_error.input_error` from these.
-    """
-
-    given: Given
-    estimate: Estimate
+    given: Given  # Mechanism, observations, knowledge and options
+    estimate: Estimate  # By :func:`bayesfric.estimates.input_error.input_error` from these
 
     @property
     def dated(self) -> bool:
@@ -51,8 +43,6 @@ class Candidate:
     def left_out_rms(self) -> float:
         """Root mean square of residuals in parts that the model was not fitted to, N m or N.
 
-        Notes
-        -----
         Four-fold cross-validation (Stone, Journal of the Royal Statistical Society B 36, 1974). The
         parts are quarters of the recordings in a row, so what one of them says alone, as a term
         that fits a single place or minute, does not help with the others. Each fit takes at most
@@ -72,21 +62,7 @@ class Candidate:
 
 
 def better(larger: Candidate, smaller: Candidate) -> bool:
-    """Whether a larger model predicts better, and what is new in it is identified.
-
-    Parameters
-    ----------
-    larger, smaller
-        Models of the same recordings.
-
-    Returns
-    -------
-    bool
-        True where the left-out error falls, the 90 % interval of every new parameter that shapes a
-        term leaves out zero, and so does that of at least one other new parameter, if there are
-        any. A delay that was determined stays so, or is new: its interval leaves out zero, and
-        neither it nor its standard deviation exceeds the range that is searched.
-    """
+    """Whether a larger model predicts better, and what is new in it is identified."""
     before = {v.name for v in smaller.estimate.parameters}
     new = [v for v in larger.estimate.parameters if v.name not in before]
     shapes = [v.known for v in new if v.quantity in _SHAPES]

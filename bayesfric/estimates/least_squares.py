@@ -101,23 +101,11 @@ def least_squares(
 class TotalsProjection:
     """The linear map from torques to the totals of eq. (11).
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its recordings, prepared.
-
-    Attributes
-    ----------
-    names
-        Of the k totals, such as ``inertia``.
-    regressors
-        ``(n_outputs, k)``, filtered like the measured torque.
-    labels
-        Names as results show them: ``total.inertia``, or ``motor.inertia`` where that is all of it.
-    scale
-        ``(k,)`` norm of each regressor.
-    open
-        ``(k,)`` of bool: which totals the motion cannot tell from others.
+    @@ATTR chain, observations: The mechanism and its recordings, prepared. | names: Of the k
+    totals, such as ``inertia``. | regressors: ``(n_outputs, k)``, filtered like the measured
+    torque. | labels: Names as results show them: ``total.inertia``, or ``motor.inertia`` where that
+    is all of it. | scale: ``(k,)`` norm of each regressor. | open: ``(k,)`` of bool: which totals
+    the motion cannot tell from others.
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
@@ -130,29 +118,11 @@ class TotalsProjection:
         self.scale, self.open, self._solution, _ = shortest(self.regressors)
 
     def solve(self, torque: Array) -> Array:
-        """Totals of filtered torques.
-
-        Parameters
-        ----------
-        torque
-            ``(n_outputs,)`` or ``(n_outputs, m)``, N m or N.
-
-        Returns
-        -------
-        ndarray
-            ``(k,)`` or ``(k, m)``; where totals cannot be told apart, the shortest solution.
-        """
+        """Totals of filtered torques. Shapes: torque (n_outputs,); returns (k,)."""
         return np.asarray(self._solution @ torque)
 
     def of_samples(self) -> list[Array]:
-        """Give the same map for unfiltered torque.
-
-        Returns
-        -------
-        list of ndarray
-            ``(k, N)`` of each recording: the totals are the sum over recordings of these times the
-            samples.
-        """
+        """Give the same map for unfiltered torque. Shapes: returns (k, N)."""
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
         parts = np.split(self._solution, ends, axis=1)
         pairs = zip(self._observations, parts, strict=True)
@@ -162,11 +132,6 @@ class TotalsProjection:
         """Give labels by other names: ``total.<name>``, and the owner's where it has all of it.
 
         So ``motor.viscous`` stays one where the motor's viscous friction differs by direction.
-
-        Returns
-        -------
-        dict
-            Label of :attr:`labels` by the other name.
         """
         found: dict[str, str] = {}
         for name, label in zip(self.names, self.labels, strict=True):
@@ -193,16 +158,7 @@ class TotalsProjection:
 
 
 def total_label(chain: Joint, name: str) -> str:
-    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``.
-
-    Parameters
-    ----------
-    chain
-        The mechanism; with an unknown gain no total is a parameter, and behind load-dependent
-        friction none.
-    name
-        Of :attr:`TotalsProjection.names`.
-    """
+    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
     if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
         owner, places = name.partition(".")[0], [e.name for e in chain.elements]
         if owner in ("drive", "target"):  # it is of the torque as measured
@@ -237,29 +193,7 @@ def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
 
 
 def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
-    """Split the totals of :func:`least_squares` into parameters, as a place to start from.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    totals
-        By :func:`least_squares`, of the same mechanism.
-    mu
-        Load-dependent friction wherever there is some.
-    share
-        The motor's share of each total; the other elements and the load divide the rest.
-
-    Returns
-    -------
-    dict
-        A value for every parameter, in its unit.
-
-    Raises
-    ------
-    KeyError
-        If the table of quantities does not say where to start for one.
-    """
+    """Split the totals of :func:`least_squares` into parameters, as a place to start from."""
     labels = {name: total_label(chain, name) for name in in_order(chain)}
     total = {name: totals[label].value for name, label in labels.items() if label in totals}
     gain = total.get("added_load", 1.0)
@@ -316,17 +250,7 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
 def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
     """Name the totals of eq. (11), and give their regressors.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its recordings.
-
-    Returns
-    -------
-    names : list of str
-        Of :func:`bayesfric.estimates.torque_form.in_order`, those that show in this mechanism.
-    regressors : ndarray
-        ``(n_outputs, k)`` motor torque for a value of one, filtered like the measured one.
+    Shapes: returns regressors (n_outputs, k).
     """
     found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
     loads = {o.inputs.load(chain.load.motion) for o in observations}

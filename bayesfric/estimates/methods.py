@@ -19,48 +19,26 @@ from bayesfric.recordings.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Given:
-    """What may be estimated from.
+    """What may be estimated from."""
 
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    observations
-        Its recordings, prepared.
-    knowledge, options
-        Known values and bounds; how estimates are made.
-    trajectories
-        Makes the recordings for simulation, not divided; called only where a method simulates.
-    """
-
-    chain: Joint
-    observations: Sequence[Observation]
-    knowledge: Knowledge
+    chain: Joint  # The mechanism
+    observations: Sequence[Observation]  # Its recordings, prepared
+    knowledge: Knowledge  # Known values and bounds; how estimates are made
     options: Estimation
+    # Makes the recordings for simulation, not divided; called only where a method simulates
     trajectories: Callable[[], Sequence[Trajectory]]
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """A method of point estimation.
+    """A method of point estimation."""
 
-    Attributes
-    ----------
-    name, title
-        As it is asked for, and as a heading.
-    estimate
-        Makes the estimate, from the ones that were made before, by name.
-    starts_from
-        Method whose estimate it needs, if any.
-    simulates
-        Whether it is dear, and some mechanisms have none.
-    """
-
-    name: Method
+    name: Method  # As it is asked for, and as a heading
     title: str
+    # Makes the estimate, from the ones that were made before, by name
     estimate: Callable[[Given, Mapping[Method, Estimate]], Estimate]
-    starts_from: Method | None = None
-    simulates: bool = False
+    starts_from: Method | None = None  # Method whose estimate it needs, if any
+    simulates: bool = False  # Whether it is dear, and some mechanisms have none
 
 
 def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:
@@ -100,29 +78,7 @@ def estimate_by(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[Method, Estimate]:
-    """Estimate by some methods, and by those they start from unless ``found`` has them.
-
-    Parameters
-    ----------
-    methods
-        Names of :data:`ESTIMATORS`.
-    given
-        What is estimated from.
-    found
-        Estimates that were made before, by name.
-    progress
-        Called with the name of each method before it begins.
-
-    Returns
-    -------
-    dict
-        Estimates by every name in ``methods``, in the order of :data:`ESTIMATORS`.
-
-    Raises
-    ------
-    BadInput
-        If there is no such method, or one cannot be used with these recordings.
-    """
+    """Estimate by some methods, and by those they start from unless ``found`` has them."""
     for name in methods:
         if name not in ESTIMATORS:
             raise BadInput(f"method {name!r}", "there is none", nearest(name, ESTIMATORS))

@@ -137,42 +137,23 @@ def output_error(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with segments of one length.
+    """A fit with segments of one length."""
 
-    Attributes
-    ----------
-    frame, solution
-        What was held, and where the descent ended.
-    information
-        Of the free parameters, bounds left out: beside one, others would look far too certain.
-    at_bound
-        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
-    """
-
-    frame: Frame
+    frame: Frame  # What was held, and where the descent ended
     solution: Solution
+    # Of the free parameters, bounds left out: beside one, others would look far too certain
     information: Information
-    at_bound: NDArray[np.int_]
+    at_bound: NDArray[np.int_]  # (d,): -1 on the lower bound, 1 on the upper, else 0
 
 
 class OutputError:
     """Fits of simulated to measured position with segments of any length.
 
-    Parameters
-    ----------
-    chain, trajectories, observations, knowledge, options
-        As for :func:`output_error`. The time limit counts from here.
-
-    Attributes
-    ----------
-    free, columns, limits
-        Names of the d free parameters, indices among the chain's, lower and upper limits.
-    scalings
-        Those that nothing known takes away (section 4.2).
-    deadline
-        CPU time of the process, s.
-    grain
-        Standard deviation of a position that rounding alone makes, of each recording, rad or m.
+    @@ATTR chain, trajectories, observations, knowledge, options: As for :func:`output_error`. The
+    time limit counts from here. | free, columns, limits: Names of the d free parameters, indices
+    among the chain's, lower and upper limits. | scalings: Those that nothing known takes away
+    (section 4.2). | deadline: CPU time of the process, s. | grain: Standard deviation of a position
+    that rounding alone makes, of each recording, rad or m.
     """
 
     def __init__(
@@ -201,17 +182,7 @@ class OutputError:
     def distance(self, values: Array, length: float) -> float:
         """Sum of squares at a start, states fitted; infinite where it cannot be simulated.
 
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)``.
-        length
-            Of the segments, s.
-
-        Returns
-        -------
-        float
-            rad² or m².
+        Shapes: values (n_parameters,).
         """
         *_, residual = self._begin(values, length)
         found = float(np.sum(residual**2))
@@ -231,22 +202,10 @@ class OutputError:
     def fit(self, values: Array, length: float) -> Fit | None:
         """Fit from a start with segments of one length.
 
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` to start from.
-        length
-            s.
-
-        Returns
-        -------
-        Fit or None
-            ``None`` where the joint cannot be simulated.
-
-        Notes
-        -----
         Recordings, and values with a standard deviation, are weighed anew four times by the
         residuals. Along an open scaling the fit is moved to the middle of what a gearbox allows.
+
+        Shapes: values (n_parameters,).
         """
         frame, values, states, residual = self._begin(values, length)
         shooting = frame.shooting
@@ -288,22 +247,7 @@ class OutputError:
         return tuple(fitting) or (max(LENGTHS[0], least),)
 
     def estimate(self, fit: Fit, start: Array) -> Estimate:
-        """State everything a fit says.
-
-        Parameters
-        ----------
-        fit
-            The chosen one.
-        start
-            ``(n_parameters,)`` of the input error, whose unexplained torque is compared with the
-            fit's.
-
-        Returns
-        -------
-        Estimate
-            Its notes begin with what should be doubted: no convergence, or another minimum than the
-            input error's, which leaves more than twice as much of the torque.
-        """
+        """State everything a fit says. Shapes: start (n_parameters,)."""
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         solution, shooting = fit.solution, fit.frame.shooting
         given = self.chain, self.observations, self.knowledge

@@ -19,41 +19,23 @@ HALF = 1.645
 
 @dataclass(frozen=True)
 class EstimatedValue:
-    """One estimated number.
+    """One estimated number."""
 
-    Attributes
-    ----------
-    name, unit, symbol, meaning
-        As for parameters; the symbol is LaTeX without dollar signs.
-    value
-        In SI units; where ``sd`` is infinite it is one of many that fit as well.
-    sd
-        For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
-        the number, NaN where it has none because the estimate stands on a bound or has not
-        converged.
-    sd_robust
-        Accounts for correlated residuals.
-    kind
-        ``total`` seen by the motor, eq. (11); ``parameter`` of the chain; ``derived`` from
-        parameters.
-    gauge_free
-        Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2).
-    at_bound
-        Bound that it stands on, if any.
-    span
-        What a passive gearbox allows where a scaling leaves it open.
-    """
-
-    name: str
+    name: str  # As for parameters; the symbol is LaTeX without dollar signs
     unit: str
     symbol: str
     meaning: str
-    value: float
+    value: float  # In SI units; where sd is infinite it is one of many that fit as well
+    # For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
+    # the number, NaN where it has none because the estimate stands on a bound or has not converged
     sd: float
-    sd_robust: float = math.nan
+    sd_robust: float = math.nan  # Accounts for correlated residuals
+    # total seen by the motor, eq. (11); parameter of the chain; derived from parameters
     kind: Kind = "total"
+    # Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2)
     gauge_free: bool = True
-    at_bound: Bound | None = None
+    at_bound: Bound | None = None  # Bound that it stands on, if any
+    # What a passive gearbox allows where a scaling leaves it open
     span: tuple[float, float] | None = None
 
     @property
@@ -84,38 +66,18 @@ class EstimatedValue:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A point estimate; ``estimate[name]`` is one of its numbers, and raises ``KeyError`` for none.
+    """A point estimate; ``estimate[name]`` is one of its numbers, and raises ``KeyError`` for none."""
 
-    Attributes
-    ----------
-    method
-        ``least-squares``, ``input-error`` or ``output-error``.
-    values
-        Totals, derived quantities, parameters.
-    residual_rms
-        Root mean square of measured minus modelled, in ``residual_unit``.
-    n_outputs
-        Number of residuals.
-    assumption
-        What the standard deviations take for granted, one sentence.
-    residual_unit
-        That of torque, or of position for the output error.
-    notes
-        What a user should know of how it came about, one sentence each.
-    point
-        Name and value of every chain parameter; empty for least squares.
-    converged
-        Whether it is a minimum; values have no standard deviations where it is not.
-    """
-
-    method: Method
-    values: tuple[EstimatedValue, ...]
-    residual_rms: float
-    n_outputs: int
-    assumption: str
-    residual_unit: str = "N m"
-    notes: tuple[str, ...] = ()
+    method: Method  # least-squares, input-error or output-error
+    values: tuple[EstimatedValue, ...]  # Totals, derived quantities, parameters
+    residual_rms: float  # Root mean square of measured minus modelled, in residual_unit
+    n_outputs: int  # Number of residuals
+    assumption: str  # What the standard deviations take for granted, one sentence
+    residual_unit: str = "N m"  # That of torque, or of position for the output error
+    notes: tuple[str, ...] = ()  # What a user should know of how it came about, one sentence each
+    # Name and value of every chain parameter; empty for least squares
     point: tuple[tuple[str, float], ...] = ()
+    # Whether it is a minimum; values have no standard deviations where it is not
     converged: bool = True
 
     @property

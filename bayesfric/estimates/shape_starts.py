@@ -29,27 +29,10 @@ def at_tried_shapes(
 ) -> tuple[list[Array], int]:
     """Move starts to a shape that is tried, and all else to what fits best there.
 
-    Parameters
-    ----------
-    problem, terms
-        The modelled torque, and what is minimised.
-    starts
-        ``(d,)`` free parameters each.
-    rng
-        Combines the values of several shapes at random.
-
-    Returns
-    -------
-    starts : list of ndarray
-        Up to four, the lowest that differ; the given ones where no shape is free.
-    tried : int
-        How many were tried: as many as starts, or as the shape with most values has; 0 for no
-        shape.
-
-    Notes
-    -----
     With shapes held the torque is linear but for products such as rise times friction, so three
     steps downhill are enough to tell them apart.
+
+    Shapes: starts (d,).
     """
     shapes = _tried(problem)
     if not shapes:

@@ -29,48 +29,23 @@ _LEAST_REACH = 1e-2
 
 
 class Sensitivities(NamedTuple):
-    """Simulated positions and their derivatives.
+    """Simulated positions and their derivatives."""
 
-    Attributes
-    ----------
-    positions
-        ``(n,)`` rad or m.
-    parameters
-        ``(n, d)`` by the free parameters.
-    states
-        ``(n, 2)`` by position and speed at the start of the segment each sample is in.
-    """
-
-    positions: Array
-    parameters: Array
-    states: Array
+    positions: Array  # (n,) rad or m
+    parameters: Array  # (n, d) by the free parameters
+    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
 
 
 class Shooting:
     """Simulation of recordings from one state for each of their segments.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        Its recordings, divided into segments, K in all.
-    substeps
-        Integration steps a sample.
-
-    Attributes
-    ----------
-    measured
-        ``(n,)`` position inside the segments of all recordings, rad or m.
-    recording_of, segment_of, places
-        ``(n,)`` of each sample the recording, the segment counted over all, and the place on an
-        even grid of time, recordings apart.
-    borders
-        ``(K + 1,)``: segment k is ``borders[k]:borders[k + 1]`` of the samples.
-    periods
-        ``(K,)`` s between samples.
-    initial
-        ``(K, 2)`` position and speed to start the search for the initial states from.
+    @@ATTR chain: The mechanism. | trajectories: Its recordings, divided into segments, K in all. |
+    substeps: Integration steps a sample. | measured: ``(n,)`` position inside the segments of all
+    recordings, rad or m. | recording_of, segment_of, places: ``(n,)`` of each sample the recording,
+    the segment counted over all, and the place on an even grid of time, recordings apart. |
+    borders: ``(K + 1,)``: segment k is ``borders[k]:borders[k + 1]`` of the samples. | periods:
+    ``(K,)`` s between samples. | initial: ``(K, 2)`` position and speed to start the search for the
+    initial states from.
     """
 
     def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
@@ -104,19 +79,7 @@ class Shooting:
     def positions(self, values: Array, states: Array, substeps: int | None = None) -> Array:
         """Simulate the positions of parameter vectors.
 
-        Parameters
-        ----------
-        values
-            ``(m, n_parameters)``.
-        states
-            ``(K, 2)``, or ``(m, K, 2)`` for each vector its own: position and speed, rad or m, SI.
-        substeps
-            Integration steps a sample; its own if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
+        Shapes: values (m, n_parameters); states (K, 2); returns (m, n).
         """
         return self.motion(values, states, substeps)[0]
 
@@ -159,25 +122,7 @@ class Shooting:
     ) -> Sensitivities:
         """Simulate and differentiate, all differences side by side in one go.
 
-        Parameters
-        ----------
-        values, states
-            ``(n_parameters,)`` and ``(K, 2)``.
-        steps
-            ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
-        state_steps
-            Widths by position and speed, rad or m, SI.
-        limits
-            Lower and upper of every parameter, ``(n_parameters,)`` each; the supports where left
-            out.
-        central
-            Whether to take central differences, and where they would leave the limits the one-sided
-            formula of the same order; else plain one-sided ones, at half the cost.
-
-        Returns
-        -------
-        Sensitivities
-            By the parameters with a step; NaN where neither side can be simulated.
+        Shapes: values, states (n_parameters,) each; steps (n_parameters,).
         """
         if limits is None:
             lower = np.array([p.lower for p in self.chain.parameters])
@@ -214,23 +159,11 @@ class Shooting:
 class Elimination:
     """A least-squares problem without its initial states.
 
-    Parameters
-    ----------
-    shooting
-        Whose segments the states are of.
-    states
-        ``(n, 2)`` derivatives by them, weighted like ``columns``.
-    columns
-        ``(n, k)``: residual and derivatives by parameters.
-
-    Attributes
-    ----------
-    projected, onto
-        As :meth:`of` gives them for ``columns``.
-    lost
-        Number of states taken out; not a speed that moves nothing, as where the joint sticks.
-    back
-        ``(K, 2, 2)``, from coefficients of an orthonormal basis in each segment to the states.
+    @@ATTR shooting: Whose segments the states are of. | states: ``(n, 2)`` derivatives by them,
+    weighted like ``columns``. | columns: ``(n, k)``: residual and derivatives by parameters. |
+    projected, onto: As :meth:`of` gives them for ``columns``. | lost: Number of states taken out;
+    not a speed that moves nothing, as where the joint sticks. | back: ``(K, 2, 2)``, from
+    coefficients of an orthonormal basis in each segment to the states.
     """
 
     def __init__(self, shooting: Shooting, states: Array, columns: Array) -> None:
@@ -251,17 +184,7 @@ class Elimination:
     def of(self, columns: Array) -> tuple[Array, Array]:
         """Take the states out of columns.
 
-        Parameters
-        ----------
-        columns
-            ``(n, k)``.
-
-        Returns
-        -------
-        projected : ndarray
-            ``(n, k)``, each segment's made orthogonal to its state columns.
-        onto : ndarray
-            ``(K, 2, k)``, the change of the states that each column stands for.
+        Shapes: columns (n, k); returns projected (n, k), onto (K, 2, k).
         """
         parts = self._base[:, :, None] * columns[:, None, :]
         coefficients = np.add.reduceat(parts, self._borders[:-1], axis=0)
@@ -287,21 +210,7 @@ def resolution(position: Array) -> float:
 def choose_substeps(
     shooting: Shooting, values: Array, states: Array, small: float | None = None
 ) -> tuple[int, float]:
-    """Choose integration steps a sample: the fewest, doubled from one on, that err little enough.
-
-    Parameters
-    ----------
-    shooting, values, states
-        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``.
-    small
-        Error that is small, rad or m; a hundredth of the resolution if left out.
-
-    Returns
-    -------
-    substeps : int
-    error : float
-        Largest estimated error of the position, rad or m.
-    """
+    """Choose integration steps a sample: the fewest, doubled from one on, that err little enough."""
     if small is None:
         small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)
     substeps = 1
@@ -318,19 +227,7 @@ def step_error(
 ) -> tuple[float, Array]:
     """Discretisation error at a number of substeps, and positions with twice as many.
 
-    Parameters
-    ----------
-    shooting, values, states, substeps
-        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``, and how finely.
-    coarse
-        Its positions ``(n,)``, where they are there already.
-
-    Returns
-    -------
-    error : float
-        Largest, rad or m; the method is of fourth order, so halving the step leaves a sixteenth.
-    fine : ndarray
-        ``(n,)``.
+    Shapes: returns fine (n,).
     """
     if coarse is None:
         coarse = shooting.positions(values[None], states, substeps)[0]

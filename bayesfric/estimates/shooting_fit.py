@@ -32,42 +32,22 @@ _SMALL = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What stays the same while one fit descends.
+    """What stays the same while one fit descends."""
 
-    Attributes
-    ----------
-    shooting
-        The simulation, K segments with n samples.
-    columns
-        ``(d,)`` the free parameters among the chain's.
-    units
-        ``(d,)`` changes of them that change the torque by all of itself.
-    limits
-        Lower and upper, ``(d,)`` each.
-    scalings
-        Those that nothing known takes away (section 4.2).
-    told, targets
-        ``(k, d)`` rows 1/sd of what is known besides, and ``(k,)`` mean/sd of it.
-    speed, span
-        Typical speed and range of the position, for the size of state steps, rad or m, SI.
-    rows, sigma
-        How residuals count: ``(n,)`` a factor on each, and their standard deviation times that.
-    deadline
-        CPU time of the process, s, at which a descent ends where it is.
-    """
-
-    shooting: Shooting
-    columns: NDArray[np.int64]
-    units: Array
-    limits: tuple[Array, Array]
-    scalings: tuple[Scaling, ...]
-    told: Array
+    shooting: Shooting  # The simulation, K segments with n samples
+    columns: NDArray[np.int64]  # (d,) the free parameters among the chain's
+    units: Array  # (d,) changes of them that change the torque by all of itself
+    limits: tuple[Array, Array]  # Lower and upper, (d,) each
+    scalings: tuple[Scaling, ...]  # Those that nothing known takes away (section 4.2)
+    told: Array  # (k, d) rows 1/sd of what is known besides, and (k,) mean/sd of it
     targets: Array
+    # Typical speed and range of the position, for the size of state steps, rad or m, SI
     speed: float
     span: float
+    # How residuals count: (n,) a factor on each, and their standard deviation times that
     rows: Array
     sigma: float
-    deadline: float = math.inf
+    deadline: float = math.inf  # CPU time of the process, s, at which a descent ends where it is
 
     def tangents(self, values: Array) -> Array:
         """Directions along the scalings, orthonormal in units, ``(d, g)`` for g scalings.
@@ -82,28 +62,15 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a descent ended.
+    """Where a descent ended."""
 
-    Attributes
-    ----------
-    values, states
-        ``(n_parameters,)`` and ``(K, 2)``.
-    residual
-        ``(n,)`` measured minus simulated position, not weighted, rad or m.
-    cost
-        Sum of the weighted squares, of what is known besides too.
-    gain
-        By how much a further step would lower it, in residual variances.
-    converged
-        Whether the last step was as small as wanted, or nothing smaller was found; not where time
-        ran out.
-    """
-
-    values: Array
+    values: Array  # (n_parameters,) and (K, 2)
     states: Array
-    residual: Array
-    cost: float
-    gain: float
+    residual: Array  # (n,) measured minus simulated position, not weighted, rad or m
+    cost: float  # Sum of the weighted squares, of what is known besides too
+    gain: float  # By how much a further step would lower it, in residual variances
+    # Whether the last step was as small as wanted, or nothing smaller was found; not where time ran
+    # out
     converged: bool
 
 
@@ -117,20 +84,10 @@ class Linearised:
 
     The derivatives are blind along :meth:`Frame.tangents`.
 
-    Parameters
-    ----------
-    frame, values, states
-        What is held, ``(n_parameters,)`` and ``(K, 2)``.
-    central
-        Whether to take the more exact of the two kinds of differences.
-
-    Attributes
-    ----------
-    elimination
-        Of the weighted residual ``(n,)``, its first column, and its derivatives ``(n, d)``.
-    target
-        ``(d + k,)`` right-hand side of the linear problem for the parameters' step, known values
-        last.
+    @@ATTR frame, values, states: What is held, ``(n_parameters,)`` and ``(K, 2)``. | central:
+    Whether to take the more exact of the two kinds of differences. | elimination: Of the weighted
+    residual ``(n,)``, its first column, and its derivatives ``(n, d)``. | target: ``(d + k,)``
+    right-hand side of the linear problem for the parameters' step, known values last.
     """
 
     def __init__(self, frame: Frame, values: Array, states: Array, *, central: bool = True) -> None:
@@ -206,25 +163,13 @@ class Linearised:
 def descend(frame: Frame, values: Array, states: Array) -> Solution:
     """Find the least cost over free parameters, within limits, and initial states.
 
-    Parameters
-    ----------
-    frame
-        What is held.
-    values, states
-        ``(n_parameters,)`` and ``(K, 2)`` to start from.
-
-    Returns
-    -------
-    Solution
-        Its cost is infinite if the start cannot be simulated.
-
-    Notes
-    -----
     Levenberg and Marquardt's steps on the problem without its states. Several dampings are
     simulated side by side. Given the parameters, segments do not depend on each other, so each
     takes the share of its own states' step that suits it best. Converged where a further step would
     lower the cost by less than 1e-4 residual variances, or by less than 1e-2 where kinks and
     rounding stop it.
+
+    Shapes: values, states (n_parameters,) each.
     """
     columns = frame.columns
     residual = residual_of(frame, values, states)
@@ -263,18 +208,7 @@ def descend(frame: Frame, values: Array, states: Array) -> Solution:
 
 
 def settle_states(frame: Frame, values: Array, states: Array) -> Array:
-    """Fit the initial states alone, the parameters held.
-
-    Parameters
-    ----------
-    frame, values, states
-        As for :func:`descend`.
-
-    Returns
-    -------
-    ndarray
-        ``(K, 2)``.
-    """
+    """Fit the initial states alone, the parameters held. Shapes: returns (K, 2)."""
     low, high = frame.limits
     held = replace(
         frame,

@@ -22,54 +22,22 @@ _NEARLY_ALL = 0.999
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of what was measured.
+    """Sizes of what was measured."""
 
-    Attributes
-    ----------
-    torque
-        Largest measured of the motor (99.9th percentile), N m or N.
-    speed, acceleration
-        Root mean square at the joint, rad or m and s.
-    lean
-        Largest sine of the joint's angle that gravity was seen at.
-    exchanged
-        Torque that one term surely takes, from another maybe, N m or N.
-    position
-        Range of the joint's, rad or m.
-    duration
-        Of the longest recording, s.
-    position_step
-        Finest that one was read in, rad or m; 0 where it is not known.
-    columns
-        Root mean square torque of each term with a shape of its own, for a value of one.
-    """
-
-    torque: float
-    speed: float
+    torque: float  # Largest measured of the motor (99.9th percentile), N m or N
+    speed: float  # Root mean square at the joint, rad or m and s
     acceleration: float
-    lean: float = 1.0
-    exchanged: float = 0.0
-    position: float = 1.0
-    duration: float = 1.0
-    position_step: float = 0.0
+    lean: float = 1.0  # Largest sine of the joint's angle that gravity was seen at
+    exchanged: float = 0.0  # Torque that one term surely takes, from another maybe, N m or N
+    position: float = 1.0  # Range of the joint's, rad or m
+    duration: float = 1.0  # Of the longest recording, s
+    position_step: float = 0.0  # Finest that one was read in, rad or m; 0 where it is not known
+    # Root mean square torque of each term with a shape of its own, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
 
 
 def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales:
-    """Take the scales from all recordings together.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism, and at least one recording of it; samples away from outputs, as excluded
-        ones, do not count.
-
-    Returns
-    -------
-    Scales
-        With an acceleration that at least changes the speed once in all recordings, and a lean of 1
-        where gravity's angle is unknown.
-    """
+    """Take the scales from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
@@ -93,20 +61,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
 
 
 def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
-    """Give the sizes at the input of an element, or of ``load``.
-
-    Parameters
-    ----------
-    chain, owner
-        The mechanism, and the element's name.
-    scales
-        Of its recordings, at the joint and, the torque, at the motor.
-
-    Returns
-    -------
-    Sizes
-        Speeds go with the ratio, torque against it; losses on the way are not counted.
-    """
+    """Give the sizes at the input of an element, or of ``load``."""
     to_joint = chain.reaches[owner]
     return Sizes(
         scales.torque * (chain.ratio / to_joint),

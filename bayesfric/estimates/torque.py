@@ -24,19 +24,7 @@ _LOAD_QUANTILE = 0.95
 def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
     """Motor torque along a measured motion, behind the filter of the measured torque.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observation
-        Motion, inputs and filter.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(n, n_outputs)``, N m or N, to be compared with ``observation.measured``.
+    Shapes: values (n, n_parameters); returns (n, n_outputs).
     """
     out = np.empty((values.shape[0], observation.filter.n_outputs))
     for part, torque in _torques(chain, observation, values):
@@ -47,17 +35,7 @@ def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Ar
 def weighed_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
     """Weigh the samples of the modelled torque before any filter.
 
-    Parameters
-    ----------
-    chain, observation, values
-        As for :func:`filtered_torque`.
-    weights
-        ``(k, n_samples)``.
-
-    Returns
-    -------
-    ndarray
-        ``(k, n)``.
+    Shapes: weights (k, n_samples); returns (k, n).
     """
     out = np.empty((len(weights), values.shape[0]))
     for part, torque in _torques(chain, observation, values):
@@ -87,20 +65,7 @@ def torque_jacobian(
     to rounding except where a step changes the direction of power; in what only shapes other terms
     differences are central.
 
-    Parameters
-    ----------
-    chain, observations
-        As for :func:`filtered_torque`, of several recordings.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    steps
-        ``(n_parameters,)`` widths of the differences, in the parameters' units; zero for
-        parameters to leave out.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
+    Shapes: values (n_parameters,); steps (n_parameters,); returns (n_outputs, n_parameters).
     """
     moving = np.flatnonzero(steps)
     beside = np.eye(values.size)[moving] * steps
@@ -130,36 +95,14 @@ def load_at_outputs(chain: Joint, o: Observation, values: Array) -> Array:
 def typical_load(chain: Joint, observations: Sequence[Observation], values: Array) -> float:
     """Joint torque at which efficiencies are stated: the 95th percentile of the recordings.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism, and the motions that it made.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    float
-        Of the absolute torque of eq. (3), N m or N.
+    Shapes: values (n_parameters,).
     """
     loads = [load_at_outputs(chain, o, values) for o in observations]
     return float(np.quantile(np.abs(np.concatenate(loads)), _LOAD_QUANTILE))
 
 
 def places(observations: Sequence[Observation]) -> NDArray[np.int64]:
-    """Position of every output on an even grid of time.
-
-    Parameters
-    ----------
-    observations
-        Of the recordings, in their order.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs,)`` of int, rising; segments and recordings are far apart, so that correlation
-        in time is not taken to reach from one to the next.
-    """
+    """Position of every output on an even grid of time. Shapes: returns (n_outputs,)."""
     found, begin = [], 0
     for o in observations:
         step = max(int(np.diff(o.filter.starts).min(initial=len(o.filter.taps))), 1)

@@ -32,46 +32,27 @@ POSITIVE = tuple(total.name for total in TOTALS.values() if total.positive)
 class TorqueForm:
     """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
 
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    names1, names2
-        Columns of psi that ``Theta1`` and ``Theta2`` multiply, those of TOTALS in motor units as
-        the paper's; ``offset.<recording>`` is one in that recording, ``added_load`` the torque of
-        the known load at the motor, whose coefficients are ``lambda_1`` and ``lambda_2``.
-    front, behind
-        Of each column the parameters up to the gearbox, and behind it, with their torque at the
-        motor for a value of one.
-    loss
-        Name of the element with load-dependent friction; empty for none.
-
-    Notes
-    -----
     ``lambda_1 = (1/alpha_1 + 1/alpha_2)/2``, ``lambda_2 = (1/alpha_1 - 1/alpha_2)/2``, and ``Theta1
     = front + lambda_1 behind``, ``Theta2 = lambda_2 behind``, column by column. ``-Theta2`` makes
     the same torque.
     """
 
-    chain: Joint
+    chain: Joint  # The mechanism
+    # Columns of psi that Theta1 and Theta2 multiply, those of TOTALS in motor units as the paper's;
+    # offset.<recording> is one in that recording, added_load the torque of the known load at the
+    # motor, whose coefficients are lambda_1 and lambda_2
     names1: tuple[str, ...]
     names2: tuple[str, ...]
+    # Of each column the parameters up to the gearbox, and behind it, with their torque at the motor
+    # for a value of one
     front: Mapping[str, list[Term]] = field(repr=False)
     behind: Mapping[str, list[Term]] = field(repr=False)
-    loss: str
+    loss: str  # Name of the element with load-dependent friction; empty for none
 
     def thetas(self, values: Array) -> tuple[Array, Array]:
         """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector.
 
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-
-        Returns
-        -------
-        theta1, theta2 : ndarray
-            ``(len(names1),)`` and ``(len(names2),)``, in motor units.
+        Shapes: values (n_parameters,); returns theta1, theta2 (len(names1),).
         """
         lambda1, lambda2 = 1.0, 0.0
         if self.loss:
@@ -90,25 +71,12 @@ class TorqueForm:
     ) -> Array:
         """Parameters behind ``Theta1`` and ``Theta2``; exact where these have one.
 
-        Parameters
-        ----------
-        theta1, theta2
-            As of :meth:`thetas`.
-        fixed
-            Known values by name, which the result has.
+        ``lambda_1/lambda_2`` comes from the columns that only the load fills (``theta5/theta10``),
+        then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and leg = ``Theta2/lambda_2``. The
+        scale comes from the known mass, a ``fixed`` parameter, or is the middle of what a passive
+        gearbox allows.
 
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)``. Where more parameters than one fill a column, they share it evenly;
-            negative values stay.
-
-        Notes
-        -----
-        ``lambda_1/lambda_2`` comes from the columns that only the load fills
-        (``theta5/theta10``), then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and
-        leg = ``Theta2/lambda_2``. The scale comes from the known mass, a ``fixed``
-        parameter, or is the middle of what a passive gearbox allows.
+        Shapes: returns (n_parameters,).
         """
         one = dict(zip(self.names1, theta1.tolist(), strict=True))
         two = dict(zip(self.names2, theta2.tolist(), strict=True))
@@ -174,20 +142,7 @@ class TorqueForm:
 def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Array:
     """Move a vector along its scalings until a fixed parameter has its value.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    fixed
-        Known values by name.
-
-    Returns
-    -------
-    ndarray
-        ``(n_parameters,)``; where none is fixed, or no factor reaches it, in the middle of what a
-        passive gearbox allows.
+    Shapes: values (n_parameters,); returns (n_parameters,).
     """
     for scaling in scalings(chain):
         factors = (scaling.factor_to(values, n, fixed[n]) for n in scaling.names if n in fixed)
@@ -264,20 +219,6 @@ def torque_form(
 def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Columns one parameter fills, and its torque at the motor there for a value of one.
 
-    Parameters
-    ----------
-    chain, p
-        The mechanism, and one of its parameters.
-
-    Returns
-    -------
-    tuple of (str, float)
-        Name of each column and that torque. A term that does not grow with a power of speed, or has
-        no total, has a column of its own name, which is that torque. Load-dependent friction has
-        none: ``lambda_1`` and ``lambda_2`` hold it.
-
-    Notes
-    -----
     Through a ratio of n from motor to owner, a term of the power k of motion, ``power`` of its row,
     comes to ``n**-(k + 1)`` at the motor: an inertia to ``J/n²``, Coulomb friction to ``C/n``.
     """
@@ -300,21 +241,7 @@ def in_order(chain: Joint) -> list[str]:
 
 
 def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Array:
-    """Columns of ``psi`` of eq. (13), before filtering.
-
-    Parameters
-    ----------
-    chain, observation
-        The mechanism, and a motion of it.
-    names
-        Of :func:`in_order`.
-
-    Returns
-    -------
-    ndarray
-        ``(n, N)``, one column a row, in motor units; that of a parameter of its own is the torque
-        at the motor for a value of one.
-    """
+    """Columns of ``psi`` of eq. (13), before filtering. Shapes: returns (n, N)."""
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)
     sine = np.sin(o.q)
@@ -347,16 +274,7 @@ def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Arr
 def shortest(regressors: Array) -> tuple[Array, Flags, Array, Array]:
     """Solve a linear least-squares problem ``(n, k)`` once for all targets.
 
-    Returns
-    -------
-    size : ndarray
-        ``(k,)`` norms of the columns, 1 for those of zeros.
-    shared : ndarray
-        ``(k,)`` of bool: which columns others can stand for.
-    solution : ndarray
-        ``(k, n)``, from targets to the solution that is shortest in units of the norms.
-    basis : ndarray
-        ``(n, rank)`` orthonormal, of what the columns span.
+    Shapes: returns size (k,), shared (k,), solution (k, n), basis (n, rank).
     """
     size = np.linalg.norm(regressors, axis=0)
     size[size == 0.0] = 1.0

@@ -18,21 +18,12 @@ _SAME = 1e-6  # two minima closer than this, relatively, are one
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where the criterion (12) is smallest.
+    """Where the criterion (12) is smallest."""
 
-    Attributes
-    ----------
-    theta1
-        ``(n1,)`` coefficients of the columns of the form, in motor units.
-    theta2
-        ``(n2,)``; of this and its negative, the same torque, the one that a mechanism can have.
-    starts, starts_agreeing
-        How many searches there were, and how many reached this minimum.
-    """
-
-    theta1: Array
+    theta1: Array  # (n1,) coefficients of the columns of the form, in motor units
+    # (n2,); of this and its negative, the same torque, the one that a mechanism can have
     theta2: Array
-    starts: int
+    starts: int  # How many searches there were, and how many reached this minimum
     starts_agreeing: int
 
 
@@ -109,15 +100,7 @@ class VariableProjection:
     def minimise(self, starts: Sequence[Array]) -> Minimum:
         """Search from several ``Theta2`` (Levenberg-Marquardt) and keep the best.
 
-        Parameters
-        ----------
-        starts
-            ``(n2,)`` each; zeros are moved off the fold of ``|psi Theta2|``.
-
-        Returns
-        -------
-        Minimum
-            With ``Jc > 0`` and ``alpha_2 > alpha_1``. It solves eq. (19).
+        Shapes: starts (n2,).
         """
         settings: Any = {"method": "lm", "x_scale": 1.0 / self.scale, "max_nfev": 100}
         settings |= {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-14}

@@ -19,21 +19,10 @@ _ROUNDS = 7
 def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
     """Put a point estimate into sampled parameters, the most likely noise scales added.
 
-    Parameters
-    ----------
-    estimate
-        A value of every free parameter of the chain, by name. What lies outside its prior is moved
-        to its edge.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)`` free parameters, then the noise scales.
-
-    Notes
-    -----
     For a likelihood of the torque, partial autocorrelations are Burg's and the scale is the root
     mean square of the innovations; else noise of torque and position are searched on a grid.
+
+    Shapes: returns (d,).
     """
     values = np.array(
         [

@@ -19,24 +19,15 @@ _SAME = 1e-6
 
 @dataclass(frozen=True)
 class SpeedTerm:
-    """What a torque proportional to speed, such as a back-EMF's, cannot be told from.
+    """What a torque proportional to speed, such as a back-EMF's, cannot be told from."""
 
-    Attributes
-    ----------
-    recordings
-        Those whose torque comes from a voltage.
-    nominal, unit
-        kt²/R as given, the largest: what the speed takes off, in N m s or N s/m at the motor.
-    same_as_back_emf
-        Parameters whose effect, each one's or all together, has the same shape exactly.
-    explained
-        Share of the term's square that some change of parameters makes up for, 0 to 1.
-    """
-
-    recordings: tuple[str, ...]
+    recordings: tuple[str, ...]  # Those whose torque comes from a voltage
+    # kt²/R as given, the largest: what the speed takes off, in N m s or N s/m at the motor
     nominal: float
     unit: str
+    # Parameters whose effect, each one's or all together, has the same shape exactly
     same_as_back_emf: tuple[str, ...]
+    # Share of the term's square that some change of parameters makes up for, 0 to 1
     explained: float
 
     @property
@@ -63,25 +54,11 @@ def speed_term(
 ) -> SpeedTerm | None:
     """Compare a torque proportional to speed with what the parameters can do.
 
-    Parameters
-    ----------
-    target
-        Posterior of the recordings together.
-    parameters
-        ``(d,)`` sampled ones at the estimate, noise scales last.
-    recordings
-        As read, which tell where a torque comes from.
-
-    Returns
-    -------
-    SpeedTerm or None
-        ``None`` where no recording's torque comes from a voltage.
-
-    Notes
-    -----
     With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
     motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
     filtered and whitened as the torque is, is projected on the columns of the Jacobian.
+
+    Shapes: parameters (d,).
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}

@@ -20,49 +20,23 @@ _LITTLE = 0.05
 
 @dataclass(frozen=True)
 class Coverage:
-    """What one recording went through, at the point estimate where that needs one.
+    """What one recording went through, at the point estimate where that needs one."""
 
-    Attributes
-    ----------
-    name, outputs
-        Of the recording, and how many outputs it has.
-    moving
-        Share of outputs in which the joint moves.
-    load_drives
-        By element with a load loss, share of those in which the load drives it.
-    turn
-        Range of the joint's position, rad or m.
-    steady
-        Share of outputs in which inertia takes less than a twentieth of the torque.
-    added_mass, radius
-        Known mass on the load, kg, and its distance from the axis, m.
-    """
-
-    name: str
+    name: str  # Of the recording, and how many outputs it has
     outputs: int
-    moving: float
+    moving: float  # Share of outputs in which the joint moves
+    # By element with a load loss, share of those in which the load drives it
     load_drives: dict[str, float]
-    turn: float
-    steady: float
-    added_mass: float
+    turn: float  # Range of the joint's position, rad or m
+    steady: float  # Share of outputs in which inertia takes less than a twentieth of the torque
+    added_mass: float  # Known mass on the load, kg, and its distance from the axis, m
     radius: float
 
 
 def coverage_of(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> tuple[Coverage, ...]:
-    """Look at what every recording went through.
-
-    Parameters
-    ----------
-    values
-        ``(n_parameters,)`` of the chain at the estimate.
-
-    Returns
-    -------
-    tuple of Coverage
-        One for each recording.
-    """
+    """Look at what every recording went through. Shapes: values (n_parameters,)."""
     return tuple(
         Coverage(
             name=o.name,
@@ -81,21 +55,7 @@ def coverage_of(
 def back_driven(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
-    """Give how often the load drives each element that has a load loss.
-
-    Parameters
-    ----------
-    chain, observations
-        The joint, and what was measured of it.
-    values
-        Vectors ``(n, n_parameters)`` of the chain's parameters.
-
-    Returns
-    -------
-    dict
-        By element, for each vector the share ``(n,)`` of all moving outputs in which the torque
-        behind it times the speed is negative, eq. (6) of the paper.
-    """
+    """Give how often the load drives each element that has a load loss."""
     found = {}
     for i, element in enumerate(chain.elements):
         if element.load_loss == "none":

@@ -84,22 +84,7 @@ class Recorded(Protocol):
 
 
 def friction_curves(fit: Fit, levels: Sequence[float] = ()) -> list[Curve]:
-    """Evaluate friction over speed, where recordings ran: without load, driven, and driving.
-
-    Parameters
-    ----------
-    fit
-        Its draws are those that allow for model discrepancy, where that is ``fit.wide``.
-    levels
-        Speeds are these quantiles of how fast the motor ran near the load; a grid over the recorded
-        range if left out.
-
-    Returns
-    -------
-    list of Curve
-        At no load; where friction depends on load also at nine tenths of the recorded loads that
-        resist the motion, and of those that drive the motor.
-    """
+    """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
     open_scale = has_open_scale(fit)
     median = fit.target.chain_values(fit.posterior.median[None])
     place = covered(fit, median[0], open_scale)

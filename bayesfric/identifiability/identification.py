@@ -51,74 +51,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prospect:
-    """One parameter or derived quantity and how well it would be known.
+    """One parameter or derived quantity and how well it would be known."""
 
-    Attributes
-    ----------
-    name, unit, meaning
-        As in :class:`bayesfric.mechanism.parameter.Parameter`.
-    value
-        At the estimate; it means nothing where ``data_sd`` is infinite.
-    data_sd
-        Standard deviation that the data alone would leave, the noise being what a fit takes it for.
-    expected_sd
-        Of data and prior together.
-    prior_sd
-        Of a parameter's prior; NaN of what is derived.
-    status
-        To be expected of a fit.
-    on_bound
-        ``lower`` or ``upper`` end of its prior where the estimate is on it: then only a limit can
-        be reported.
-    """
-
-    name: str
+    name: str  # As in :class:`bayesfric.mechanism.parameter.Parameter`
     unit: str
     meaning: str
-    value: float
+    value: float  # At the estimate; it means nothing where data_sd is infinite
+    # Standard deviation that the data alone would leave, the noise being what a fit takes it for
     data_sd: float
-    expected_sd: float
-    prior_sd: float = float("nan")
-    status: Status | None = None
+    expected_sd: float  # Of data and prior together
+    prior_sd: float = float("nan")  # Of a parameter's prior; NaN of what is derived
+    status: Status | None = None  # To be expected of a fit
+    # lower or upper end of its prior where the estimate is on it: then only a limit can be reported
     on_bound: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Everything that the local picture says.
+    """Everything that the local picture says."""
 
-    Attributes
-    ----------
-    method, noise
-        Of the likelihood, and what it takes the noise for.
-    memory
-        Whether the noise may be autocorrelated: point estimates weigh all residuals alike, and have
-        other standard deviations then.
-    local
-        Fisher information at the estimate.
-    directions
-        Null ones first, then weak ones, the weakest first.
-    parameters
-        The free ones, in their order.
-    combinations
-        What they amount to, best known first.
-    recordings
-        What each went through.
-    back_driving
-        By element with a load loss, share of the moving outputs in which the load drives it.
-    voltage
-        What a back-EMF cannot be told from, where a torque comes from a voltage.
-    """
-
-    method: str
+    method: str  # Of the likelihood, and what it takes the noise for
     noise: str
+    # Whether the noise may be autocorrelated: point estimates weigh all residuals alike, and have
+    # other standard deviations then
     memory: bool
-    local: LocalInformation
-    directions: tuple[OpenDirection, ...]
-    parameters: tuple[Prospect, ...]
-    combinations: tuple[Prospect, ...]
-    recordings: tuple[Coverage, ...]
+    local: LocalInformation  # Fisher information at the estimate
+    directions: tuple[OpenDirection, ...]  # Null ones first, then weak ones, the weakest first
+    parameters: tuple[Prospect, ...]  # The free ones, in their order
+    combinations: tuple[Prospect, ...]  # What they amount to, best known first
+    recordings: tuple[Coverage, ...]  # What each went through
+    # By element with a load loss, share of the moving outputs in which the load drives it
     back_driving: dict[str, float]
+    # What a back-EMF cannot be told from, where a torque comes from a voltage
     voltage: SpeedTerm | None
 
     @property
@@ -195,37 +159,14 @@ def _without(record: Any, *names: str) -> dict[str, Any]:
 def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
     """Find out what the recordings can tell, before anything is sampled.
 
-    Parameters
-    ----------
-    target
-        Posterior of the recordings together.
-    estimate
-        ``(d,)`` sampled parameters at which to look, noise scales last.
-    speed
-        What a back-EMF is confounded with, where the torque comes from a voltage.
-
-    Returns
-    -------
-    Identification
-        Standard deviations are of a normal posterior at the estimate; directions that no torque
-        tells are the scalings of section 4.2 of the paper, and what this motion leaves open
-        besides.
-
-    Raises
-    ------
-    BadInput
-        If a simulation fails beside the estimate.
-
-    Notes
-    -----
     With J the Jacobian over the noise and P the priors' variances, the data's information is
     ``J'J`` and a quantity of gradient g has ``sd² = g' (J'J + P^-1)^-1 g``. The scalings are
     structurally unidentifiable; weak directions are practically so [1]_.
 
-    References
-    ----------
+    Shapes: estimate (d,).
+
     .. [1] A. Raue et al., "Structural and practical identifiability analysis of partially observed
-       dynamical models by exploiting the profile likelihood", Bioinformatics 25 (2009) 1923-1929.
+    dynamical models by exploiting the profile likelihood", Bioinformatics 25 (2009) 1923-1929.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     local = in_natural_units(target, estimate, local_information(target, estimate))

@@ -51,15 +51,10 @@ _ROUNDING = 1e-5
 
 @dataclass(frozen=True)
 class NullDirection:
-    """Parameters that can change together without changing any predicted torque.
+    """Parameters that can change together without changing any predicted torque."""
 
-    Attributes
-    ----------
-    exponents
-        By parameter (or alpha of a load loss) its relative change, the largest being one: the
-        powers of one factor. One that is next to zero changes in units of its prior sd.
-    """
-
+    # By parameter (or alpha of a load loss) its relative change, the largest being one: the powers
+    # of one factor. One that is next to zero changes in units of its prior sd
     exponents: dict[str, float]
 
     @property
@@ -69,15 +64,7 @@ class NullDirection:
 
 
 def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
-    """Say in words what no torque tells.
-
-    Parameters
-    ----------
-    exponents
-        By parameter its power of one factor k; or its change, of what is ``in_units``.
-    in_units
-        Units of parameters of which no logarithm is taken, as they are next to zero.
-    """
+    """Say in words what no torque tells."""
     names, in_units = ", ".join(exponents), in_units or {}
     if len(exponents) == 1:
         return f"{names} does not show in the torque at all"
@@ -92,25 +79,16 @@ def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | Non
 
 @dataclass(frozen=True, eq=False)
 class LocalInformation(LocalUnits):
-    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`.
+    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`."""
 
-    Attributes
-    ----------
-    data_sd
-        ``(d,)`` sd that the data alone would leave, in the parameter's unit; infinite where a null
-        direction touches it.
-    null_rows
-        ``(n_null, d)`` null directions in those units, the largest entry of each one; scalings
-        known from theory first.
-    directions
-        Singular values and vectors of the Jacobian over the noise.
-    from_theory
-        How many null directions, the first, are scalings that hold everywhere (section 4.2).
-    """
-
+    # (d,) sd that the data alone would leave, in the parameter's unit; infinite where a null
+    # direction touches it
     data_sd: Array
+    # (n_null, d) null directions in those units, the largest entry of each one; scalings known from
+    # theory first
     null_rows: Array
-    directions: Directions
+    directions: Directions  # Singular values and vectors of the Jacobian over the noise
+    # How many null directions, the first, are scalings that hold everywhere (section 4.2)
     from_theory: int = 0
 
     @property
@@ -131,18 +109,7 @@ class LocalInformation(LocalUnits):
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
         """Give the sd that the data alone would leave of a function of the parameters.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` by the parameters, each in its own unit.
-        gauge_free
-            Whether theory says that no scaling of leg and alpha changes the function: then what
-            rounding leaves along it is taken off the gradient first.
-
-        Returns
-        -------
-        float
-            In the function's unit; infinite where it changes along a null direction.
+        Shapes: gradient (d,).
         """
         if gauge_free:
             gradient = self.directions.off_known(gradient)
@@ -152,29 +119,10 @@ class LocalInformation(LocalUnits):
 def local_information(target: Target, parameters: Array) -> LocalInformation:
     """Look at the likelihood near one vector of sampled parameters.
 
-    Parameters
-    ----------
-    target
-        Its likelihood and the noise are looked at, its priors only for the unit of what is next to
-        zero.
-    parameters
-        ``(d,)``, noise scales last, which are taken as known.
-
-    Returns
-    -------
-    LocalInformation
-        Fisher information and null directions, in logarithms of the parameters. The scalings of
-        section 4.2 of the paper are null exactly, others where the singular value is rounding.
-
-    Raises
-    ------
-    BadInput
-        If a simulation fails beside these parameters.
-
-    Notes
-    -----
     For load losses the logarithm is that of ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 -
     mu_2)``, in which leg and gearbox scale along one straight line.
+
+    Shapes: parameters (d,).
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     at = units_of(target, parameters)
@@ -214,18 +162,6 @@ def in_natural_units(
     finite and so large beside the value that its logarithm would be weak, a change that makes a
     tenth of the measured torque counts as one instead (or the prior's sd, if that is less). Null
     directions do not touch such parameters, and load losses keep their logarithm of alpha.
-
-    Parameters
-    ----------
-    target, parameters
-        As of :func:`local_information`.
-    local
-        Its result.
-
-    Returns
-    -------
-    LocalInformation
-        The same in other units.
     """
     likelihood = target.likelihood
     values = target.chain_values(parameters[None])[0]
@@ -252,19 +188,7 @@ def torque_changes(
 ) -> Array:
     """Differentiate the filtered torque by the free parameters, each in its own unit.
 
-    Parameters
-    ----------
-    chain, observations
-        The joint, and recordings that need not be the target's.
-    values
-        ``(n_parameters,)`` of the chain.
-    at
-        Names of the free parameters, and units that the steps are a share of.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, d)``, N m or N per unit.
+    Shapes: values (n_parameters,); returns (n_outputs, d).
     """
     columns = [chain.names.index(name) for name in at.names]
     steps = np.zeros(values.size)
@@ -273,14 +197,7 @@ def torque_changes(
 
 
 def joined(*rows: Array) -> Directions:
-    """Take the information of several Jacobians together.
-
-    Parameters
-    ----------
-    rows
-        ``(n, d)`` each, over their noise, in one set of units. Null directions are out of them, so
-        only rounding is left out.
-    """
+    """Take the information of several Jacobians together. Shapes: rows (n, d)."""
     return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), _JOINED)
 
 
@@ -294,22 +211,7 @@ def prior_rows(target: Target, local: LocalInformation) -> Array:
 def derived_beside(
     target: Target, parameters: Array, local: LocalInformation
 ) -> Iterator[tuple[Derived, float, Array]]:
-    """Give each derived quantity at sampled parameters, with its gradient.
-
-    Parameters
-    ----------
-    target, parameters
-        Posterior, and ``(d,)``, noise scales last.
-
-    Yields
-    ------
-    quantity : Derived
-    value : float
-        At the parameters.
-    gradient : ndarray
-        ``(d,)`` by changes of one in the local units, from central differences, which are exact up
-        to rounding for what is next to linear. It is not finite where the quantity is undefined.
-    """
+    """Give each derived quantity at sampled parameters, with its gradient."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
     steps = _BESIDE * np.abs(local.units)
     beside = np.eye(steps.size, parameters.size) * steps[:, None]
@@ -320,25 +222,7 @@ def derived_beside(
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
-    """Say whether data or prior determined a parameter.
-
-    Parameters
-    ----------
-    posterior_sd, prior_sd
-        An infinite or undefined prior sd counts as very wide.
-    data_sd
-        What the data alone would leave, from :func:`local_information`.
-
-    Returns
-    -------
-    str
-        ``data``: the posterior is about as wide as the data alone would leave it and at most half
-        as wide as the prior. ``prior``: the data alone would leave it more than twice as wide as
-        the posterior is, and more than half as wide as the prior or five times as wide as the
-        posterior; or they left the prior as it was. ``weak``: in between, as where bounds of others
-        help, or the posterior is much wider than the local picture says, as where it is curved or
-        has several peaks.
-    """
+    """Say whether data or prior determined a parameter."""
     if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
         return "prior"
     width = prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else np.inf
@@ -362,24 +246,7 @@ def given_by(
     prior on one, such as a weight that was put on scales, settles the factor, and with it all
     others.
 
-    Parameters
-    ----------
-    local
-        What the data tell near the posterior's median.
-    priors
-        Those of the free parameters first, in the order of ``local.names``.
-    gradient
-        ``(d,)`` of the number, by the parameters.
-    sd, prior_sd
-        What came out for it, and what its prior, or that of what it is made of, says.
-    own
-        Its place where it is a parameter: its own prior is not what gives it.
-
-    Returns
-    -------
-    list of str
-        Names of parameters, one alone where one does it; empty where the data, or default priors,
-        settle it.
+    Shapes: gradient (d,).
     """
     if (np.isfinite(prior_sd) and sd >= WIDE * prior_sd) or not np.isfinite(gradient).all():
         return []
@@ -415,17 +282,7 @@ def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:
     except where a step changes the direction of power. On a bound of the support they are
     one-sided.
 
-    Parameters
-    ----------
-    target, parameters
-        Posterior, and sampled parameters, noise scales last.
-    units
-        ``(d,)`` what counts as a change of one, of each free parameter.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, d)``.
+    Shapes: units (d,); returns (n_outputs, d).
     """
     k = units.size
     support = {p.name: (p.lower, p.upper) for p in target.likelihood.chain.parameters}

@@ -63,75 +63,39 @@ _OFF_ZERO = 1e-3
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well the quantity is known.
+    """How well the quantity is known."""
 
-    Attributes
-    ----------
-    sd
-        Of recordings and prior together, in the quantity's unit; infinite where neither confines
-        it.
-    relative_sd
-        The same as a share of the value, if recordings determine that.
-    data_sd
-        Of the recordings alone; infinite where they leave it open.
-    """
-
+    # Of recordings and prior together, in the quantity's unit; infinite where neither confines it
     sd: float
-    relative_sd: float | None
-    data_sd: float
+    relative_sd: float | None  # The same as a share of the value, if recordings determine that
+    data_sd: float  # Of the recordings alone; infinite where they leave it open
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One recording that could be made next, and what it would do.
+    """One recording that could be made next, and what it would do."""
 
-    Attributes
-    ----------
-    candidate
-        What to play, with the torque that keeps the limits.
-    after
-        How well the quantity would be known then.
-    load_drives
-        By element with a load loss, share of the moving outputs in which the load drives it.
-    peak_speed, angles
-        Fastest that the joint becomes, rad/s or m/s; lowest and highest position, rad or m.
-    """
-
-    candidate: Candidate
-    after: Uncertainty
+    candidate: Candidate  # What to play, with the torque that keeps the limits
+    after: Uncertainty  # How well the quantity would be known then
+    # By element with a load loss, share of the moving outputs in which the load drives it
     load_drives: dict[str, float]
+    # Fastest that the joint becomes, rad/s or m/s; lowest and highest position, rad or m
     peak_speed: float
     angles: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Candidates by the sd that they would leave of one quantity, the best first.
+    """Candidates by the sd that they would leave of one quantity, the best first."""
 
-    Attributes
-    ----------
-    quantity, unit, meaning
-        What is to be known.
-    value
-        At the estimate; it means nothing where ``now.data_sd`` is infinite.
-    now
-        How well it is known at present.
-    advices
-        Candidates that keep the limits, the best first.
-    dropped
-        Candidates that are no use, and why.
-    limits
-        What they had to keep.
-    """
-
-    quantity: str
+    quantity: str  # What is to be known
     unit: str
     meaning: str
-    value: float
-    now: Uncertainty
-    advices: tuple[Advice, ...]
-    dropped: tuple[tuple[Candidate, str], ...]
-    limits: Limits
+    value: float  # At the estimate; it means nothing where now.data_sd is infinite
+    now: Uncertainty  # How well it is known at present
+    advices: tuple[Advice, ...]  # Candidates that keep the limits, the best first
+    dropped: tuple[tuple[Candidate, str], ...]  # Candidates that are no use, and why
+    limits: Limits  # What they had to keep
 
     @property
     def determined(self) -> bool:
@@ -224,36 +188,10 @@ def ranking(
     With the output error, a candidate still adds the information of its torque, at the noise of a
     torque sample.
 
-    Parameters
-    ----------
-    target
-        Posterior of the recordings that there are.
-    point
-        ``(d,)`` sampled parameters at the estimate, noise scales last.
-    local
-        What the recordings tell there, from
-        :func:`bayesfric.identifiability.local.local_information`.
-    options
-        What may be proposed.
-    name
-        A free parameter or a derived quantity.
-    progress
-        Called with each stage before it begins.
-
-    Returns
-    -------
-    Ranking
-        Candidates by the sd that they would leave of ``name``, the best first, in its own unit.
-
-    Raises
-    ------
-    BadInput
-        If there is no such quantity, if it is fixed, or if a limit cannot be.
-
-    Notes
-    -----
     With J the Jacobians over the noise, of present recordings (0) and candidate (1), P the priors'
     variances and g the gradient, ``sd² = g' (J0'J0 + J1'J1 + P^-1)^-1 g``, c-optimality's.
+
+    Shapes: point (d,).
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     unit, meaning, value, gradient = _asked(target, point, local, name)

@@ -49,54 +49,31 @@ _NAMED = 0.2
 
 @dataclass(frozen=True)
 class Remedy:
-    """Something to do about an open direction, and what it was found to do.
+    """Something to do about an open direction, and what it was found to do."""
 
-    Attributes
-    ----------
-    kind, text
-        A ``known value``, a ``known mass`` or another ``excitation``, and what to do.
-    parameters
-        For a known value: any one of these.
-    log_sd_after
-        Standard deviation of the logarithm along the direction once it is done; ``None`` for a
-        known value.
-    open_after
-        Directions, null or weak, that are then still open; of known values the one that leaves
-        fewest.
-    """
-
-    kind: RemedyKind
+    kind: RemedyKind  # A known value, a known mass or another excitation, and what to do
     text: str
-    parameters: tuple[str, ...]
+    parameters: tuple[str, ...]  # For a known value: any one of these
+    # Standard deviation of the logarithm along the direction once it is done; None for a known
+    # value
     log_sd_after: float | None
+    # Directions, null or weak, that are then still open; of known values the one that leaves fewest
     open_after: int
 
 
 @dataclass(frozen=True)
 class OpenDirection:
-    """Parameters that can change together, and the data say little or nothing.
+    """Parameters that can change together, and the data say little or nothing."""
 
-    Attributes
-    ----------
-    kind
-        ``null`` where nothing changes at all, else ``weak``.
-    exponents
-        By parameter or alpha its power of one factor; of those ``in_units`` the change in their
-        unit that goes with the factor e.
-    in_units
-        Units of parameters next to zero, of which no logarithm is taken.
-    log_sd
-        Standard deviation that the data leave of the factor's logarithm; infinite for a null
-        direction.
-    meaning, reasons, remedies
-        What can change, why it does not show, and what lifts it.
-    """
-
-    kind: Literal["null", "weak"]
+    kind: Literal["null", "weak"]  # null where nothing changes at all, else weak
+    # By parameter or alpha its power of one factor; of those in_units the change in their unit that
+    # goes with the factor e
     exponents: dict[str, float]
-    in_units: dict[str, str]
+    in_units: dict[str, str]  # Units of parameters next to zero, of which no logarithm is taken
+    # Standard deviation that the data leave of the factor's logarithm; infinite for a null
+    # direction
     log_sd: float
-    meaning: str
+    meaning: str  # What can change, why it does not show, and what lifts it
     reasons: tuple[str, ...]
     remedies: tuple[Remedy, ...]
 
@@ -114,26 +91,7 @@ def open_directions(
     tried: Sequence[Trial],
     told: Collection[str],
 ) -> Iterator[OpenDirection]:
-    """List null directions first, then weak ones, the weakest first.
-
-    Parameters
-    ----------
-    local
-        The picture by ``free`` parameters.
-    free
-        Those, in the order of ``local.names``.
-    coverage, back
-        What the recordings went through, and how often the load drives an element.
-    tried
-        Recordings that could help.
-    told
-        Names of parameters whose prior tells them already.
-
-    Yields
-    ------
-    OpenDirection
-        With its reasons and remedies.
-    """
+    """List null directions first, then weak ones, the weakest first."""
     for number, (row, null) in enumerate(open_rows(local)):
         named = np.flatnonzero(np.abs(row) > (_ROUNDING if null else _NAMED)).tolist()
         in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
@@ -173,16 +131,7 @@ def _weak(
 
 
 def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
-    """Give null and weak directions in the local units, the largest entry of each one.
-
-    Yields
-    ------
-    row : ndarray
-        ``(d,)``; null ones first, then weak ones, the weakest first, with many zeros.
-    null : bool
-        Whether it changes no output at all. Else one sd along it changes some logarithm by more
-        than :data:`~bayesfric.identifiability.local.WEAK`.
-    """
+    """Give null and weak directions in the local units, the largest entry of each one."""
     for row in local.null_rows:
         yield row, True
     d = local.directions
@@ -261,36 +210,15 @@ def _reasons(
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One more recording, simulated at the estimate with the recordings' noise.
+    """One more recording, simulated at the estimate with the recordings' noise."""
 
-    Attributes
-    ----------
-    kind, text
-        As of the :class:`Remedy` that it may become.
-    information
-        ``(d, d)`` that its torque would add, in the local units.
-    """
-
-    kind: RemedyKind
+    kind: RemedyKind  # As of the :class:`Remedy` that it may become
     text: str
-    information: Array
+    information: Array  # (d, d) that its torque would add, in the local units
 
 
 def open_counts(information: Array) -> tuple[int, int]:
-    """Count the open directions of a Fisher information.
-
-    Parameters
-    ----------
-    information
-        ``(d, d)``, in the local units.
-
-    Returns
-    -------
-    null : int
-        Eigenvalues that are rounding.
-    open : int
-        Those, and weak ones.
-    """
+    """Count the open directions of a Fisher information. Shapes: information (d, d)."""
     if not information.size:
         return 0, 0
     values, vectors = np.linalg.eigh(information)
@@ -306,23 +234,7 @@ def trials(
     *,
     rare: bool,
 ) -> list[Trial]:
-    """Simulate the recordings that could help here.
-
-    Parameters
-    ----------
-    target
-        Posterior of the recordings; the longest one's filter and noise are taken.
-    parameters
-        The estimate ``(d,)``, noise scales last.
-    rare
-        Whether the load hardly drove the motor: then a square wave is tried, too.
-
-    Returns
-    -------
-    list of Trial
-        A known mass under the torque of the longest recording, where all carry the same; and a
-        square wave with a multisine. What cannot be simulated, or stands still, is left out.
-    """
+    """Simulate the recordings that could help here."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
     longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
@@ -367,24 +279,7 @@ def trials(
 def remedies(
     local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str]
 ) -> tuple[Remedy, ...]:
-    """Find what lifts one direction, known values first.
-
-    Parameters
-    ----------
-    row
-        ``(d,)`` the direction in its units.
-    tried
-        Recordings that could help.
-    told
-        Parameters that have a narrow prior already: it is no step to give them one.
-
-    Returns
-    -------
-    tuple of Remedy
-        Known values only where fewer directions are open, or null, then; a recording only if it
-        leaves less than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half
-        of what was left before.
-    """
+    """Find what lifts one direction, known values first. Shapes: row (d,)."""
     information = local.information
     before = left_along(information, row)
     nulls, opens = open_counts(information)
@@ -415,17 +310,7 @@ def remedies(
 def left_along(information: Array, row: Array) -> float:
     """Sd of the logarithm of the most changed parameter, moving along one direction alone.
 
-    Parameters
-    ----------
-    information
-        ``(d, d)`` in the local units.
-    row
-        ``(d,)`` the direction r.
-
-    Returns
-    -------
-    float
-        ``max(abs(r)) / sqrt(r' I r)``; infinite where the information is rounding.
+    Shapes: information (d, d); row (d,).
     """
     size = float(np.abs(row).max())
     told = float(row @ information @ row)

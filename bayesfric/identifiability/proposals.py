@@ -52,77 +52,39 @@ _TRIES = 12
 
 @dataclass(frozen=True)
 class Limits:
-    """Between what the next recording has to stay.
+    """Between what the next recording has to stay."""
 
-    Attributes
-    ----------
-    torque
-        Largest command, N m or N.
-    speed
-        Of the joint, rad/s or m/s.
-    angles
-        Lowest and highest position, rad or m; ``None`` for no limit.
-    duration
-        s.
-    lag
-        Time constant of the current loop, s.
-    masses
-        Each known mass that may be bolted on; none is one of them.
-    start
-        Where the joint rests when the recording begins, rad or m: where gravity holds it, else
-        where the longest recording began.
-    recorded_angles
-        Lowest and highest of the recordings, rad or m.
-    held
-        Whether a controller seems to have held the joint: then what can be played is its motion.
-    """
-
-    torque: float
-    speed: float
-    angles: tuple[float, float] | None
-    duration: float
-    lag: float
-    masses: tuple[Inputs, ...]
+    torque: float  # Largest command, N m or N
+    speed: float  # Of the joint, rad/s or m/s
+    angles: tuple[float, float] | None  # Lowest and highest position, rad or m; None for no limit
+    duration: float  # s
+    lag: float  # Time constant of the current loop, s
+    masses: tuple[Inputs, ...]  # Each known mass that may be bolted on; none is one of them
+    # Where the joint rests when the recording begins, rad or m: where gravity holds it, else where
+    # the longest recording began
     start: float
-    recorded_angles: tuple[float, float]
+    recorded_angles: tuple[float, float]  # Lowest and highest of the recordings, rad or m
+    # Whether a controller seems to have held the joint: then what can be played is its motion
     held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A command for the motor, and what is bolted to the load meanwhile.
+    """A command for the motor, and what is bolted to the load meanwhile."""
 
-    Attributes
-    ----------
-    kind, form
-        What is new about it, and name of the signal, without the amplitude.
-    amplitude
-        Largest command, N m or N.
-    command
-        ``(N,)`` N m or N.
-    period, lag
-        From one sample of it to the next, and time constant of the current loop, s.
-    inputs
-        What is bolted on, and how warm it is.
-    q0, qd0
-        Position and speed at the first sample, rad or m and s.
-    made
-        What would be recorded, where that is known without a simulation: the longest recording once
-        more, or its motion with another mass.
-    lowered, because_of
-        Factor on the torque that it took to keep the limits, and which limit that was.
-    """
-
-    kind: CandidateKind
+    kind: CandidateKind  # What is new about it, and name of the signal, without the amplitude
     form: str
-    amplitude: float
-    command: Array
-    period: float
+    amplitude: float  # Largest command, N m or N
+    command: Array  # (N,) N m or N
+    period: float  # From one sample of it to the next, and time constant of the current loop, s
     lag: float
-    inputs: Inputs
-    q0: float
+    inputs: Inputs  # What is bolted on, and how warm it is
+    q0: float  # Position and speed at the first sample, rad or m and s
     qd0: float
+    # What would be recorded, where that is known without a simulation: the longest recording once
+    # more, or its motion with another mass
     made: Observation | None = None
+    # Factor on the torque that it took to keep the limits, and which limit that was
     lowered: float = 1.0
     because_of: str | None = None
 
@@ -140,27 +102,7 @@ class Candidate:
 def limits_of(
     options: AdviceOptions, chain: Joint, observations: Sequence[Observation], values: Array
 ) -> Limits:
-    """Settle every limit that the configuration leaves out.
-
-    Parameters
-    ----------
-    options
-        The ``[advice]`` table.
-    chain, values
-        The joint, and ``(n_parameters,)`` at the estimate, which a mass is chosen to suit.
-
-    Returns
-    -------
-    Limits
-        By default the largest filtered torque, 1.2 times the highest speed that is used, the
-        recorded positions unless a free joint went through a whole turn, and at most 30 s.
-
-    Raises
-    ------
-    BadInput
-        If a mass for a turning load has no radius, or the joint would have to start outside its
-        limits.
-    """
+    """Settle every limit that the configuration leaves out."""
     rotary = chain.load.motion == "rotary"
     recorded = (
         min(float(o.q.min()) for o in observations),
@@ -243,20 +185,6 @@ def candidates(
 
     The cheapest come first: what was recorded again, as it was, and with another known mass. Then
     square waves, sines, chirps and multisines, about the pace at which the joint went to and fro.
-
-    Parameters
-    ----------
-    chain, values
-        The joint, and ``(n_parameters,)`` by which a motion asks for another torque with another
-        mass.
-    limits
-        From :func:`limits_of`.
-
-    Yields
-    ------
-    Candidate
-        Whether it keeps the limits of speed and angle is known once it is played, see
-        :func:`try_out`.
     """
     base = longest(observations)
     period, hertz, stretch = sample_period(base), base.pace, longest_stretch(base, None)
@@ -324,25 +252,7 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
 def try_out(
     chain: Joint, values: Array, base: Observation, candidate: Candidate, limits: Limits
 ) -> tuple[Candidate, Observation] | str:
-    """Play a candidate, lowering its torque until it keeps the limits.
-
-    Parameters
-    ----------
-    chain, values
-        The joint and its parameters ``(n_parameters,)``.
-    base
-        Recording whose filter and dead zone are used.
-    candidate
-        Lowered by 15 % at a time, eleven times at most; one that repeats a motion is not.
-    limits
-        Of torque, speed and position.
-
-    Returns
-    -------
-    tuple or str
-        The candidate with its torque as it was in the end and what would be recorded; or why it is
-        no use.
-    """
+    """Play a candidate, lowering its torque until it keeps the limits."""
     if candidate.made is not None:  # as it was made it would be made again, or not at all
         if candidate.amplitude > limits.torque:
             return "the torque limit"

@@ -56,20 +56,7 @@ def of_load(chain: Joint, values: Array) -> dict[str, float]:
 
 
 def known_mass(chain: Joint, values: Array) -> Inputs:
-    """Choose a mass and a radius about as heavy as the load itself, rounded.
-
-    Parameters
-    ----------
-    chain, values
-        The joint and its parameters ``(n_parameters,)``.
-
-    Returns
-    -------
-    Inputs
-        kg, at most 5, and m. Inertia and first moment come to those of the load where it has both
-        and is not too heavy; where it has no first moment, to the inertia, of the whole joint if
-        need be. 2 kg where there is none.
-    """
+    """Choose a mass and a radius about as heavy as the load itself, rounded."""
     of = of_load(chain, values)
     inertia, moment = of.get("inertia", 0.0), of.get("first_moment", 0.0)
     # all inertia there is, seen at the joint, for a load that is no parameter of its own
@@ -103,18 +90,10 @@ def sines(time: Array, lines: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TorqueNoise:
-    """Noise of the filtered torque.
+    """Noise of the filtered torque."""
 
-    Attributes
-    ----------
-    model
-        White or autoregressive.
-    scales
-        ``(Q,)`` its size, N m or N, then partial autocorrelations.
-    """
-
-    model: Autoregressive
-    scales: Array
+    model: Autoregressive  # White or autoregressive
+    scales: Array  # (Q,) its size, N m or N, then partial autocorrelations
 
     def whitened(self, rows: Array, observation: Observation) -> Array:
         """Turn changes of the torque ``(..., M)`` into ones with independent unit noise."""
@@ -124,16 +103,7 @@ class TorqueNoise:
 def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
     """Give the noise of a recording's filtered torque, whatever the likelihood is of.
 
-    Parameters
-    ----------
-    parameters
-        ``(d,)``, noise scales last.
-
-    Returns
-    -------
-    TorqueNoise
-        Of a likelihood that is not of the torque: the noise of a sample, as the filter passes it,
-        without correlation.
+    Shapes: parameters (d,).
     """
     scales = target.noise.scales(parameters[None, len(target.free) :])[0, number]
     likelihood = target.likelihood
@@ -149,39 +119,14 @@ def scaled_jacobian(
 ) -> Array:
     """Differentiate a recording's filtered torque over its noise.
 
-    Parameters
-    ----------
-    target
-        Posterior; the recording may be none of its.
-    observation, noise
-        The recording, and the noise of its torque.
-    values
-        ``(n_parameters,)`` of the chain.
-    at
-        What counts as a change of one.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, d)`` J per unit; ``J'J`` is the recording's Fisher information.
+    Shapes: values (n_parameters,); returns (n_outputs, d).
     """
     jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
     return noise.whitened(jacobian.T, observation).T
 
 
 def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> slice:
-    """Find the longest stretch without a gap that outputs come from.
-
-    Parameters
-    ----------
-    most
-        No more than so many seconds of it, and 20 000 samples; all of it for ``None``.
-
-    Returns
-    -------
-    slice
-        Of the raw samples.
-    """
+    """Find the longest stretch without a gap that outputs come from."""
     number = observation.segment_of
     segments, counts = np.unique(number, return_counts=True)
     starts = observation.filter.starts[number == segments[int(np.argmax(counts))]]
@@ -203,29 +148,7 @@ def played(
 ) -> Observation:
     """Play a torque to the joint, and look at it as one looks at a recording.
 
-    Parameters
-    ----------
-    chain, values
-        The joint and its parameters ``(n_parameters,)``.
-    observation
-        Whose sample rate, filter and dead zone are taken.
-    torque
-        ``(N,)`` the motor's at every sample, N m or N, behind the current loop.
-    inputs
-        What is bolted on, and how warm it is.
-    state
-        Position and speed to begin with, rad or m and s; those of the ``observation`` if left out.
-
-    Returns
-    -------
-    Observation
-        Without noise; its torque is filtered as that of the ``observation``, and so is its motion
-        unless that was refined.
-
-    Raises
-    ------
-    ValueError
-        If the joint cannot be simulated, or then stands still.
+    Shapes: torque (N,).
     """
     if state is None:
         first = longest_stretch(observation).start

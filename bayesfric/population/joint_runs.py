@@ -36,18 +36,10 @@ _STARTS, _WIDEST = 15, 1e100
 class JointTarget(LogPosterior):
     """The log-posterior, as :func:`bayesfric.inference.sampling.sampling.sample` sees a target.
 
-    Parameters
-    ----------
-    targets
-        Of each run alone, of one joint with the same priors.
-    recordings
-        Their names.
-    varying
-        Names of parameters that are each run's own.
-    posteriors
-        Of each run alone: they shape coordinates, starts and the prior of the spreads.
-    seed
-        Of the draws that starts are made from.
+    @@ATTR targets: Of each run alone, of one joint with the same priors. | recordings: Their names.
+    | varying: Names of parameters that are each run's own. | posteriors: Of each run alone: they
+    shape coordinates, starts and the prior of the spreads. | seed: Of the draws that starts are
+    made from.
     """
 
     def __init__(

@@ -63,22 +63,7 @@ class Likelihood:
 
 
 def likelihood(draws: Array, sd: float | None = None, prior: Array | None = None) -> Likelihood:
-    """Make a run's likelihood from draws of its posterior ``(n,)``.
-
-    Parameters
-    ----------
-    draws
-        Those that are no numbers are left out.
-    sd
-        The draws are widened about their median to it: room for the model's error.
-    prior
-        Draws of its prior ``(m,)``, by which the posterior is divided; flat if left out.
-
-    Raises
-    ------
-    ValueError
-        If the draws do not differ.
-    """
+    """Make a run's likelihood from draws of its posterior ``(n,)``."""
     x = draws[np.isfinite(draws)]
     spread = float(x.std())
     if not spread > 0.0:
