@@ -16,7 +16,14 @@ from scipy.optimize import minimize_scalar
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
-from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
+from bayesfric.estimates.descent import (
+    ROUNDING,
+    LocalMinimum,
+    Terms,
+    TorqueProblem,
+    few_threads,
+    minimise,
+)
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Knowledge
@@ -149,16 +156,16 @@ def _estimate(
         inside, lowest, searched = [problem.inside(chain.vector(start))], -math.inf, ""
     found = []
     for x in inside:
-        found.append(descend(some, plain, x))
-        if found[-1].height <= lowest:
+        found.append(minimise(some, plain, x))
+        if found[-1].squares <= lowest:
             break
-    found.sort(key=lambda one: one.height)
+    found.sort(key=lambda one: one.squares)
     agreement = _agreement(some, found)
     if some is not problem:
         plain = Terms(np.ones(problem.measured.size))
         # a few steps tell which of them is the lowest of the whole
-        begun = [descend(problem, plain, x.x, iterations=_STEPS) for x in _distinct(some, found)]
-        found = [descend(problem, plain, min(begun, key=lambda one: one.height).x)]
+        begun = [minimise(problem, plain, x.x, iterations=_STEPS) for x in _distinct(some, found)]
+        found = [minimise(problem, plain, min(begun, key=lambda one: one.squares).x)]
     terms, x = _refined(problem, found)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)
@@ -225,7 +232,7 @@ def _alone(problem: TorqueProblem) -> bool:
     return not told and len(problem.observations) == 1
 
 
-def _refined(problem: TorqueProblem, found: Sequence[Found]) -> tuple[Terms, Array]:
+def _refined(problem: TorqueProblem, found: Sequence[LocalMinimum]) -> tuple[Terms, Array]:
     """Second pass: recordings by their own sd, and known values; none if there is neither.
 
     Gives the terms that were minimised, and free parameters ``(d,)``.
@@ -249,7 +256,7 @@ def _refined(problem: TorqueProblem, found: Sequence[Found]) -> tuple[Terms, Arr
             terms = replace(terms, rows=sd * rows, targets=sd * targets)
         # another minimum of the first pass may be the lower one now
         begin = [best.x] if again else _apart(problem, found)
-        best = min((descend(problem, terms, x) for x in begin), key=lambda one: one.height)
+        best = min((minimise(problem, terms, x) for x in begin), key=lambda one: one.squares)
         if np.allclose(weights, previous.weights, rtol=_SETTLED, atol=0.0):
             break
     return terms, best.x
@@ -334,32 +341,34 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
     )
 
 
-def _width(problem: TorqueProblem, found: Sequence[Found]) -> float:
+def _width(problem: TorqueProblem, found: Sequence[LocalMinimum]) -> float:
     """By how much two minima have to differ to be two."""
-    variance = found[0].height / max(problem.measured.size - len(problem.free), 1)
+    variance = found[0].squares / max(problem.measured.size - len(problem.free), 1)
     return _SAME * variance + problem.rounding
 
 
-def _distinct(problem: TorqueProblem, found: Sequence[Found]) -> list[Found]:
+def _distinct(problem: TorqueProblem, found: Sequence[LocalMinimum]) -> list[LocalMinimum]:
     """One of each of the lowest minima, of those ``found``, lowest first."""
     width = _width(problem, found)
-    apart: list[Found] = []
+    apart: list[LocalMinimum] = []
     for one in found:
-        if not apart or one.height > apart[-1].height + width:
+        if not apart or one.squares > apart[-1].squares + width:
             apart.append(one)
     return apart[:_MINIMA]
 
 
-def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
+def _apart(problem: TorqueProblem, found: Sequence[LocalMinimum]) -> list[Array]:
     """One vector of each of the lowest minima, moved to where values with an sd fit best."""
     apart = _distinct(problem, found)
     vectors = [_toward_told(problem, problem.vector(one.x)) for one in apart]
     return [problem.inside(vector) for vector in vectors]
 
 
-def _agreement(problem: TorqueProblem, found: Sequence[Found]) -> str:
-    limit = found[0].height + _width(problem, found)
-    return f"{sum(one.height <= limit for one in found)} of {len(found)} starts reached the minimum"
+def _agreement(problem: TorqueProblem, found: Sequence[LocalMinimum]) -> str:
+    limit = found[0].squares + _width(problem, found)
+    return (
+        f"{sum(one.squares <= limit for one in found)} of {len(found)} starts reached the minimum"
+    )
 
 
 def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:

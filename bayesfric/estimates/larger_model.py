@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesfric.estimates.delay import furthest_delay
-from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
+from bayesfric.estimates.descent import Terms, TorqueProblem, few_threads, minimise
 from bayesfric.estimates.methods import Given
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.quantities import QUANTITIES
@@ -56,7 +56,7 @@ class Candidate:
             for part in np.array_split(np.arange(n), _PARTS):
                 weights = np.ones(n)
                 weights[part] = 0.0
-                found = descend(problem, Terms(weights), start, iterations=_STEPS)
+                found = minimise(problem, Terms(weights), start, iterations=_STEPS)
                 squares += float(np.sum(problem.residual(found.x)[part] ** 2))
         return math.sqrt(squares / n)
 

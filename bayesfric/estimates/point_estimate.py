@@ -66,7 +66,7 @@ class EstimatedValue:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A point estimate; ``estimate[name]`` is one of its numbers, and raises ``KeyError`` for none."""
+    """A point estimate; ``estimate[name]`` is one of its numbers."""
 
     method: Method  # least-squares, input-error or output-error
     values: tuple[EstimatedValue, ...]  # Totals, derived quantities, parameters

@@ -12,7 +12,7 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from bayesfric.estimates.descent import Found, Terms, TorqueProblem, descend
+from bayesfric.estimates.descent import LocalMinimum, Terms, TorqueProblem, minimise
 from bayesfric.estimates.sizes import measured_scales, sizes_at
 from bayesfric.recordings.arrays import Array
 
@@ -42,14 +42,14 @@ def at_tried_shapes(
     for column, tried in shapes.items():
         moved[:, column] = np.resize(rng.permutation(tried), count)
     held = list(shapes)
-    ends: list[Found] = []
+    ends: list[LocalMinimum] = []
     for x in moved:
         lower, upper = problem.lower.copy(), problem.upper.copy()
         lower[held] = upper[held] = x[held]
-        ends.append(descend(problem, terms, x, lower=lower, upper=upper, iterations=_STEPS))
-    apart: list[Found] = []
-    for one in sorted(ends, key=lambda one: one.height):
-        if not apart or one.height > (1.0 + _SAME) * apart[-1].height + problem.rounding:
+        ends.append(minimise(problem, terms, x, lower=lower, upper=upper, iterations=_STEPS))
+    apart: list[LocalMinimum] = []
+    for one in sorted(ends, key=lambda one: one.squares):
+        if not apart or one.squares > (1.0 + _SAME) * apart[-1].squares + problem.rounding:
             apart.append(one)
     return [one.x for one in apart[:_FOLLOWED]], count
 

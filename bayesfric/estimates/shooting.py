@@ -210,7 +210,7 @@ def resolution(position: Array) -> float:
 def choose_substeps(
     shooting: Shooting, values: Array, states: Array, small: float | None = None
 ) -> tuple[int, float]:
-    """Choose integration steps a sample: the fewest, doubled from one on, that err little enough."""
+    """Choose integration steps a sample: the fewest powers of two that err little."""
     if small is None:
         small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)
     substeps = 1

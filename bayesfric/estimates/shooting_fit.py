@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from bayesfric.estimates.descent import bounded_step
 from bayesfric.estimates.shooting import Elimination, Shooting
 from bayesfric.mechanism.scaling import Scaling
 from bayesfric.recordings.arrays import Array
@@ -141,7 +141,7 @@ class Linearised:
         a = np.concatenate([self._matrix, extra])
         b = np.concatenate([self.target, np.zeros(d)])
         low, high = self._box
-        return bounded_step(a, b, np.minimum(low, 0.0), high, room=1e-12, tol=1e-10)
+        return bounded_step(a, b, np.minimum(low, 0.0), high)
 
     def states(self, step: Array) -> Array:
         """Change of the states ``(K, 2)`` that goes with a step of the parameters.
@@ -158,6 +158,19 @@ class Linearised:
             back[:, 0, 1], back[:, 1, 1], out=np.zeros(len(back)), where=back[:, 1, 1] != 0.0
         )
         return np.column_stack([change[:, 0] - by_speed * change[:, 1], 0.0 * change[:, 1]])
+
+
+def bounded_step(matrix: Array, target: Array, lower: Array, upper: Array) -> Array:
+    """Solve a linear least-squares problem ``(n, d)`` within limits ``(d,)``.
+
+    By bounded-variable least squares (Stark and Parker, Computational Statistics 10, 1995).
+    """
+    step = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    if np.all(step >= lower) and np.all(step <= upper):
+        return np.asarray(step)
+    # SciPy refuses equal limits
+    limits = lower, np.maximum(upper, lower + 1e-12)
+    return np.asarray(lsq_linear(matrix, target, limits, method="bvls", tol=1e-10).x)
 
 
 def descend(frame: Frame, values: Array, states: Array) -> Solution:

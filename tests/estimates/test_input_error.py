@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.descent import Terms, TorqueProblem, descend
+from bayesfric.estimates.descent import Terms, TorqueProblem, minimise
 from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import contradicted, input_error
 from bayesfric.estimates.knowledge import Knowledge
@@ -194,7 +194,7 @@ def test_sds_are_those_of_repeated_noise(knee):
     found = np.empty((repeats, truth.size))
     for i in range(repeats):
         problem = TorqueProblem(chain, [noisy()], Knowledge())
-        found[i] = descend(problem, Terms(np.ones(o.measured.size)), truth).x
+        found[i] = minimise(problem, Terms(np.ones(o.measured.size)), truth).x
     spread = {name: found[:, i].std(ddof=1) for i, name in enumerate(chain.names)}
     spread |= {d.name: d.values.std(ddof=1) for d in derive(chain, found, load)}
     # the sd of each sd: 1/sqrt(2(m-1)) from m repeats, 1/sqrt(2(n-d)) in the claimed one
