@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import cycle, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,19 +25,18 @@ from bayesfric.estimates.descent import (
     few_threads,
     minimise,
 )
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import Information
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.shape_starts import at_tried_shapes
+from bayesfric.estimates.sizes import measured_scales, sizes_at
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Bounds = NDArray[np.int_]
 
 # Splits of the totals to start from: load loss, and the share the motor gets.
@@ -47,6 +47,9 @@ _SAME = 0.01
 _MINIMA = 3
 # Steps downhill by the whole of long recordings before the lowest of an excerpt's minima is taken.
 _STEPS = 3
+# Of the starts at shapes to try, so many of the lowest are followed; sums of squares that differ
+# by a smaller share than the second number are the same.
+_FOLLOWED, _SAME_SHAPE = 4, 1e-6
 # Share of the lowest criterion of all by which what is known may raise it, and none is lower.
 _REACHED = 1e-6
 # Share of the torque that counts as a change of one, at least.
@@ -421,3 +424,48 @@ def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowled
             f"{outputs} outputs cannot determine {len(free)} parameters",
             "use a longer recording, or decimate less",
         )
+
+
+def at_tried_shapes(
+    problem: TorqueProblem, terms: Terms, starts: Sequence[Array], rng: np.random.Generator
+) -> tuple[list[Array], int]:
+    """Move starts to a shape that is tried, and all else to what fits best there.
+
+    With shapes held the torque is linear but for products such as rise times friction, so three
+    steps downhill are enough to tell them apart.
+
+    Shapes: starts (d,).
+    """
+    shapes = _tried(problem)
+    if not shapes:
+        return list(starts), 0
+    count = max(len(starts), *(len(tried) for tried in shapes.values()))
+    moved = np.stack(list(islice(cycle(starts), count)))
+    for column, tried in shapes.items():
+        moved[:, column] = np.resize(rng.permutation(tried), count)
+    held = list(shapes)
+    ends: list[LocalMinimum] = []
+    for x in moved:
+        lower, upper = problem.lower.copy(), problem.upper.copy()
+        lower[held] = upper[held] = x[held]
+        ends.append(minimise(problem, terms, x, lower=lower, upper=upper, iterations=_STEPS))
+    apart: list[LocalMinimum] = []
+    for one in sorted(ends, key=lambda one: one.squares):
+        if not apart or one.squares > (1.0 + _SAME_SHAPE) * apart[-1].squares + problem.rounding:
+            apart.append(one)
+    return [one.x for one in apart[:_FOLLOWED]], count
+
+
+def _tried(problem: TorqueProblem) -> dict[int, Array]:
+    """Values within the limits for each free shape, by its column."""
+    chain = problem.chain
+    free = [(k, chain.parameters[chain.names.index(name)]) for k, name in enumerate(problem.free)]
+    shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
+    if not shaping:
+        return {}
+    scales = measured_scales(chain, problem.observations)
+    found = {}
+    for k, p, tries in shaping:
+        values = np.array(tries(sizes_at(chain, p.owner, scales)))
+        found[k] = np.unique(np.clip(values, problem.lower[k], problem.upper[k]))
+    return found

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import LEAST_GROUPS, Information
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
 from bayesfric.estimates.delay import own_delay
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.fine_motion import fine_motion, with_fine_motion
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood

@@ -7,9 +7,8 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.descent import Terms, TorqueProblem, minimise
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import contradicted, input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load

@@ -13,10 +13,9 @@ from bayesfric.estimates.descent import (
     few_threads,
     minimise,
 )
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares, totals_regressors
 from bayesfric.estimates.shooting_fit import bounded_step
 from bayesfric.estimates.torque import typical_load

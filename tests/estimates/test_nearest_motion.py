@@ -7,8 +7,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares as scipy_least_squares
 
 from bayesfric.estimates.descent import few_threads
-from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.output_error import OutputError, output_error
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shooting import Shooting

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.element import Element, Load

@@ -12,12 +12,12 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.local import local_information
-from bayesfric.identifiability.next_recording import ranking
-from bayesfric.identifiability.proposals import (
+from bayesfric.identifiability.next_recording import (
     candidates,
     fastest,
     limits_of,
     longest,
+    ranking,
     try_out,
 )
 from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.identifiability.at_estimate import estimate_point
-from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
-from bayesfric.identifiability.identification import identify
-from bayesfric.identifiability.local import WEAK, joined, local_information, prior_rows
+from bayesfric.identifiability.identification import identify, speed_term
+from bayesfric.identifiability.local import (
+    WEAK,
+    estimate_point,
+    joined,
+    local_information,
+    prior_rows,
+)
 from bayesfric.identifiability.open_directions import left_along, open_counts
 from bayesfric.identifiability.virtual_recording import played
 from bayesfric.mechanism import excitation

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.identifiability.proposals import _hanging
+from bayesfric.identifiability.next_recording import _hanging
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.gearbox_coordinates import choose_coordinates
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
