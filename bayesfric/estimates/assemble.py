@@ -40,7 +40,7 @@ def open_scalings(
     masses = {o.inputs.load(chain.load.motion) for o in observations}
     if len(masses) > 1 or any(o.inputs.load_torque is not None for o in observations):
         return ()
-    fixed, told = knowledge.fixed, knowledge.told
+    fixed, told = knowledge.fixed, knowledge.priors
     return tuple(
         scaling
         for scaling in scalings(chain, *next(iter(masses), (0.0, 0.0)))

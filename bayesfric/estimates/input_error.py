@@ -123,14 +123,14 @@ def contradicted(
     # how wide those of a column's coefficient must be, an arm asks all its joints together
     columns = {p.name for p in chain.parameters if p.row.option == "signals"}
     priors = {
-        name: (*knowledge.bounds.get(name, support[name]), *knowledge.told.get(name, (None, 0.0)))
+        name: (*knowledge.bounds.get(name, support[name]), *knowledge.priors.get(name, (None, 0.0)))
         for name in knowledge.free(chain)
         if name not in columns
     }
     if all(known[:2] == support[n] and known[2] is None for n, known in priors.items()):
         return {}
-    kept = {name: told for name, told in knowledge.told.items() if name in columns}
-    alone = replace(knowledge, bounds={}, told=kept)
+    kept = {name: told for name, told in knowledge.priors.items() if name in columns}
+    alone = replace(knowledge, bounds={}, priors=kept)
     estimate = input_error(chain, observations, alone, options, start)
     circular = {p.name: p.circular for p in chain.parameters}
     far = {}
@@ -294,7 +294,7 @@ def _toward_told(problem: TorqueProblem, values: Array) -> Array:
     """Move along the scalings, where these are free, to where values with an sd fit best."""
     if any(o.inputs.known_load for o in problem.observations):
         return values
-    told, fixed = problem.knowledge.told, problem.knowledge.fixed
+    told, fixed = problem.knowledge.priors, problem.knowledge.fixed
     for scaling in scalings(problem.chain):
         names = set(scaling.names)
         if names & set(told) and not names & set(fixed):
@@ -387,7 +387,7 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
             notes.append(f"{what} is open: the estimate is one of a family that fits as well")
             continue
         by = [f"known {name}" for name in scaling.names if name in knowledge.fixed]
-        by += [f"told {name}" for name in scaling.names if name in knowledge.told]
+        by += [f"told {name}" for name in scaling.names if name in knowledge.priors]
         loaded = any(o.inputs.known_load for o in problem.observations)
         by += ["the known load"] if loaded else []
         if by:

@@ -24,7 +24,7 @@ class Knowledge:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     # Mean and standard deviation of others, as a data sheet or a prior gives them: one more
     # residual each
-    told: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def free(self, chain: Joint) -> tuple[str, ...]:
         """Names of the parameters to estimate, in the chain's order."""
@@ -61,9 +61,9 @@ class Knowledge:
         Shapes: returns rows (k, d), targets (k,).
         """
         free = self.free(chain)
-        told = [name for name in free if name in self.told]
-        means, sds = np.array([self.told[name] for name in told]).reshape(-1, 2).T
-        rows = np.eye(len(free))[[free.index(name) for name in told]]
+        known = [name for name in free if name in self.priors]
+        means, sds = np.array([self.priors[name] for name in known]).reshape(-1, 2).T
+        rows = np.eye(len(free))[[free.index(name) for name in known]]
         return rows / sds[:, None], means / sds
 
 

@@ -215,7 +215,7 @@ class OutputError:
             if substeps != shooting.substeps:
                 frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
         several = len(self.trajectories) > 1
-        for _ in range(_WEIGHINGS if several or self.knowledge.told else 1):
+        for _ in range(_WEIGHINGS if several or self.knowledge.priors else 1):
             frame = self._weighted(frame, residual)
             solution = descend_afresh(frame, values, states)
             if not np.isfinite(solution.cost):

@@ -192,7 +192,7 @@ class Model(Problem):
             and not (prior := self.priors[p.name]).fixed
         }
         finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
-        knowledge = replace(given.knowledge, told={**finite, **given.knowledge.told})
+        knowledge = replace(given.knowledge, priors={**finite, **given.knowledge.priors})
         given = replace(given, knowledge=knowledge)
         with self.config.named():
             found = estimate_by([method], given, progress=by_method(progress))[method]

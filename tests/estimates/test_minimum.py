@@ -84,7 +84,7 @@ CASES = {
     ),
     "knee, told": (
         KNEE, knee,
-        Knowledge(told={"load.first_moment": (0.4, 0.01), "motor.inertia": (3.5e-4, 1e-6)}),
+        Knowledge(priors={"load.first_moment": (0.4, 0.01), "motor.inertia": (3.5e-4, 1e-6)}),
     ),
     "servo": (SERVO, servo, Knowledge()),
 }  # fmt: skip
@@ -106,7 +106,7 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
         values = chain.vector(dict(zip(names, x, strict=True)) | knowledge.fixed)
         torque = inverse_torque(chain, values[None], o.q, o.qd, o.qdd)[0]
         left = weights * (o.measured - o.filter.apply(torque))
-        told = [4e-3 * (m - x[names == name][0]) / sd for name, (m, sd) in knowledge.told.items()]
+        told = [4e-3 * (m - x[names == name][0]) / sd for name, (m, sd) in knowledge.priors.items()]
         return np.concatenate([left, told])
 
     begin = problem.inside(1.1 * chain.vector(preset.values))
@@ -187,7 +187,7 @@ def stated(estimate, chain, observations, knowledge, weights):
     singular = np.linalg.svd(jacobian * unit, compute_uv=False)
     freedom = residual.size - np.count_nonzero(singular > 1e-6 * singular[0])
     variance = residual @ residual / freedom
-    rows = np.array([[float(n == f) / sd for f in free] for n, (_, sd) in knowledge.told.items()])
+    rows = np.array([[float(n == f) / sd for f in free] for n, (_, sd) in knowledge.priors.items()])
     rows = rows.reshape(-1, len(free))
     whole = (jacobian.T @ jacobian + variance * rows.T @ rows) * np.outer(unit, unit)
     inverse = np.linalg.inv(whole) * np.outer(unit, unit)
@@ -257,7 +257,7 @@ def test_recordings_and_told_values_are_weighed_by_their_variances(make_observat
         for i, (n, s) in enumerate(((400, 0.02), (150, 0.2), (250, 0.05)))
     ]
     told = {"motor.viscous": (0.1, 0.002), "offset": (0.06, 0.01)}
-    found = input_error(AXIS, observations, Knowledge(told=told), FEW)
+    found = input_error(AXIS, observations, Knowledge(priors=told), FEW)
     order = [AXIS.names.index(n) for n in told]
     xs = [
         np.stack(

@@ -209,6 +209,6 @@ def test_a_point_estimate_takes_what_is_fixed_ranged_and_told(make_observation):
     assert found.fixed == {"motor.inertia": 0.01}
     assert found.bounds["motor.viscous"] == (0.01, 0.2)
     # ten sds above its bound: the cut does not show
-    assert found.told == {"motor.coulomb": pytest.approx((0.2, 0.02))}
+    assert found.priors == {"motor.coulomb": pytest.approx((0.2, 0.02))}
     # a default prior is a guess of ours, not knowledge
     assert found.bounds["offset"] == (-math.inf, math.inf)
