@@ -55,7 +55,7 @@ class Directions:
         return self.singular_values <= self.tolerance * largest
 
     @property
-    def told(self) -> Array:
+    def identified(self) -> Array:
         """Jacobian ``(rank, d)`` in those units without null directions, which says the same."""
         return np.asarray(self.rows[~self.null] * self.singular_values[~self.null, None])
 

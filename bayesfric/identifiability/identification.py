@@ -181,7 +181,7 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     tried = trials(target, estimate, local, rare=rare) if open_ else []
     free = [p for p in chain.parameters if p.name in target.free]
     bounds = _bounds_met(target, estimate)
-    both = joined(local.directions.told, prior_rows(target, local))
+    both = joined(local.directions.identified, prior_rows(target, local))
     parameters = _parameters(target, estimate, local, bounds, both)
     return Identification(
         target.likelihood.method,

@@ -105,7 +105,7 @@ class LocalInformation(LocalUnits):
     @property
     def information(self) -> Array:
         """Fisher information ``(d, d)`` in those units; exactly nothing along null directions."""
-        told = self.directions.told
+        told = self.directions.identified
         return np.asarray(told.T @ told)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
@@ -179,7 +179,7 @@ def in_natural_units(
     small &= local.ways == 0
     units = np.where(small, floor, local.units)
     d = local.directions
-    found = directions(d.told * (units / local.units), np.ones(k), d.tolerance)
+    found = directions(d.identified * (units / local.units), np.ones(k), d.tolerance)
     return replace(
         local, units=units, shifted=local.shifted | small, directions=replace(found, units=units)
     )
@@ -264,7 +264,7 @@ def given_by(
     def left(some: Collection[int]) -> float:
         kept = default | np.isin(np.arange(weights.size), list(some))
         rows = np.diag(np.where(kept, weights, 0.0))
-        return joined(local.directions.told, rows).sd(gradient * local.units)
+        return joined(local.directions.identified, rows).sd(gradient * local.units)
 
     every = left(told)
     # bounds, or a prior of its own, make what comes out narrower still

@@ -477,7 +477,7 @@ def ranking(
         told = _told(target, values, local, noise, added)
         if told is None:
             return Uncertainty(float("inf"), None, float("inf"))
-        sd = joined(told.told, priors).sd(gradient)
+        sd = joined(told.identified, priors).sd(gradient)
         data_sd = told.sd(gradient)
         # a share of a value that is not determined would mean nothing
         share = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
@@ -554,7 +554,7 @@ def _told(
 
     What theory says that no torque tells is taken out first: rounding never makes a finite sd.
     """
-    rows, known = local.directions.told, None
+    rows, known = local.directions.identified, None
     if added:
         more = [scaled_jacobian(target, o, values, local, noise) for o in added]
         rows = np.concatenate([rows, *more])

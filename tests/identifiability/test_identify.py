@@ -213,7 +213,7 @@ def test_a_flat_improper_scale_is_infinite_not_large(lagged):
     flat = SimpleNamespace(sd=lambda: np.inf)
     wide = SimpleNamespace(free=target.free, priors=(flat,) * len(target.priors))
     local = local_information(target, parameters)
-    both = joined(local.directions.told, prior_rows(wide, local))
+    both = joined(local.directions.identified, prior_rows(wide, local))
     named = np.array([label in SCALED for label in lagged.local.labels])
     sds = np.array([both.sd(one) for one in np.eye(named.size)])
     assert np.isinf(sds[named]).all()
