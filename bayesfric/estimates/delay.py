@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
@@ -30,7 +30,7 @@ _FURTHEST, _SHARE = 0.25, 0.1
 _FAR_LESS = 0.5
 
 
-def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
+def own_delay(given: EstimationInputs, recordings: Sequence[Measurement]) -> float:
     """Estimate the delay that a mechanism has as a parameter.
 
     Least squares gives it where the torque is linear. Where load-dependent friction or a Stribeck

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesfric.estimates.delay import furthest_delay
 from bayesfric.estimates.descent import Terms, TorqueProblem, few_threads, minimise
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.quantities import QUANTITIES
 
@@ -27,7 +27,7 @@ _SAME = 1e-6
 class Candidate:
     """A model, and its estimate of the input error."""
 
-    given: Given  # Mechanism, observations, knowledge and options
+    given: EstimationInputs  # Mechanism, observations, knowledge and options
     estimate: Estimate  # By :func:`bayesfric.estimates.input_error.input_error` from these
 
     @property

@@ -17,7 +17,7 @@ from bayesfric.recordings.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Given:
+class EstimationInputs:
     """What may be estimated from."""
 
     chain: Joint  # The mechanism
@@ -35,12 +35,12 @@ class Estimator:
     name: Method  # As it is asked for, and as a heading
     title: str
     # Makes the estimate, from the ones that were made before, by name
-    estimate: Callable[[Given, Mapping[Method, Estimate]], Estimate]
+    estimate: Callable[[EstimationInputs, Mapping[Method, Estimate]], Estimate]
     starts_from: Method | None = None  # Method whose estimate it needs, if any
     simulates: bool = False  # Whether it is dear, and some mechanisms have none
 
 
-def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:
+def _output_error(given: EstimationInputs, found: Mapping[Method, Estimate]) -> Estimate:
     known = given.observations, given.knowledge, given.options
     return output_error(given.chain, given.trajectories(), *known, found["input-error"])
 
@@ -72,7 +72,7 @@ ESTIMATORS = {
 
 def estimate_by(
     methods: Sequence[Method],
-    given: Given,
+    given: EstimationInputs,
     found: Mapping[Method, Estimate] | None = None,
     *,
     progress: Callable[[str], None] = lambda _: None,

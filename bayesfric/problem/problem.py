@@ -21,7 +21,7 @@ from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.larger_model import Candidate, better
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
+from bayesfric.estimates.methods import ESTIMATORS, EstimationInputs, estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
@@ -156,9 +156,9 @@ class Problem:
         return as_knowledge(self.chain, self.priors)
 
     @property
-    def evidence(self) -> Given:
+    def evidence(self) -> EstimationInputs:
         """What point estimates are made from."""
-        return Given(
+        return EstimationInputs(
             self.chain,
             self.observations,
             self._knowledge,

@@ -10,7 +10,7 @@ import pytest
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.larger_model import Candidate, better
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.element import Element
@@ -23,7 +23,7 @@ TRUE = {"motor.inertia": 0.05, "motor.viscous": 0.1, "motor.coulomb": 0.3, "moto
 
 def candidate(joint, observation):
     options = Estimation(starts=1)
-    given = Given(joint, [observation], Knowledge(), options, lambda: [])
+    given = EstimationInputs(joint, [observation], Knowledge(), options, lambda: [])
     return Candidate(given, input_error(joint, [observation], Knowledge(), options))
 
 
