@@ -1,4 +1,4 @@
-"""How the input error is minimised: bounded nonlinear least squares of the torque."""
+"""The minimisation of the input error: bounded nonlinear least squares of the torque."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ROUNDING = 1e-9
 _TOLERANCE, _ITERATIONS = 1e-12, 100
 # Relative rise of the sum of squares that is rounding.
 _NO_RISE = 1e-9
-# Recordings longer than this are worth a second thread.
+# Samples from which on a second thread pays.
 _SAMPLES = 200_000
 
 
@@ -54,17 +54,14 @@ class TorqueProblem:
         self.rounding = (ROUNDING**2) * float(self.measured @ self.measured)
 
     def excerpt(self) -> TorqueProblem:
-        """Give the problem of excerpts of long recordings; the same where none is long."""
-        some = [o.excerpt() for o in self.observations]
-        if sum(o.filter.n_outputs for o in some) == self.measured.size:
+        """Give the problem of subsamples of long recordings; itself where none is long."""
+        subsamples = [o.excerpt() for o in self.observations]
+        if sum(o.filter.n_outputs for o in subsamples) == self.measured.size:
             return self
-        return TorqueProblem(self.chain, some, self.knowledge)
+        return TorqueProblem(self.chain, subsamples, self.knowledge)
 
     def split(self, mu: float, share: float) -> Array:
-        """Split the totals of least squares into parameters, to start from.
-
-        Shapes: returns (n_parameters,).
-        """
+        """Split the totals of least squares into parameters ``(n_parameters,)``, to start from."""
         return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
 
     def vector(self, x: Array) -> Array:
@@ -78,21 +75,15 @@ class TorqueProblem:
         return self.knowledge.inside(self.chain, values[self.columns])
 
     def residual(self, x: Array) -> Array:
-        """Measured minus modelled torque of free parameters ``(d,)``: ``(n_outputs,)``, N m or N.
-
-        Not finite where the model has no torque.
-        """
+        """Measured minus modelled torque ``(n_outputs,)`` at free parameters ``(d,)``."""
         values = self.vector(x)[None]
-        # a trial step may lead to where the torque is no number, and is not taken then
+        # a trial step to where the torque is not finite is not taken
         with np.errstate(invalid="ignore", over="ignore"):
             model = [filtered_torque(self.chain, o, values)[0] for o in self.observations]
         return np.asarray(self.measured - np.concatenate(model))
 
     def jacobian(self, x: Array) -> Array:
-        """Differentiate the modelled torque by the free parameters ``(d,)``: ``(n_outputs, d)``.
-
-        Central differences, exact up to rounding in what the torque is linear in.
-        """
+        """Differentiate the modelled torque by the free parameters: ``(n_outputs, d)``."""
         steps = np.zeros(self.base.size)
         steps[self.columns] = 1e-6 * np.maximum(np.abs(x), self.typical[self.columns])
         full = torque_jacobian(self.chain, self.observations, self.vector(x), steps)
@@ -101,10 +92,10 @@ class TorqueProblem:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What is squared and summed up: weighted residuals, and values that are known besides."""
+    """What is squared and summed: weighted residuals of the torque, and of priors."""
 
     weights: Array  # (n_outputs,) factors on the residuals
-    # (k, d) and (k,): targets - rows @ x are further residuals; none if left out
+    # (k, d) and (k,): targets - rows @ x are the priors' residuals
     rows: Array | None = None
     targets: Array | None = None
 
@@ -182,11 +173,11 @@ def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
     Between many short calls the threads of the kernels and those of linear algebra wait for each
     other: on two busy cores that was measured to cost thirty times the work.
     """
-    before = numba.get_num_threads()
+    threads = numba.get_num_threads()
     if sum(o.q.size for o in observations) < _SAMPLES:
         numba.set_num_threads(1)
     try:
         with threadpool_limits(1, "blas"):
             yield
     finally:
-        numba.set_num_threads(before)
+        numba.set_num_threads(threads)

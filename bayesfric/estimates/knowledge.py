@@ -1,4 +1,4 @@
-"""What is known of the parameters before anything is fitted: values, bounds, data sheets."""
+"""What is known of the parameters before a fit, and the options of the estimates."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from bayesfric.recordings.arrays import Array
 class Knowledge:
     """Known values, bounds and data-sheet values of a chain's parameters, by name, in SI units."""
 
-    # Values taken as known; these parameters are not estimated
+    # values of parameters that are not estimated
     fixed: Mapping[str, float] = field(default_factory=dict)
-    # Lower and upper limit of others; the support where left out
+    # limits of others; the support where left out
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # Mean and standard deviation of others, as a data sheet or a prior gives them: one more
-    # residual each
+    # mean and standard deviation of others, one more residual each
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def free(self, chain: Joint) -> tuple[str, ...]:
@@ -31,16 +30,13 @@ class Knowledge:
         return tuple(name for name in chain.names if name not in self.fixed)
 
     def limits(self, chain: Joint) -> tuple[Array, Array]:
-        """Lower and upper limits of the free parameters. Shapes: returns lower, upper (d,)."""
+        """Lower and upper limits ``(d,)`` of the free parameters."""
         support = {p.name: (p.lower, p.upper) for p in chain.parameters}
         pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
     def on_turn(self, chain: Joint, values: Array) -> Array:
-        """Bring the angles of free parameters to the turn their limits lie on.
-
-        Shapes: values (d,); returns (d,).
-        """
+        """Bring angles of free parameters ``(d,)`` to the turn of their limits."""
         described = {p.name: p for p in chain.parameters}
         out = values.copy()
         for j, (name, low, high) in enumerate(
@@ -52,14 +48,11 @@ class Knowledge:
         return out
 
     def inside(self, chain: Joint, values: Array) -> Array:
-        """Put free parameters ``(d,)`` within their limits, angles on the turn of these first."""
+        """Put free parameters ``(d,)`` within their limits."""
         return np.clip(self.on_turn(chain, values), *self.limits(chain))
 
     def rows(self, chain: Joint) -> tuple[Array, Array]:
-        """Write values with a standard deviation as residuals ``(mean - value)/sd``.
-
-        Shapes: returns rows (k, d), targets (k,).
-        """
+        """Write priors as rows ``1/sd`` ``(k, d)`` and targets ``mean/sd`` ``(k,)``."""
         free = self.free(chain)
         known = [name for name in free if name in self.priors]
         means, sds = np.array([self.priors[name] for name in known]).reshape(-1, 2).T

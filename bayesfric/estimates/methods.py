@@ -1,4 +1,4 @@
-"""Which of the paper's three methods estimate a joint, in which order, and from which start."""
+"""The paper's three methods of estimation, their order, and the start that each needs."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from bayesfric.recordings.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class EstimationInputs:
-    """What may be estimated from."""
+    """What estimates are made from."""
 
-    chain: Joint  # The mechanism
-    observations: Sequence[Observation]  # Its recordings, prepared
-    knowledge: Knowledge  # Known values and bounds; how estimates are made
+    chain: Joint
+    observations: Sequence[Observation]
+    knowledge: Knowledge
     options: Estimation
-    # Makes the recordings for simulation, not divided; called only where a method simulates
+    # makes the recordings for simulation, not divided; called only where a method simulates
     trajectories: Callable[[], Sequence[Trajectory]]
 
 
@@ -32,32 +32,32 @@ class EstimationInputs:
 class Estimator:
     """A method of point estimation."""
 
-    name: Method  # As it is asked for, and as a heading
-    title: str
-    # Makes the estimate, from the ones that were made before, by name
+    name: Method
+    title: str  # heading of its results
+    # makes the estimate, given earlier ones by name
     estimate: Callable[[EstimationInputs, Mapping[Method, Estimate]], Estimate]
-    starts_from: Method | None = None  # Method whose estimate it needs, if any
-    simulates: bool = False  # Whether it is dear, and some mechanisms have none
+    starts_from: Method | None = None  # method whose estimate it needs
+    simulates: bool = False  # slow, and not for every mechanism
 
 
-def _output_error(given: EstimationInputs, found: Mapping[Method, Estimate]) -> Estimate:
-    known = given.observations, given.knowledge, given.options
-    return output_error(given.chain, given.trajectories(), *known, found["input-error"])
+def _output_error(inputs: EstimationInputs, earlier: Mapping[Method, Estimate]) -> Estimate:
+    arguments = inputs.observations, inputs.knowledge, inputs.options
+    return output_error(inputs.chain, inputs.trajectories(), *arguments, earlier["input-error"])
 
 
 # In the order of METHODS.
 ESTIMATORS = {
-    one.name: one
-    for one in (
+    estimator.name: estimator
+    for estimator in (
         Estimator(
             "least-squares",
             "Least squares, section 4.1, eq. (11): what the motor feels",
-            lambda given, _: least_squares(given.chain, given.observations),
+            lambda inputs, _: least_squares(inputs.chain, inputs.observations),
         ),
         Estimator(
             "input-error",
             "Direct minimisation of the input error, section 4.2",
-            lambda at, _: input_error(at.chain, at.observations, at.knowledge, at.options),
+            lambda x, _: input_error(x.chain, x.observations, x.knowledge, x.options),
         ),
         Estimator(
             "output-error",
@@ -72,21 +72,21 @@ ESTIMATORS = {
 
 def estimate_by(
     methods: Sequence[Method],
-    given: EstimationInputs,
-    found: Mapping[Method, Estimate] | None = None,
+    inputs: EstimationInputs,
+    earlier: Mapping[Method, Estimate] | None = None,
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[Method, Estimate]:
-    """Estimate by some methods, and by those they start from unless ``found`` has them."""
+    """Estimate by some methods, and by those they start from unless ``earlier`` has them."""
     for name in methods:
         if name not in ESTIMATORS:
             raise BadInput(f"method {name!r}", "there is none", nearest(name, ESTIMATORS))
-    made = dict(found or {})
-    wanted = {name for name in methods if name not in made}
+    estimates = dict(earlier or {})
+    wanted = {name for name in methods if name not in estimates}
     starts = (ESTIMATORS[name].starts_from for name in wanted)
-    wanted |= {one for one in starts if one is not None} - made.keys()
-    for name, one in ESTIMATORS.items():
+    wanted |= {estimator for estimator in starts if estimator is not None} - estimates.keys()
+    for name, estimator in ESTIMATORS.items():
         if name in wanted:
             progress(name)
-            made[name] = one.estimate(given, made)
-    return {name: made[name] for name in ESTIMATORS if name in methods}
+            estimates[name] = estimator.estimate(inputs, estimates)
+    return {name: estimates[name] for name in ESTIMATORS if name in methods}

@@ -1,4 +1,4 @@
-"""How large torque, speed and acceleration are: what default priors are scaled by."""
+"""Typical torque, speed and acceleration, which default priors are scaled by."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bayesfric.mechanism.quantities import Sizes
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Share of the samples that a size is the largest of: a glitch must not set a scale.
+# Quantile that is taken for the largest: a glitch must not set a scale.
 _NEARLY_ALL = 0.999
 
 
@@ -48,7 +48,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
         lean=_lean(chain, observations),
         exchanged=_surely_taken(chain, observations),
         speed=_rms(speed),
-        # a motion that hardly accelerates still changes its speed once in the recording
+        # a motion changes its speed at least once in all recordings
         acceleration=max(_rms(acceleration), _rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
@@ -61,7 +61,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
 
 
 def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
-    """Give the sizes at the input of an element, or of ``load``."""
+    """Give the sizes at the input of an element, or of ``load``; losses on the way are left out."""
     to_joint = chain.reaches[owner]
     return Sizes(
         scales.torque * (chain.ratio / to_joint),
@@ -77,26 +77,28 @@ def _lean(chain: Joint, observations: Sequence[Observation]) -> float:
     # from an unknown zero it may be any
     if any(p.circular for p in chain.parameters):
         return 1.0
-    most = max(float(np.abs(np.sin(o.q[o.filter.centres])).max()) for o in observations)
-    return most or 1.0
+    largest = max(float(np.abs(np.sin(o.q[o.filter.centres])).max()) for o in observations)
+    return largest or 1.0
 
 
 def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
-    """Give the largest torque of one term by least squares, less two standard deviations."""
+    """Give the largest torque of a single term by least squares, less two standard deviations."""
     projection = TotalsProjection(chain, observations)
     with suppress(BadInput):
-        found = least_squares(chain, observations, projection)
+        estimate = least_squares(chain, observations, projection)
         sizes = np.quantile(np.abs(projection.regressors), _NEARLY_ALL, axis=0)
-        known = np.array([v.determined for v in found.values])
-        sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in found.values])
-        least = np.abs([v.value for v in found.values]) - 2.0 * sds
-        return float(np.max(least[known] * sizes[known], initial=0.0))
+        determined = np.array([v.determined for v in estimate.values])
+        sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in estimate.values])
+        lowest = np.abs([v.value for v in estimate.values]) - 2.0 * sds
+        return float(np.max(lowest[determined] * sizes[determined], initial=0.0))
     return 0.0
 
 
 def _at_outputs(carried: CarriedTerm, o: Observation) -> Array:
-    at = o.filter.centres
-    return along(carried.row, carried.reach, o.q[at], o.qd[at], o.stamps[at], o.inputs)
+    centres = o.filter.centres
+    return along(
+        carried.row, carried.reach, o.q[centres], o.qd[centres], o.stamps[centres], o.inputs
+    )
 
 
 def _rms(x: Array) -> float:

@@ -42,7 +42,9 @@ def coverage_of(
             name=o.name,
             outputs=int(o.measured.size),
             moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
-            load_drives={k: float(x[0]) for k, x in back_driven(chain, [o], values[None]).items()},
+            load_drives={
+                k: float(x[0]) for k, x in back_driving_shares(chain, [o], values[None]).items()
+            },
             turn=float(np.ptp(o.q[o.filter.centres])),
             steady=_steady(chain, o, values),
             added_mass=o.inputs.added_mass,
@@ -52,7 +54,7 @@ def coverage_of(
     )
 
 
-def back_driven(
+def back_driving_shares(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
     """Give how often the load drives each element that has a load loss."""

@@ -21,11 +21,11 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.information import Directions
-from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
+from bayesfric.identifiability.coverage import Coverage, back_driving_shares, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
-    derived_beside,
+    derived_gradients,
     in_natural_units,
     joined,
     local_information,
@@ -174,7 +174,7 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     local = in_natural_units(target, estimate, local_information(target, estimate))
     values = target.chain_values(estimate[None])
     coverage = coverage_of(chain, observations, values[0])
-    shares = back_driven(chain, observations, values)
+    shares = back_driving_shares(chain, observations, values)
     back = {name: float(share[0]) for name, share in shares.items()}
     rare = any(share < HARDLY for share in back.values())
     open_ = any(open_rows(local))
@@ -250,7 +250,7 @@ def _combinations(
     What is undefined at the estimate, or made of fixed values only, is left out.
     """
     found = []
-    for q, value, gradient in derived_beside(target, estimate, local):
+    for q, value, gradient in derived_gradients(target, estimate, local):
         if not np.isfinite([value, *gradient]).all() or not gradient.any():
             continue
         data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)

@@ -210,7 +210,7 @@ def prior_rows(target: Target, local: LocalInformation) -> Array:
     return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
 
 
-def derived_beside(
+def derived_gradients(
     target: Target, parameters: Array, local: LocalInformation
 ) -> Iterator[tuple[Derived, float, Array]]:
     """Give each derived quantity at sampled parameters, with its gradient."""

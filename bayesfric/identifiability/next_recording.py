@@ -25,10 +25,10 @@ from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import Directions, directions
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.coverage import back_driven
+from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import (
     LocalInformation,
-    derived_beside,
+    derived_gradients,
     fixed_in,
     joined,
     prior_rows,
@@ -492,7 +492,7 @@ def ranking(
             dropped.append((candidate, tried))
             continue
         made, o = tried
-        shares = back_driven(chain, [o], values[None])
+        shares = back_driving_shares(chain, [o], values[None])
         drives = {element: float(share[0]) for element, share in shares.items()}
         peak = fastest(o) if made.made is not None else float(np.abs(o.qd).max())
         ends = float(o.q.min()), float(o.q.max())
@@ -518,7 +518,7 @@ def _asked(
         fixed = target.chain_values(point[None])[0, chain.names.index(name)]
         what = f"is fixed at {fixed:.6g} by its prior"
         raise BadInput(where, what, f"give priors.{name} a width, or ask for another quantity")
-    derived = {q.name: (q, value, x) for q, value, x in derived_beside(target, point, local)}
+    derived = {q.name: (q, value, x) for q, value, x in derived_gradients(target, point, local)}
     if name not in derived:
         known = nearest(name, [*parameters, *derived])
         raise BadInput(where, "no parameter or derived quantity has that name", known)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
-from bayesfric.estimates.delay import own_delay
+from bayesfric.estimates.delay import estimate_delay
 from bayesfric.estimates.fine_motion import fine_motion, with_fine_motion
 from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.methods import EstimationInputs
@@ -80,7 +80,7 @@ def prepare(
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
             given = EstimationInputs(chain, observations, known, tables.estimation, lambda: ())
-            late = prior.value if prior.fixed else own_delay(given, divided.recordings)
+            late = prior.value if prior.fixed else estimate_delay(given, divided.recordings)
             if not prior.fixed and abs(late) > min(
                 longest_delay(o, r.period)
                 for r, o in zip(divided.recordings, divided.observations, strict=True)
