@@ -33,16 +33,16 @@ from bayesfric.identifiability.local import (
     joined,
     prior_rows,
 )
-from bayesfric.identifiability.virtual_recording import (
+from bayesfric.identifiability.simulated_recording import (
     HEAVIEST,
     LINES,
     TorqueNoise,
     known_mass,
     longest_stretch,
     of_load,
-    played,
     sample_period,
     scaled_jacobian,
+    simulate_recording,
     sines,
     square_with_sines,
     torque_noise,
@@ -295,7 +295,9 @@ def try_out(
         )
         torque = excitation.current_loop(trial.command, trial.period, trial.lag)
         try:
-            found = played(chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0))
+            found = simulate_recording(
+                chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0)
+            )
             limit = _broken(found, float(np.abs(found.qd).max()), limits)
         except RunsAway:
             limit = "the joint runs away"

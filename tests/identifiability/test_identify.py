@@ -18,7 +18,7 @@ from bayesfric.identifiability.local import (
     prior_rows,
 )
 from bayesfric.identifiability.open_directions import left_along, open_counts
-from bayesfric.identifiability.virtual_recording import played
+from bayesfric.identifiability.simulated_recording import simulate_recording
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.drive_law import Law
@@ -149,7 +149,7 @@ def test_what_is_proposed_does_it(lagged):
     for name in fixed.parameters:
         known = look(plain, texts={name: KNEE.values[name]})
         assert not any(one.null for one in known.directions)
-    loaded = played(CHAIN, VALUES, plain, plain.torque, Inputs(2.0, 0.35))
+    loaded = simulate_recording(CHAIN, VALUES, plain, plain.torque, Inputs(2.0, 0.35))
     both = look(plain, loaded)
     assert not any(one.null for one in both.directions)
     assert all(np.isfinite(one.data_sd) for one in both.parameters)
@@ -179,13 +179,13 @@ def test_the_same_mass_everywhere_counts_as_load():
 
 def test_a_back_emf_has_the_shape_of_viscous_loss():
     target, parameters = problem(recorded(LAGGED))
-    played = made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up")
+    simulate_recording = made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up")
     law = Law(LAGGED, np.ones(N), back_emf=0.3)
-    found = speed_term(target, parameters, [replace(played, law=law, ratio=10.0)])
+    found = speed_term(target, parameters, [replace(simulate_recording, law=law, ratio=10.0)])
     assert found.same_as_back_emf == ("motor.viscous",)
     assert found.nominal == pytest.approx(0.03)
     assert found.explained == pytest.approx(1.0, abs=1e-9)
-    assert speed_term(target, parameters, [played]) is None
+    assert speed_term(target, parameters, [simulate_recording]) is None
 
 
 def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):

@@ -1,7 +1,6 @@
-"""Recordings that nobody made: the same joint, simulated with another mass or torque.
+"""Recordings simulated at the estimate with another mass or torque, and their information.
 
-They are looked at through the filters of a recording that was made; what they tell is weighed with
-its noise.
+They pass the filters of a measured recording, and have its noise.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ from bayesfric.recordings.moving import moving_samples
 from bayesfric.recordings.observation import Observation, as_position
 from bayesfric.recordings.timing import retimed
 
-# No more of a recording is simulated than this, in samples and in s.
+# Longest simulation, in samples and in s.
 _LONGEST_SAMPLES = 20_000
 _LONGEST = 10.0
 # Time constant of a current loop, as in the paper's bench.
 LAG = 0.005
-# Sines that tell most, as multiples of how often the joint goes to and fro; and of a torque's
-# peak, the share of the square wave that carries them.
+# Sines that are most informative, as multiples of the joint's pace; and the share of the peak of
+# the square wave that carries them.
 LINES: Array = np.array([0.37, 0.73, 1.3, 2.9, 5.3])
 _SQUARE_SHARE = 0.6
-# A mass where the load tells none, kg and m, and the most that anyone would bolt on.
+# Mass and radius where the load gives none, kg and m, and the largest mass to propose.
 _MASS, _RADIUS = 2.0, 0.35
 HEAVIEST = 5.0
-# With fewer outputs than this, of twenty times as many samples or more, the joint stood still.
+# Fewest outputs of a joint that moves.
 _FEWEST = 20
 
 
@@ -50,24 +49,24 @@ def sample_period(observation: Observation) -> float:
 
 
 def of_load(chain: Joint, values: Array) -> dict[str, float]:
-    """Give the load's own parameters among ``values`` ``(n_parameters,)``, by quantity."""
+    """Give the load's parameters among ``values`` ``(n_parameters,)``, by quantity."""
     pairs = zip(chain.parameters, values.tolist(), strict=True)
     return {p.quantity: value for p, value in pairs if p.owner == "load"}
 
 
 def known_mass(chain: Joint, values: Array) -> Inputs:
-    """Choose a mass and a radius about as heavy as the load itself, rounded."""
-    of = of_load(chain, values)
-    inertia, moment = of.get("inertia", 0.0), of.get("first_moment", 0.0)
-    # all inertia there is, seen at the joint, for a load that is no parameter of its own
+    """Choose a mass and a radius about as heavy as the load, rounded."""
+    load = of_load(chain, values)
+    inertia, moment = load.get("inertia", 0.0), load.get("first_moment", 0.0)
+    # total inertia at the joint, for a load without an inertia
     time = np.zeros(2)
     motion = [0.0, 0.0], [0.0, 0.0], [0.0, 1.0]
-    still = inverse_torque(chain, values, *motion, inputs=AT_ROOM, time=time)
-    felt = inertia if inertia > 0.0 else float(chain.ratio * (still[1] - still[0]))
+    torques = inverse_torque(chain, values, *motion, inputs=AT_ROOM, time=time)
+    total_inertia = inertia if inertia > 0.0 else float(chain.ratio * (torques[1] - torques[0]))
     radius = 0.0 if chain.load.motion == "linear" else _RADIUS
     if radius == 0.0 or moment <= 0.0:
-        mass = felt / (radius**2 or 1.0)
-        return Inputs(_two_digits(min(mass, HEAVIEST)) if felt > 0.0 else _MASS, radius)
+        mass = total_inertia / (radius**2 or 1.0)
+        return Inputs(_two_digits(min(mass, HEAVIEST)) if total_inertia > 0.0 else _MASS, radius)
     if inertia > 0.0:
         radius = float(np.clip(inertia / moment, 0.05, 1.0))
     elif moment <= 0.1:
@@ -84,8 +83,8 @@ def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
 
 def sines(time: Array, lines: Array) -> Array:
     """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
-    made = excitation.multisine(time, 1.0, lines)
-    return np.asarray(made / max(float(np.abs(made).max()), 1e-12))
+    signal = excitation.multisine(time, 1.0, lines)
+    return np.asarray(signal / max(float(np.abs(signal).max()), 1e-12))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,20 +95,17 @@ class TorqueNoise:
     scales: Array  # (Q,) its size, N m or N, then partial autocorrelations
 
     def whitened(self, rows: Array, observation: Observation) -> Array:
-        """Turn changes of the torque ``(..., M)`` into ones with independent unit noise."""
+        """Whiten changes of the torque ``(..., M)`` to unit noise."""
         return self.model.standard(rows, follows(observation), self.scales)[0]
 
 
 def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
-    """Give the noise of a recording's filtered torque, whatever the likelihood is of.
-
-    Shapes: parameters (d,).
-    """
+    """Give the noise of a recording's filtered torque, for any likelihood."""
     scales = target.noise.scales(parameters[None, len(target.free) :])[0, number]
     likelihood = target.likelihood
     if isinstance(likelihood, TorqueLikelihood):
         return TorqueNoise(likelihood.noise, scales)
-    # the noise of a sample, then filtered
+    # the noise of a sample, filtered
     taps = likelihood.observations[number].filter.taps
     return TorqueNoise(Autoregressive(), scales[:1] * float(np.linalg.norm(taps)))
 
@@ -117,65 +113,59 @@ def torque_noise(target: Target, parameters: Array, number: int) -> TorqueNoise:
 def scaled_jacobian(
     target: Target, observation: Observation, values: Array, at: LocalUnits, noise: TorqueNoise
 ) -> Array:
-    """Differentiate a recording's filtered torque over its noise.
-
-    Shapes: values (n_parameters,); returns (n_outputs, d).
-    """
+    """Differentiate a recording's filtered torque over its noise, ``(n_outputs, d)``."""
     jacobian = torque_changes(target.likelihood.chain, [observation], values, at) * at.units
     return noise.whitened(jacobian.T, observation).T
 
 
-def longest_stretch(observation: Observation, most: float | None = _LONGEST) -> slice:
-    """Find the longest stretch without a gap that outputs come from."""
-    number = observation.segment_of
-    segments, counts = np.unique(number, return_counts=True)
-    starts = observation.filter.starts[number == segments[int(np.argmax(counts))]]
+def longest_stretch(observation: Observation, duration: float | None = _LONGEST) -> slice:
+    """Give the longest segment that outputs come from, at most ``duration`` s of it."""
+    segment_of = observation.segment_of
+    segments, counts = np.unique(segment_of, return_counts=True)
+    starts = observation.filter.starts[segment_of == segments[int(np.argmax(counts))]]
     first = int(starts[0])
     last = int(starts[-1]) + len(observation.filter.taps)
-    if most is None:
+    if duration is None:
         return slice(first, last)
-    samples = min(_LONGEST_SAMPLES, int(most / sample_period(observation)))
+    samples = min(_LONGEST_SAMPLES, int(duration / sample_period(observation)))
     return slice(first, min(last, first + samples))
 
 
-def played(
+def simulate_recording(
     chain: Joint,
     values: Array,
     observation: Observation,
     torque: Array,
     inputs: Inputs,
-    state: tuple[float, float] | None = None,
+    initial: tuple[float, float] | None = None,
 ) -> Observation:
-    """Play a torque to the joint, and look at it as one looks at a recording.
-
-    Shapes: torque (N,).
-    """
-    if state is None:
+    """Simulate a torque ``(N,)`` and prepare it like a recording; ValueError at standstill."""
+    if initial is None:
         first = longest_stretch(observation).start
-        state = float(observation.q[first]), float(observation.qd[first])
+        initial = float(observation.q[first]), float(observation.qd[first])
     period, size = sample_period(observation), torque.size
     inputs = replace(inputs, recording=observation.inputs.recording)
-    q0, qd0 = state
+    q0, qd0 = initial
     motion = simulate(chain, values, torque, period, q0=q0, qd0=qd0, inputs=inputs, substeps=4)
-    told, whole = observation.settings, ((0, torque.size),)
+    settings, segments = observation.settings, ((0, torque.size),)
     q, qd, qdd = motion.q, motion.qd, motion.qdd
-    cutoff, order = float(told.get("lowpass", 0.0)), int(told.get("order", 0))
+    cutoff, order = float(settings.get("lowpass", 0.0)), int(settings.get("order", 0))
     # filtered and differentiated like the recording, so that it blurs as much
-    if cutoff and order and told.get("motion") != "refined":
-        reach = int(told.get("reach", 1))
-        q = lowpass(q, whole, 1.0 / period, cutoff, order)
-        qd = derivative(q, whole, period, reach)
-        qdd = derivative(qd, whole, period, reach)
+    if cutoff and order and settings.get("motion") != "refined":
+        reach = int(settings.get("reach", 1))
+        q = lowpass(q, segments, 1.0 / period, cutoff, order)
+        qd = derivative(q, segments, period, reach)
+        qdd = derivative(qd, segments, period, reach)
     slow = 0.01 * float(np.quantile(np.abs(observation.qd), 0.99))
-    trim = int(told.get("trim_samples", 0))
+    trim = int(settings.get("trim_samples", 0))
     step = max(round(observation.period / period), 1)
-    guard = int(told.get("guard", size))
-    moving = moving_samples(qd, whole, float(told.get("dead_zone", slow)), guard)
-    kept = (trim, max(size - trim, trim))
-    chosen = lay_windows(observation.filter.taps, (kept,), step, moving & (motion.qd != 0.0))
-    if chosen.n_outputs < _FEWEST:
+    guard = int(settings.get("guard", size))
+    moving_ = moving_samples(qd, segments, float(settings.get("dead_zone", slow)), guard)
+    span = (trim, max(size - trim, trim))
+    windows = lay_windows(observation.filter.taps, (span,), step, moving_ & (motion.qd != 0.0))
+    if windows.n_outputs < _FEWEST:
         raise ValueError("the joint hardly moves")
-    made = replace(
+    recording = replace(
         observation,
         name="simulated",
         q=q,
@@ -183,17 +173,17 @@ def played(
         qdd=qdd,
         smooth=None,
         torque=torque,
-        filter=chosen,
-        time=motion.time[chosen.centres],
-        measured=chosen.apply(as_position(torque, whole, period, told)),
-        speed=qd[chosen.centres],
-        segment_of=np.zeros(chosen.n_outputs, dtype=np.int64),
+        filter=windows,
+        time=motion.time[windows.centres],
+        measured=windows.apply(as_position(torque, segments, period, settings)),
+        speed=qd[windows.centres],
+        segment_of=np.zeros(windows.n_outputs, dtype=np.int64),
         stamps=motion.time,
         inputs=inputs,
     )
     if not chain.delay:
-        return made
-    return retimed(made, whole, period, float(chain.delays(values[None])[0]))
+        return recording
+    return retimed(recording, segments, period, float(chain.delays(values[None])[0]))
 
 
 def _two_digits(x: float) -> float:
