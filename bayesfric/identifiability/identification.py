@@ -278,7 +278,7 @@ class SpeedTerm:
         if not names:
             return f"{premise}; parameters explain {100.0 * self.explained:.0f} % of an error in it"
         return (
-            f"{premise}; viscous loss and back-EMF are not distinguishable: it has exactly the shape"
+            f"{premise}; viscous loss and back-EMF are indistinguishable: it has exactly the shape"
             f" of {names}: viscous loss plus the error of the nominal kt²/R. A measured current, or"
             " kt and R measured at a standstill, would distinguish them"
         )

@@ -160,9 +160,9 @@ def simulate_recording(
     trim = int(settings.get("trim_samples", 0))
     step = max(round(observation.period / period), 1)
     guard = int(settings.get("guard", size))
-    moving_ = moving_samples(qd, segments, float(settings.get("dead_zone", slow)), guard)
+    moving = moving_samples(qd, segments, float(settings.get("dead_zone", slow)), guard)
     span = (trim, max(size - trim, trim))
-    windows = lay_windows(observation.filter.taps, (span,), step, moving_ & (motion.qd != 0.0))
+    windows = lay_windows(observation.filter.taps, (span,), step, moving & (motion.qd != 0.0))
     if windows.n_outputs < _FEWEST:
         raise ValueError("the joint hardly moves")
     recording = replace(
