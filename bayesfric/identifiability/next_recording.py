@@ -484,7 +484,7 @@ def ranking(
         peak = fastest(o) if played.made is not None else float(np.abs(o.qd).max())
         ends = float(o.q.min()), float(o.q.max())
         advices.append(Advice(played, uncertainty_with(o), drives, peak, ends))
-    advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
+    advices.sort(key=lambda advice: (advice.after.sd, advice.after.data_sd))
     return Ranking(
         name, unit, meaning, value, uncertainty_with(), tuple(advices), tuple(dropped), limits
     )
