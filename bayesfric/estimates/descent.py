@@ -135,21 +135,26 @@ def minimise(
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
-    start = x
     moving = np.flatnonzero(lower < upper)
 
     def point(part: Array) -> Array:
-        full = start.copy()
+        full = x.copy()
         full[moving] = part
         return full
+
+    def residual(part: Array) -> Array:
+        return terms.residual(problem, point(part))
+
+    def jacobian(part: Array) -> Array:
+        return -terms.jacobian(problem, point(part))[:, moving]
 
     best = LocalMinimum(x, float(np.sum(terms.residual(problem, x) ** 2)))
     if not moving.size or not np.isfinite(best.squares):
         return best
     result = optimize.least_squares(
-        lambda part: terms.residual(problem, point(part)),
+        residual,
         x[moving],
-        lambda part: -terms.jacobian(problem, point(part))[:, moving],
+        jacobian,
         (lower[moving], upper[moving]),
         x_scale="jac",
         ftol=_TOLERANCE,

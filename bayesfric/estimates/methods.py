@@ -51,7 +51,7 @@ ESTIMATORS = {
     for estimator in (
         Estimator(
             "least-squares",
-            "Least squares, section 4.1, eq. (11): what the motor feels",
+            "Least squares, section 4.1, eq. (11): totals at the motor",
             lambda inputs, _: least_squares(inputs.chain, inputs.observations),
         ),
         Estimator(

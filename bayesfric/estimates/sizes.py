@@ -32,7 +32,7 @@ class Scales:
     position: float = 1.0  # Range of the joint's, rad or m
     duration: float = 1.0  # Of the longest recording, s
     position_step: float = 0.0  # Finest that one was read in, rad or m; 0 where it is not known
-    # Root mean square torque of each term with a shape of its own, for a value of one
+    # rms torque of each custom or signal term, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -162,7 +162,7 @@ def torque_form(
     chain
         The mechanism.
     observations
-        Whose known mass has columns of its own, ``added_load``, if their motion sets it apart.
+        Whose known mass has separate columns, ``added_load``, if their motion identifies it.
     any_shape
         Leave out what only shapes or scales terms, as a Stribeck rise and the gain: the form is
         that of the others, times the gain.
@@ -203,7 +203,7 @@ def torque_form(
     if masses and lossy:
         plain = np.concatenate([columns(chain, o, names2) for o in observations], axis=1)
         known = np.concatenate([columns(chain, o, ("added_load",)) for o in observations], axis=1)
-        # one mass everywhere may look like more leg: then it has no column of its own
+        # one mass everywhere may be collinear with the leg: then it has no column
         if _rank(np.concatenate([plain, known])) > _rank(plain):
             names2 = (*names2, "added_load")
             names1 += ("added_load",) if chain.elements[last].load_loss == "two" else ()
