@@ -28,7 +28,7 @@ from bayesfric.estimates.descent import (
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.sizes import measured_scales, sizes_at
+from bayesfric.estimates.sizes import sizes_at, typical_sizes
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
@@ -476,7 +476,7 @@ def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
     shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
     if not shaping:
         return {}
-    scales = measured_scales(chain, problem.observations)
+    scales = typical_sizes(chain, problem.observations)
     trials = {}
     for k, p, tries in shaping:
         values = np.array(tries(sizes_at(chain, p.owner, scales)))

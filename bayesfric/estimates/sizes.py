@@ -21,7 +21,7 @@ _NEARLY_ALL = 0.999
 
 
 @dataclass(frozen=True)
-class Scales:
+class TypicalSizes:
     """Sizes of what was measured."""
 
     torque: float  # Largest measured of the motor (99.9th percentile), N m or N
@@ -36,14 +36,14 @@ class Scales:
     columns: Mapping[str, float] = field(default_factory=dict)
 
 
-def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales:
+def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalSizes:
     """Take the scales from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
     acceleration = np.concatenate([o.acceleration for o in observations])
     duration = sum(o.period * o.measured.size for o in observations)
-    return Scales(
+    return TypicalSizes(
         torque=float(np.quantile(np.abs(torque), _NEARLY_ALL)),
         lean=_lean(chain, observations),
         exchanged=_surely_taken(chain, observations),
@@ -60,7 +60,7 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     )
 
 
-def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
+def sizes_at(chain: Joint, owner: str, scales: TypicalSizes) -> Sizes:
     """Give the sizes at the input of an element, or of ``load``; losses on the way are left out."""
     to_joint = chain.reaches[owner]
     return Sizes(
