@@ -32,9 +32,7 @@ class EstimatedValue:
     kind: Kind = "total"
     gauge_free: bool = True  # unchanged by scaling leg parameters and alpha (section 4.2)
     at_bound: Bound | None = None
-    span: tuple[float, float] | None = (
-        None  # range allowed by a passive gearbox, if scaling is open
-    )
+    span: tuple[float, float] | None = None  # what a passive gearbox allows, if open
 
     @property
     def relative_sd(self) -> float:

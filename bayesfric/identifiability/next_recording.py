@@ -23,7 +23,7 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import open_directions
-from bayesfric.estimates.information import Directions, directions
+from bayesfric.estimates.information import directions
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import (
@@ -36,7 +36,6 @@ from bayesfric.identifiability.local import (
 from bayesfric.identifiability.simulated_recording import (
     HEAVIEST,
     LINES,
-    TorqueNoise,
     known_mass,
     longest_stretch,
     of_load,
@@ -132,10 +131,8 @@ def limits_of(
 ) -> Limits:
     """Complete the configured limits from the recordings."""
     rotary = chain.load.motion == "rotary"
-    recorded = (
-        min(float(o.q.min()) for o in observations),
-        max(float(o.q.max()) for o in observations),
-    )
+    positions = np.concatenate([o.q for o in observations])
+    recorded = float(positions.min()), float(positions.max())
     carried = [replace(o.inputs, recording="") for o in observations if o.inputs.added_mass]
     on_hand = [Inputs(m.mass, m.radius) for m in options.masses or ()]
     for number, mass in enumerate(on_hand, start=1):
@@ -173,16 +170,14 @@ def limits_of(
             f"recording {base.name!r} began",
             "give limits in the recordings' own angle",
         )
+    masses = dict.fromkeys([Inputs(), *on_hand, *carried])
     return Limits(
         options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
         options.speed_limit or _SPEED_MARGIN * max(fastest(o) for o in observations),
         angles,
         duration,
         options.lag,
-        tuple(
-            replace(mass, temperature=mean_temperature)
-            for mass in dict.fromkeys([Inputs(), *on_hand, *carried])
-        ),
+        tuple(replace(mass, temperature=mean_temperature) for mass in masses),
         start,
         recorded,
         held,
@@ -455,15 +450,24 @@ def ranking(
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     unit, meaning, value, gradient = _quantity(target, point, local, name)
-    limits = limits_of(options, chain, observations, target.chain_values(point[None])[0])
+    at_estimate = target.chain_values(point[None])[0]
+    limits = limits_of(options, chain, observations, at_estimate)
     values = _simulable(target, point, local)
     base, priors = longest(observations), prior_rows(target, local)
     noise = torque_noise(target, point, next(i for i, o in enumerate(observations) if o is base))
 
     def uncertainty_with(*added: Observation) -> Uncertainty:
-        informed = _with_added(target, values, local, noise, added)
-        if informed is None:
+        rows = [scaled_jacobian(target, o, values, local, noise) for o in added]
+        jacobian, scalings = np.concatenate([local.directions.identified, *rows]), None
+        if (
+            added
+        ):  # project out what all recordings together leave open: rounding makes no finite sd
+            fixed, recordings = fixed_in(target, values), [*observations, *added]
+            scalings = open_directions(chain, fixed, recordings, values) / local.units
+        if not np.isfinite(jacobian).all():
             return Uncertainty(float("inf"), None, float("inf"))
+        unit_steps, tolerance = np.ones(jacobian.shape[1]), local.directions.tolerance
+        informed = directions(jacobian, unit_steps, tolerance, known_null=scalings)
         sd = joined(informed.identified, priors).sd(gradient)
         data_sd = informed.sd(gradient)
         # a share of an undetermined value has no meaning
@@ -471,7 +475,6 @@ def ranking(
         return Uncertainty(sd, share, data_sd)
 
     advices, dropped = [], []
-    at_estimate = target.chain_values(point[None])[0]
     for candidate in candidates(chain, at_estimate, observations, limits):
         progress(f"simulating {candidate.form}")
         result = try_out(chain, values, base, candidate, limits)
@@ -526,31 +529,3 @@ def _simulable(target: Target, parameters: Array, local: LocalInformation) -> Ar
         if row.role == "form" and row.lower == 0.0 < row.default:
             moved[k] = max(moved[k], _OFF_ZERO * abs(float(local.units[k])))
     return np.asarray(target.chain_values(moved[None])[0])
-
-
-def _with_added(
-    target: Target,
-    values: Array,
-    local: LocalInformation,
-    noise: TorqueNoise,
-    added: Sequence[Observation],
-) -> Directions | None:
-    """Decompose the information with further recordings, in local units; ``None`` if not finite.
-
-    Scalings that all recordings together leave open are projected out, so that rounding never makes
-    a finite sd.
-    """
-    rows, known_null = local.directions.identified, None
-    if added:
-        added_rows = [scaled_jacobian(target, o, values, local, noise) for o in added]
-        rows = np.concatenate([rows, *added_rows])
-        recordings = [*target.likelihood.observations, *added]
-        scalings = open_directions(
-            target.likelihood.chain, fixed_in(target, values), recordings, values
-        )
-        known_null = scalings / local.units
-    if not np.isfinite(rows).all():
-        return None
-    return directions(
-        rows, np.ones(rows.shape[1]), local.directions.tolerance, known_null=known_null
-    )

@@ -225,11 +225,7 @@ def open_counts(information: Array) -> tuple[int, int]:
 
 
 def trials(
-    target: Target,
-    parameters: Array,
-    local: LocalInformation,
-    *,
-    rare: bool,
+    target: Target, parameters: Array, local: LocalInformation, *, rare: bool
 ) -> list[Trial]:
     """Simulate recordings that may be remedies."""
     chain, observations = target.likelihood.chain, target.likelihood.observations

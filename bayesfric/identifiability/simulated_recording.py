@@ -76,9 +76,8 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
 
 def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
     """Make a signal of peak one, a square wave with a multisine of ``lines`` Hz on it, ``(N,)``."""
-    return excitation.square(time, _SQUARE_SHARE, hertz) + (1.0 - _SQUARE_SHARE) * sines(
-        time, lines
-    )
+    square = excitation.square(time, _SQUARE_SHARE, hertz)
+    return square + (1.0 - _SQUARE_SHARE) * sines(time, lines)
 
 
 def sines(time: Array, lines: Array) -> Array:
