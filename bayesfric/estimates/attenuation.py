@@ -1,10 +1,9 @@
-"""Whether a recording's band is so wide that what is taken for acceleration is partly noise.
+"""Whether a recording's band is so wide that noise of the acceleration attenuates the inertia.
 
-Noise of the acceleration takes part of the inertia (attenuation, as errors in variables do), and
-leaves torque unexplained where it is. What a position at rest shows of it is not all: time stamps
-that are not those of the samples, or a torque of another instant, make noise that grows with speed.
-It grows with frequency, too. So the same recording is looked at in narrower bands: where inertia
-comes out larger and a hertz of the band holds less that is unexplained, the wider one is wrong.
+Errors in a regressor lower its coefficient (attenuation) and leave torque unexplained. Noise at
+standstill is not all of it: wrong time stamps make noise that grows with speed and frequency. So
+the recording is fitted in narrower bands: where the inertia grows and less torque is unexplained
+per hertz, the wider band is wrong.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from scipy import stats
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import totals_regressors
-from bayesfric.estimates.torque_form import shortest
+from bayesfric.estimates.torque_form import minimum_norm
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, observe
@@ -25,63 +24,40 @@ from bayesfric.recordings.resolution import lowpass_above
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.timing import filtered_rate, retimed
 
-# From one band to the next, and how many narrower ones may contradict a band.
-_NARROWER, _NEXT = 1.4, 2
-# The inertia grows by so many sds, both bands' together, with less left per hertz; or at all, with
-# so much less left, and where that is less often by chance than once in a thousand times. Bands
-# share outputs, so that by chance it hardly ever grows by that. What the model's own
-# errors leave per hertz is less in wider bands.
-_SDS, _LESS, _SELDOM = 1.7, 2.0, 1e-3
-# By a smaller share it grows where load losses bend the torque that totals are linear in.
-_WORTH = 0.01
-# An inertia below so many of its sds is none that could be lost.
-_TOLD = 4.0
-# Outputs more than what is fitted to them, or nothing is told.
-_FREE = 20
+# Ratio of one band to the next, and narrower ones without a contradiction that end the search.
+_STEP, _MISSES = 1.4, 2
+# A narrower band contradicts a wider one by growth of the inertia, in sds of both together, or by
+# the ratio of unexplained variances per hertz and its p value. Bands share outputs, so chance alone
+# hardly ever reaches that; errors of the model leave less per hertz in wider bands.
+_GROWTH, _VARIANCE_RATIO, _P_VALUE = 1.7, 2.0, 1e-3
+# Least relative growth: load-dependent friction, which totals leave out, makes as much.
+_LEAST_GROWTH = 0.01
+# Least inertia, in its sds, that can be attenuated.
+_LEAST_INERTIA = 4.0
+# Least degrees of freedom of a fit.
+_LEAST_FREEDOM = 20
 
 
 @dataclass(frozen=True)
 class Attenuated:
-    """A recording's band in which part of the inertia is lost, and one without that.
+    """A recording's band that attenuates the inertia, and a narrower one that does not."""
 
-    Attributes
-    ----------
-    recording
-        Its name.
-    band, narrower
-        Upper ends of the two bands, Hz.
-    inertia, larger
-        Inertia seen by the motor, by least squares in either, kg m² or kg.
-    """
-
-    recording: str
-    band: float
+    recording: str  # Its name
+    band: float  # Upper ends of the two bands, Hz
     narrower: float
-    inertia: float
+    inertia: float  # Inertia seen by the motor, by least squares in either, kg m² or kg
     larger: float
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Least squares of the totals in one band.
+class _BandFit:
+    """Least squares of the totals in one band."""
 
-    Attributes
-    ----------
-    band
-        Hz.
-    inertia, sd
-        Total inertia seen by the motor and its standard deviation.
-    left
-        Unexplained variance of the torque per hertz of the band.
-    free
-        Degrees of freedom of the residuals.
-    """
-
-    band: float
-    inertia: float
+    band: float  # Hz
+    inertia: float  # Total inertia seen by the motor and its standard deviation
     sd: float
-    left: float
-    free: int
+    left: float  # Unexplained variance of the torque per hertz of the band
+    free: int  # Degrees of freedom of the residuals
 
 
 def attenuations(
@@ -90,111 +66,93 @@ def attenuations(
     observations: Sequence[Observation],
     processing: Processing,
 ) -> list[Attenuated]:
-    """Find recordings whose band is contradicted by a narrower one, and none narrower by that.
+    """List the recordings whose band is contradicted by a narrower one.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    recordings, observations
-        The same recordings, as measured and prepared.
-    processing
-        That of the observations.
-
-    Returns
-    -------
-    list of Attenuated
-        Where the recording cannot tell, as with too few outputs or no identified inertia, its band
-        is taken to be right.
-
-    Notes
-    -----
     Bands narrow by a factor of 1.4 until two in a row contradict no more. A narrower band
     contradicts a wider one where the inertia grows by more than 1 %, less variance is left per
     hertz, and either the inertia grows by 1.7 standard deviations or the variances differ by more
     than twofold and more than an F test at one in a thousand allows.
     """
     pairs = zip(recordings, observations, strict=True)
-    found = [_attenuated(chain, r, o, processing) for r, o in pairs]
-    return [one for one in found if one]
+    checked = [_attenuated(chain, r, o, processing) for r, o in pairs]
+    return [attenuated for attenuated in checked if attenuated]
 
 
 def _attenuated(
     chain: Joint, recording: Measurement, observation: Observation, processing: Processing
 ) -> Attenuated | None:
-    """Narrow the band of one recording as long as that contradicts the best so far."""
-    first = _seen(chain, recording, observation)
+    """Narrow the band of one recording as long as narrower ones contradict the best so far."""
+    first = _fit_band(chain, recording, observation)
     # noise that takes a share of the inertia leaves at least that share of its torque unexplained
-    if first is None or first.free * first.sd**2 < _WORTH * first.inertia**2:
+    if first is None or first.free * first.sd**2 < _LEAST_GROWTH * first.inertia**2:
         return None
     best, missed = first, 0
-    for one in _narrower(chain, recording, observation, processing):
-        best, missed = (one, 0) if _beats(one, best) else (best, missed + 1)
-        if missed == _NEXT:
+    for fit in _narrower_bands(chain, recording, observation, processing):
+        best, missed = (fit, 0) if _beats(fit, best) else (best, missed + 1)
+        if missed == _MISSES:
             break
     if best is first:
         return None
     return Attenuated(recording.name, first.band, best.band, first.inertia, best.inertia)
 
 
-def _narrower(
+def _narrower_bands(
     chain: Joint, recording: Measurement, observation: Observation, processing: Processing
-) -> Iterator[_Seen]:
-    """Least squares in ever narrower bands, low-pass and decimation going with them."""
+) -> Iterator[_BandFit]:
+    """Fit the totals in ever narrower bands, low-pass and decimation going with them."""
     fs = 1.0 / recording.period
     factor = int(observation.settings["decimate"])
     share = 1.0
     while True:
-        share *= _NARROWER
-        wanted = round(share * factor)
-        if wanted <= factor:
+        share *= _STEP
+        decimation = round(share * factor)
+        if decimation <= factor:
             continue
-        changed = {
-            "decimate": wanted,
-            "lowpass": lowpass_above(fs / (2 * wanted), fs),
+        settings = {
+            "decimate": decimation,
+            "lowpass": lowpass_above(fs / (2 * decimation), fs),
             "band": None,
         }
         try:
-            narrower = observe(recording, processing.model_copy(update=changed))
-            seen = _seen(chain, recording, narrower)
+            filtered = observe(recording, processing.model_copy(update=settings))
+            fit = _fit_band(chain, recording, filtered)
         except BadInput:  # it leaves no output
             return
-        if seen is None:
+        if fit is None:
             return
-        yield seen
+        yield fit
 
 
-def _seen(chain: Joint, recording: Measurement, o: Observation) -> _Seen | None:
-    """Least squares of the totals in a band; ``None`` where the inertia is not identified.
+def _fit_band(chain: Joint, recording: Measurement, o: Observation) -> _BandFit | None:
+    """Fit the totals in a band; ``None`` where the inertia is not identified.
 
-    What a delay would leave of the torque is taken off as one more regressor.
+    The torque's rate is one more regressor: a delay leaves torque as well, and is another matter.
     """
     names, totals = totals_regressors(replace(chain, delay=False), [o])
     free = o.measured.size - len(names) - 1
-    if "inertia" not in names or free < _FREE:
+    if "inertia" not in names or free < _LEAST_FREEDOM:
         return None
-    # a delay leaves torque as well, and is another matter: what it would leave is taken off, too
-    there = retimed(o, recording.segments, recording.period, 0.0, recording)
-    regressors = np.column_stack([totals, filtered_rate(there)])
-    _, shared, solution, _ = shortest(regressors)
+    undelayed = retimed(o, recording.segments, recording.period, 0.0, recording)
+    regressors = np.column_stack([totals, filtered_rate(undelayed)])
+    _, shared, solution, _ = minimum_norm(regressors)
     i = names.index("inertia")
     if shared[i]:
         return None
     values = solution @ o.measured
-    left = o.measured - regressors @ values
-    variance, half = float(left @ left) / free, 0.5 / o.period
+    residual = o.measured - regressors @ values
+    variance, band = float(residual @ residual) / free, 0.5 / o.period
     sd = float(np.sqrt(variance * (solution[i] @ solution[i])))
-    return _Seen(half, float(values[i]), sd, variance / half, free)
+    return _BandFit(band, float(values[i]), sd, variance / band, free)
 
 
-def _beats(narrow: _Seen, wide: _Seen) -> bool:
-    """Whether a narrower band contradicts a wider one as noise of the acceleration would."""
-    if not narrow.inertia > _TOLD * narrow.sd:
+def _beats(narrow: _BandFit, wide: _BandFit) -> bool:
+    """Whether a narrower band contradicts a wider one, as noise of the acceleration makes it."""
+    if not narrow.inertia > _LEAST_INERTIA * narrow.sd:
         return False
     grows = narrow.inertia - wide.inertia
-    if not (grows > _WORTH * abs(narrow.inertia) and wide.left > narrow.left):
+    if not (grows > _LEAST_GROWTH * abs(narrow.inertia) and wide.left > narrow.left):
         return False
-    if grows > _SDS * np.hypot(narrow.sd, wide.sd):
+    if grows > _GROWTH * np.hypot(narrow.sd, wide.sd):
         return True
     ratio = wide.left / narrow.left if narrow.left > 0.0 else np.inf
-    return bool(ratio > max(_LESS, stats.f.isf(_SELDOM, wide.free, narrow.free)))
+    return bool(ratio > max(_VARIANCE_RATIO, stats.f.isf(_P_VALUE, wide.free, narrow.free)))

@@ -1,7 +1,7 @@
-"""How late the position of a recording comes after its torque.
+"""The delay of the position of recordings behind their torque.
 
 The torque is linear in a small delay (:mod:`bayesfric.recordings.timing`), so the delay is one
-more coefficient of an estimate; recordings are timed anew until it settles.
+more coefficient of an estimate; recordings are shifted by it until it settles.
 """
 
 from __future__ import annotations
@@ -13,133 +13,87 @@ import numpy as np
 
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.timing import FAR_DELAYS, filtered_rate, longest_delay, retimed
 
-# Each round takes the torque of the delay that the last one found: far from it, what is linear
-# in the delay holds only roughly. It stands still when it moves by less than this many sds.
-_ROUNDS, _STILL = 10, 0.02
-# A delay is looked for as far as this, s, and a tenth of the recording.
-_FURTHEST, _SHARE = 0.25, 0.1
-# What a delay far from none leaves of the torque at most, over what none leaves: a swing at one
-# frequency takes a quarter of its period for a spring.
-_FAR_LESS = 0.5
+# Rounds, each linear about the delay of the last; settled when it moves by less than so many sds.
+_ROUNDS, _SETTLED = 10, 0.02
+# Longest delay to look for, s, and as a share of the recording.
+_LONGEST, _SHARE = 0.25, 0.1
+# A far delay must leave less than this share of the squares without: at one frequency a quarter of
+# a period looks like a spring.
+_FAR_GAIN = 0.5
 
 
-def own_delay(given: Given, recordings: Sequence[Measurement]) -> float:
-    """Estimate the delay that a mechanism has as a parameter.
-
-    Parameters
-    ----------
-    given
-        Mechanism with ``drive.delay``, its prepared observations, knowledge and options.
-    recordings
-        The same recordings as measured.
-
-    Returns
-    -------
-    float
-        s, positive where the position comes late.
-
-    Raises
-    ------
-    BadInput
-        If nothing can be estimated from these recordings.
-
-    Notes
-    -----
-    Least squares gives it where the torque is linear. Where load-dependent friction or a Stribeck
-    rise bend that, it is the input error's, which begins each round where the last one ended.
-    """
-    chain, pairs = given.chain, list(zip(recordings, given.observations, strict=True))
+def estimate_delay(inputs: EstimationInputs, recordings: Sequence[Measurement]) -> float:
+    """Estimate ``drive.delay``, s: by least squares of a linear torque, else input error."""
+    chain, pairs = inputs.chain, list(zip(recordings, inputs.observations, strict=True))
     if any(p.row.bends for p in chain.parameters):
         point: dict[str, float] | None = None
 
-        def estimate(there: Sequence[Observation]) -> Estimate:
-            nonlocal point  # the next round begins where this one ends
-            found = input_error(chain, there, given.knowledge, given.options, point)
-            point = dict(found.point)
-            return found
+        def estimate(observations: Sequence[Observation]) -> Estimate:
+            nonlocal point  # the next round starts where this one ends
+            fitted = input_error(chain, observations, inputs.knowledge, inputs.options, point)
+            point = dict(fitted.point)
+            return fitted
 
-        return found_delay(pairs, estimate, chain)
-    return found_delay(pairs, lambda there: least_squares(chain, there), chain)
+        return settled_delay(pairs, estimate, chain)
+    return settled_delay(pairs, lambda observations: least_squares(chain, observations), chain)
 
 
-def found_delay(
+def settled_delay(
     pairs: Sequence[tuple[Measurement, Observation]],
     estimate: Callable[[Sequence[Observation]], Estimate],
     chain: Joint,
 ) -> float:
-    """Look for the one delay of all recordings that an estimate of the chain settles at.
-
-    Parameters
-    ----------
-    pairs
-        Recordings as measured, and prepared.
-    estimate
-        Of observations that are timed by a delay; its ``drive.delay`` is the next one.
-    chain
-        The mechanism.
-
-    Returns
-    -------
-    float
-        s. At most 0.25 s or a tenth of the shortest recording, whichever is less, or the trimmed
-        ends where these are longer; zero where least squares does not determine it.
-
-    Notes
-    -----
-    Ten rounds at most; it has settled where it moves by less than 0.02 standard deviations. The
-    first is a far one only if that leaves less than half the squared torque: at one frequency a
-    quarter of a period makes a delay look like a spring.
-    """
+    """Repeat an estimate, recordings shifted by its delay, until it settles; 0 if undetermined."""
     delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(_ROUNDS):
-        found = estimate([retimed(o, r.segments, r.period, delay, r) for r, o in pairs])
-        value, before = found[chain.delay_name], delay
-        if found.method == "least-squares" and not value.determined:
+        fitted = estimate([retimed(o, r.segments, r.period, delay, r) for r, o in pairs])
+        value, previous = fitted[chain.delay_name], delay
+        if fitted.method == "least-squares" and not value.determined:
             return 0.0
         delay = _within(value.value, pairs)
-        # what has no sd, or is at the end, moves no more
-        if not abs(delay - before) > _STILL * value.larger_sd:
+        # a delay without an sd, or at the end of the range, moves no more
+        if not abs(delay - previous) > _SETTLED * value.larger_sd:
             break
     return delay
 
 
 def furthest_delay(observations: Sequence[Observation]) -> float:
-    """Longest delay, s, that is looked for."""
+    """Give the longest delay to look for, s."""
     trimmed = min(longest_delay(o, 1.0 / float(o.settings["sampling_rate"])) for o in observations)
-    return max(trimmed, min(_FURTHEST, _SHARE * min(float(np.ptp(o.stamps)) for o in observations)))
+    return max(trimmed, min(_LONGEST, _SHARE * min(float(np.ptp(o.stamps)) for o in observations)))
 
 
 def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    most = furthest_delay([o for _, o in pairs])
-    least = 0.0 if any(r.feedback is not None for r, _ in pairs) else -most
-    return float(np.clip(delay, least, most))
+    longest = furthest_delay([o for _, o in pairs])
+    lowest = 0.0 if any(r.feedback is not None for r, _ in pairs) else -longest
+    return float(np.clip(delay, lowest, longest))
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    """Give the delay to begin with: none, or a far one with which far more is explained.
+    """Choose the first delay: zero, or a far one that explains far more.
 
-    Each is tried with one linear fit of the totals and the torque's rate.
+    By linear fits of the totals and the torque's rate.
     """
     near = max(longest_delay(o, r.period) for r, o in pairs)
-    beyond = [d for d in FAR_DELAYS if near < d == _within(d, pairs)]
+    far = [d for d in FAR_DELAYS if near < d == _within(d, pairs)]
     basis, _ = np.linalg.qr(projection.regressors)
 
-    def left(delay: float) -> float:
-        there = [retimed(o, r.segments, r.period, delay, r) for r, o in pairs]
-        columns = [np.concatenate([o.measured for o in there])]
-        columns.append(np.concatenate([filtered_rate(o) for o in there]))
+    def unexplained(delay: float) -> float:
+        shifted = [retimed(o, r.segments, r.period, delay, r) for r, o in pairs]
+        columns = [np.concatenate([o.measured for o in shifted])]
+        columns.append(np.concatenate([filtered_rate(o) for o in shifted]))
         y, rate = (x - basis @ (basis.T @ x) for x in columns)
-        found = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
-        return float(found @ found)
+        rest = y - rate * float(rate @ y) / max(float(rate @ rate), 1e-300)
+        return float(rest @ rest)
 
-    both = {_within(d, pairs) for d in (0.0, *beyond, *(-d for d in beyond))}
-    tried = {d: left(d) for d in both} if beyond else {0.0: 1.0}
-    best = min(tried, key=tried.__getitem__)
-    return best if tried[best] < _FAR_LESS * tried[0.0] else 0.0
+    delays = {_within(d, pairs) for d in (0.0, *far, *(-d for d in far))}
+    squares = {d: unexplained(d) for d in delays} if far else {0.0: 1.0}
+    best = min(squares, key=squares.__getitem__)
+    return best if squares[best] < _FAR_GAIN * squares[0.0] else 0.0

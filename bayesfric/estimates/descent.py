@@ -1,16 +1,18 @@
-"""How the input error is minimised: bounded nonlinear least squares of the torque."""
+"""The minimisation of the input error: bounded nonlinear least squares of the torque."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy import optimize
 from threadpoolctl import threadpool_limits
 
+from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
@@ -20,80 +22,46 @@ from bayesfric.recordings.observation import Observation
 
 # Residuals below this share of the torque are rounding.
 ROUNDING = 1e-9
-# A search ends where it can lower the criterion by no larger share than this.
-_NO_GAIN = 1e-10
-_ITERATIONS = 100
-# Recordings longer than this are worth a second thread.
+# Relative tolerances of SciPy's search, and its most steps.
+_TOLERANCE, _ITERATIONS = 1e-12, 100
+# Relative rise of the sum of squares that is rounding.
+_NO_RISE = 1e-9
+# Samples from which on a second thread pays.
 _SAMPLES = 200_000
 
 
 class TorqueProblem:
-    """Modelled torque as a function of the free parameters, and what is known of them.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its recordings, prepared.
-    knowledge
-        Fixed values, bounds, values with a standard deviation.
-
-    Attributes
-    ----------
-    free, columns
-        Names of the ``d`` free parameters, and their indices among the chain's.
-    lower, upper
-        ``(d,)`` limits.
-    measured
-        ``(n_outputs,)`` filtered motor torque of all recordings, N m or N.
-    totals
-        Their least squares.
-    base
-        ``(n_parameters,)`` fixed values, zero elsewhere.
-    typical
-        ``(n_parameters,)`` sizes of the parameters, for steps and units.
-    rounding
-        Sum of squares that is rounding.
-    """
+    """Modelled torque as a function of the free parameters, and what is known of them."""
 
     def __init__(
         self, chain: Joint, observations: Sequence[Observation], knowledge: Knowledge
     ) -> None:
         self.chain, self.observations, self.knowledge = chain, observations, knowledge
+        # names of the d free parameters, and their indices among the chain's
         self.free = knowledge.free(chain)
         self.columns = np.array([chain.names.index(name) for name in self.free], dtype=np.int64)
         self.lower, self.upper = knowledge.limits(chain)
         self.measured = np.concatenate([o.measured for o in observations])
         self.totals = least_squares(chain, observations)
+        # (n_parameters,) fixed values, zero elsewhere
         self.base = np.zeros(len(chain.names))
         for name, value in knowledge.fixed.items():
             self.base[chain.names.index(name)] = value
-        # what to step by where a value is zero: the torque is linear, any size will do
+        # (n_parameters,) sizes for steps and units; any will do at zero, the torque is linear
         self.typical = np.abs(self.split(0.2, 0.5))
         self.typical[self.typical == 0.0] = 0.1
+        # sum of squares that is rounding
         self.rounding = (ROUNDING**2) * float(self.measured @ self.measured)
 
     def excerpt(self) -> TorqueProblem:
-        """Give the problem of excerpts of long recordings; the same where none is long."""
-        some = [o.excerpt() for o in self.observations]
-        if sum(o.filter.n_outputs for o in some) == self.measured.size:
+        """Give the problem of subsamples of long recordings; itself where none is long."""
+        subsamples = [o.excerpt() for o in self.observations]
+        if sum(o.filter.n_outputs for o in subsamples) == self.measured.size:
             return self
-        return TorqueProblem(self.chain, some, self.knowledge)
+        return TorqueProblem(self.chain, subsamples, self.knowledge)
 
     def split(self, mu: float, share: float) -> Array:
-        """Split the totals of least squares into parameters, to start from.
-
-        Parameters
-        ----------
-        mu
-            Load-dependent friction wherever there is some.
-        share
-            Of the motor in each total.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)``, see :func:`bayesfric.estimates.least_squares.starting_values`.
-        """
+        """Split the totals of least squares into parameters ``(n_parameters,)``, to start from."""
         return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
 
     def vector(self, x: Array) -> Array:
@@ -107,21 +75,15 @@ class TorqueProblem:
         return self.knowledge.inside(self.chain, values[self.columns])
 
     def residual(self, x: Array) -> Array:
-        """Measured minus modelled torque of free parameters ``(d,)``: ``(n_outputs,)``, N m or N.
-
-        Not finite where the model has no torque.
-        """
+        """Measured minus modelled torque ``(n_outputs,)`` at free parameters ``(d,)``."""
         values = self.vector(x)[None]
-        # a trial step may lead to where the torque is no number, and is not taken then
+        # a trial step to where the torque is not finite is not taken
         with np.errstate(invalid="ignore", over="ignore"):
             model = [filtered_torque(self.chain, o, values)[0] for o in self.observations]
         return np.asarray(self.measured - np.concatenate(model))
 
     def jacobian(self, x: Array) -> Array:
-        """Differentiate the modelled torque by the free parameters ``(d,)``: ``(n_outputs, d)``.
-
-        Central differences, exact up to rounding in what the torque is linear in.
-        """
+        """Differentiate the modelled torque by the free parameters: ``(n_outputs, d)``."""
         steps = np.zeros(self.base.size)
         steps[self.columns] = 1e-6 * np.maximum(np.abs(x), self.typical[self.columns])
         full = torque_jacobian(self.chain, self.observations, self.vector(x), steps)
@@ -130,17 +92,10 @@ class TorqueProblem:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What is squared and summed up: weighted residuals, and values that are known besides.
+    """What is squared and summed: weighted residuals of the torque, and of priors."""
 
-    Attributes
-    ----------
-    weights
-        ``(n_outputs,)`` factors on the residuals.
-    rows, targets
-        ``(k, d)`` and ``(k,)``: ``targets - rows @ x`` are further residuals; none if left out.
-    """
-
-    weights: Array
+    weights: Array  # (n_outputs,) factors on the residuals
+    # (k, d) and (k,): targets - rows @ x are the priors' residuals
     rows: Array | None = None
     targets: Array | None = None
 
@@ -157,23 +112,14 @@ class Terms:
         return jacobian if self.rows is None else np.concatenate([jacobian, self.rows])
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Where a search ended.
-
-    Attributes
-    ----------
-    x
-        ``(d,)`` free parameters.
-    height
-        Sum of squares there.
-    """
+class LocalMinimum(NamedTuple):
+    """Where a search ended: free parameters ``(d,)``, and the sum of squares there."""
 
     x: Array
-    height: float
+    squares: float
 
 
-def descend(
+def minimise(
     problem: TorqueProblem,
     terms: Terms,
     x: Array,
@@ -181,148 +127,62 @@ def descend(
     lower: Array | None = None,
     upper: Array | None = None,
     iterations: int = _ITERATIONS,
-) -> Found:
-    """Search downhill (Levenberg-Marquardt with exact limits).
+) -> LocalMinimum:
+    """Minimise the sum of squares from a start ``(d,)`` within limits; equal limits hold a value.
 
-    Parameters
-    ----------
-    problem
-        The modelled torque.
-    terms
-        What is squared and summed up.
-    x
-        ``(d,)`` start, within the limits.
-    lower, upper
-        ``(d,)`` limits; those of the problem if left out. Equal ones hold a parameter.
-    iterations
-        At most.
-
-    Returns
-    -------
-    Found
-        A local minimum, unless the iterations ran out.
-
-    Notes
-    -----
-    Every step solves the linear problem within the limits, so what a limit stops stands on it to
-    the last digit. Damping follows the gain over the predicted one (Nielsen's rule). The search
-    ends where neither the last step nor the linear problem lowers the sum of squares by a share of
-    1e-10.
+    SciPy's trust region reflects steps off the limits and ends a little inside them: what ends
+    there is put exactly on its limit, unless that raises the sum of squares.
     """
     lower = problem.lower if lower is None else lower
     upper = problem.upper if upper is None else upper
-    residual = terms.residual(problem, x)
-    height = float(np.sum(residual**2))
-    damping, raised = 1e-3, 2.0
-    for _ in range(iterations):
-        triangle, target, size = _packed(terms.jacobian(problem, x), residual)
-        size = np.where(np.isfinite(size), size, problem.typical[problem.columns])
-        while True:
-            step = bounded_step(
-                np.concatenate([triangle, np.sqrt(damping) * np.eye(x.size)]),
-                np.concatenate([target, np.zeros(x.size)]),
-                (lower - x) / size,
-                (upper - x) / size,
-            )
-            moved = np.clip(x + size * step, lower, upper)
-            # what ends at a limit up to rounding is put exactly there
-            moved = np.where(size * step <= lower - x, lower, moved)
-            moved = np.where(size * step >= upper - x, upper, moved)
-            after = terms.residual(problem, moved)
-            lowered = float(np.sum(after**2))
-            expected = float(target @ target - np.sum((target - triangle @ step) ** 2))
-            if lowered < height:
-                break
-            if expected <= _NO_GAIN * height or damping > 1e12:
-                return Found(x, height)
-            damping, raised = damping * raised, 2.0 * raised
-        gain = height - lowered
-        # Nielsen's rule: the better the linear picture held, the less damping
-        damping *= max(1.0 / 10.0, 1.0 - (2.0 * gain / max(expected, gain / 2.0) - 1.0) ** 3)
-        damping, raised = max(damping, 1e-15), 2.0
-        x, residual, height = moved, after, lowered
-        if max(gain, expected) <= _NO_GAIN * height or height <= 1e-12 * problem.rounding:
-            break
-    return Found(x, height)
+    moving = np.flatnonzero(lower < upper)
 
+    def point(part: Array) -> Array:
+        full = x.copy()
+        full[moving] = part
+        return full
 
-def _packed(jacobian: Array, residual: Array) -> tuple[Array, Array, Array]:
-    """Shrink a linear problem to ``(d, d)``, in units ``(d,)`` that change the residual by one.
+    def residual(part: Array) -> Array:
+        return terms.residual(problem, point(part))
 
-    From the eigenvectors of ``J'J``: the QR of many rows is more exact, but its threads wait for
-    each other on a busy machine, and a search only needs a direction. The unit of what does not
-    show is infinite.
-    """
-    norms = np.linalg.norm(jacobian, axis=0)
-    with np.errstate(divide="ignore"):
-        size = 1.0 / norms
-    size = np.where(norms > 1e-14 * norms.max(initial=1e-300), size, np.inf)
-    unit = jacobian * np.where(np.isfinite(size), size, 0.0)
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    told = values > 1e-14 * values.max(initial=0.0)
-    roots = np.where(told, np.sqrt(np.where(told, values, 1.0)), 0.0)
-    slope = vectors.T @ (unit.T @ residual)
-    target = np.where(told, slope / np.where(told, roots, 1.0), 0.0)
-    return roots[:, None] * vectors.T, target, size
+    def jacobian(part: Array) -> Array:
+        return -terms.jacobian(problem, point(part))[:, moving]
 
-
-def bounded_step(
-    matrix: Array,
-    target: Array,
-    lower: Array,
-    upper: Array,
-    *,
-    room: float = 1e-300,
-    tol: float = 1e-14,
-) -> Array:
-    """Solve a linear least-squares problem within limits.
-
-    Parameters
-    ----------
-    matrix, target
-        ``(n, d)`` and ``(n,)``.
-    lower, upper
-        ``(d,)``; limits closer than ``room`` are taken to be ``room`` apart.
-    room
-        Least distance of the limits.
-    tol
-        Of the bounded solver.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``.
-
-    References
-    ----------
-    Stark and Parker, Bounded-variable least squares, Computational Statistics 10, 1995.
-    """
-    step = np.linalg.lstsq(matrix, target, rcond=None)[0]
-    if np.all(step >= lower) and np.all(step <= upper):
-        return np.asarray(step)
-    # a limit met twice (lower = upper) would be refused
-    wide = np.maximum(upper, lower + room)
-    found = lsq_linear(matrix, target, (lower, wide), method="bvls", tol=tol)
-    return np.asarray(found.x)
+    best = LocalMinimum(x, float(np.sum(terms.residual(problem, x) ** 2)))
+    if not moving.size or not np.isfinite(best.squares):
+        return best
+    result = optimize.least_squares(
+        residual,
+        x[moving],
+        jacobian,
+        (lower[moving], upper[moving]),
+        x_scale="jac",
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        gtol=_TOLERANCE,
+        max_nfev=iterations + 1,
+    )
+    best = LocalMinimum(point(result.x), 2.0 * float(result.cost))
+    met = bounds_met(best.x, lower, upper, problem.typical[problem.columns])
+    on_limits = np.where(met < 0, lower, np.where(met > 0, upper, best.x))
+    squares = float(np.sum(terms.residual(problem, on_limits) ** 2))
+    if squares <= (1.0 + _NO_RISE) * best.squares + problem.rounding:
+        return LocalMinimum(on_limits, squares)
+    return best
 
 
 @contextmanager
 def few_threads(observations: Sequence[Observation]) -> Iterator[None]:
     """Keep linear algebra to one thread, and compiled kernels while recordings are short.
 
-    Between many short calls the threads of the kernels and those of linear algebra wait
-    for each other: on two busy cores that was measured to cost thirty times the work.
-
-    Parameters
-    ----------
-    observations
-        Whose samples are counted: above 200 000 the kernels keep their threads.
+    Between many short calls the threads of the kernels and those of linear algebra wait for each
+    other: on two busy cores that was measured to cost thirty times the work.
     """
-    before = numba.get_num_threads()
+    threads = numba.get_num_threads()
     if sum(o.q.size for o in observations) < _SAMPLES:
         numba.set_num_threads(1)
     try:
         with threadpool_limits(1, "blas"):
             yield
     finally:
-        numba.set_num_threads(before)
+        numba.set_num_threads(threads)

@@ -1,22 +1,20 @@
-"""Which motion a model's columns are made of, as fine as encoder and torque tell it.
+"""The motion of a model's regressors, refined above the encoder's bandwidth by the torque.
 
-**The rule for every column.** A column is made of the motion and passes the same parallel filter
-as the measured torque, and nothing else. What is not linear in the motion (its direction, its
-absolute value, the side on which power flows) is not the same of a low-passed motion as low-passed
-itself: where friction turns round the acceleration jumps, and the low-passed speed crosses zero at
-another time. So the motion that columns are made of must not be low-passed.
+Regressors are computed from the motion and pass the same filter as the measured torque. Those
+nonlinear in the motion (direction, absolute value, direction of power) need a motion that is not
+low-passed: at a reversal friction makes the acceleration jump, and a low-passed speed crosses zero
+at another time.
 
-Below the position's low-pass ``L`` the encoder tells the motion. Above it there is only the
-encoder's noise; there the motion is the one with which the model takes the measured torque. With
-``a'`` the acceleration that solves ``torque(q, v, a') = measured`` at every sample,
+Below the position's low-pass ``L`` the motion is the encoder's, above it the one with which the
+model takes the measured torque. With ``a'`` the acceleration that solves
+``torque(q, v, a') = measured`` at every sample,
 
     a = L a_encoder + (1 - L) a'
     v = H v_encoder + (1 - H) (integral of a'),   q likewise,
 
-complementary filters. Speed and position are handed over at ``H``, where the encoder's noise
-outgrows that of the torque, brought to the speed; a model that is wrong leaves more torque
-unexplained, which raises it. The acceleration is not: the torque's noise in it would be in
-what it is compared with, too. The band that is compared ends well below ``L``.
+complementary filters. ``H`` is where the encoder's noise outgrows that of the torque, both as
+speeds; torque that a wrong model leaves unexplained raises it. The acceleration changes over at
+``L``, well above the band that is compared, for the torque's noise must not be in both.
 """
 
 from __future__ import annotations
@@ -27,9 +25,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -38,9 +35,9 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.moving import resting
 from bayesfric.recordings.observation import Observation, refinable, with_motion
 
-# An estimate that the encoder's motion made is off by a sd or more; one that this made is not.
+# An estimate from the encoder's motion may be off by an sd, one from the refined motion is not.
 _PASSES = 2
-# Each round takes the direction of motion from the one before; more change nothing.
+# Each round takes the direction of motion of the last; further ones change nothing.
 _ROUNDS = 4
 
 
@@ -51,79 +48,45 @@ def with_fine_motion(
     knowledge: Knowledge,
     options: Estimation,
 ) -> tuple[Array | None, list[Observation]]:
-    """Refine the motion of recordings by what a first estimate of the joint makes of their torque.
+    """Refine the motion of recordings by a first input-error estimate, in two passes.
 
-    Parameters
-    ----------
-    chain, recordings, observations
-        The mechanism, its recordings, and the same prepared.
-    knowledge, options
-        Of that estimate, an input error.
-
-    Returns
-    -------
-    values : ndarray or None
-        ``(n_parameters,)`` of the estimate; none where nothing can be estimated, or no filter sets
-        what is compared apart from what the encoder does not tell.
-    refined : list of Observation
-        As they were where there is no estimate.
-
-    Notes
-    -----
-    Two passes: an estimate by the encoder's motion may be off by a standard deviation or more, one
-    by the motion that the first pass made is not.
+    Gives the estimate ``(n_parameters,)`` too: ``None``, with the recordings as they were, where
+    none can be made, or no filter separates the compared band.
     """
-    found, point = list(observations), None
-    if not any(map(refinable, found)):
-        return None, found
+    refined, point = list(observations), None
+    if not any(map(refinable, refined)):
+        return None, refined
     try:
         for _ in range(_PASSES):
-            some = [o.excerpt() for o in found]
-            point = dict(input_error(chain, some, knowledge, options, point).point)
+            excerpts = [o.excerpt() for o in refined]
+            point = dict(input_error(chain, excerpts, knowledge, options, point).point)
             values = chain.vector(point)
             pairs = zip(recordings, observations, strict=True)
-            found = [fine_motion(chain, values, r, o) for r, o in pairs]
+            refined = [fine_motion(chain, values, r, o) for r, o in pairs]
     except BadInput:
         return None, list(observations)
-    return values, found
+    return values, refined
 
 
 def fine_motion(
     chain: Joint, values: Array, recording: Measurement, observation: Observation
 ) -> Observation:
-    """Refine the motion of one recording by the parameters of its joint.
+    """Refine the motion of one recording by parameters ``(n_parameters,)`` of its joint.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    recording, observation
-        As measured, and prepared.
-
-    Returns
-    -------
-    Observation
-        The same where no acceleration, or more than one, goes with a torque, and where what the
-        model makes of it is further from what was recorded than the encoder's noise explains.
-
-    Notes
-    -----
-    Four rounds, each with the direction of motion of the one before. At standstill and in excluded
-    spans the encoder's acceleration is kept.
+    At standstill and in excluded spans the encoder's acceleration stays. The recording is unchanged
+    where the model has no unique acceleration, or the result is too far from what was recorded.
     """
     if not refinable(observation):
         return observation
-    o, told, segments = observation, observation.settings, recording.segments
-    still = resting(o.qd, segments, float(told["dead_zone"]), int(told["guard"]))
+    o, settings, segments = observation, observation.settings, recording.segments
+    still = resting(o.qd, segments, float(settings["dead_zone"]), int(settings["guard"]))
     unknown = still | recording.excluded
 
     def above(x: Array, cutoff: float) -> Array:
-        return x - lowpass(x, segments, 1.0 / recording.period, cutoff, int(told["order"]))
+        return x - lowpass(x, segments, 1.0 / recording.period, cutoff, int(settings["order"]))
 
-    end = float(told["lowpass"])
-    speed, place = above(o.qd, end), above(o.q, end)
+    end = float(settings["lowpass"])
+    speed, position = above(o.qd, end), above(o.q, end)
     step = float(np.std(o.qdd)) or 1.0
     inputs = with_motion(o, recording, o.q, o.qd, o.qdd).inputs
     q, qd, qdd, handover = o.q, o.qd, o.qdd, 0.0
@@ -132,36 +95,37 @@ def fine_motion(
             inverse_torque(chain, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
             for d in (-step, 0.0, step)
         )
-        inertia, left = (high - low) / (2.0 * step), o.compared - torque
+        inertia, residual = (high - low) / (2.0 * step), o.compared - torque
         if not (inertia > 0.0).all():
             return observation
-        handover = handover or min(_handover(o, recording, left, float(np.median(inertia))), end)
-        wanted = np.where(unknown, o.qdd, qdd + left / inertia)
-        more = above(_integral(wanted - o.qdd, qd, recording), handover)
-        further = above(_integral(speed + more, None, recording), handover)
-        q, qd, qdd = o.q + place + further, o.qd + speed + more, o.qdd + above(wanted, end)
-    made = with_motion(o, recording, q, qd, qdd)
-    return made if _near(o, made, recording) else observation
+        if not handover:
+            handover = min(_handover(o, recording, residual, float(np.median(inertia))), end)
+        acceleration = np.where(unknown, o.qdd, qdd + residual / inertia)
+        dqd = above(_integral(acceleration - o.qdd, qd, recording), handover)
+        dq = above(_integral(speed + dqd, None, recording), handover)
+        q, qd = o.q + position + dq, o.qd + speed + dqd
+        qdd = o.qdd + above(acceleration, end)
+    refined = with_motion(o, recording, q, qd, qdd)
+    return refined if _near(o, refined, recording) else observation
 
 
-def _near(o: Observation, made: Observation, recording: Measurement) -> bool:
-    """Whether a refined motion lies no further from the recorded one than noise puts it."""
+def _near(o: Observation, refined: Observation, recording: Measurement) -> bool:
+    """Whether a refined motion is as close to the recorded one as noise explains."""
     if recording.velocity is None:
-        recorded, before, after = recording.position, o.q, made.q
+        recorded, before, after = recording.position, o.q, refined.q
     else:
-        recorded, before, after = recording.velocity, o.qd, made.qd
+        recorded, before, after = recording.velocity, o.qd, refined.qd
     noise = float(o.settings["noise_seen"]) ** 2
     return bool(np.mean((recorded - after) ** 2) <= np.mean((recorded - before) ** 2) + noise)
 
 
-def _handover(o: Observation, recording: Measurement, left: Array, inertia: float) -> float:
-    """Frequency in Hz above which the torque determines a speed better than the encoder.
+def _handover(o: Observation, recording: Measurement, residual: Array, inertia: float) -> float:
+    """Frequency in Hz above which the torque determines a speed better than the encoder does.
 
-    ``left`` ``(N,)`` is the torque that is not explained; behind the parallel filter it is
-    ``S_t`` a hertz. The speed's noise is ``S_t/(J w)²`` by the torque; by the encoder it is
-    ``w² S_q``, or ``S_v`` where the speed was measured.
+    Of the residual torque ``(N,)``, ``S_t`` a hertz behind the parallel filter, the speed has noise
+    ``S_t/(J w)²``; of the encoder ``w² S_q``, or ``S_v`` where the speed was measured.
     """
-    torque = float(np.mean(o.filter.apply(left) ** 2)) / float(o.settings["band"])
+    torque = float(np.mean(o.filter.apply(residual) ** 2)) / float(o.settings["band"])
     noise = 2.0 * recording.period * float(o.settings["noise_seen"]) ** 2
     if not noise > 0.0:
         return math.inf

@@ -1,7 +1,7 @@
 """How well residuals determine parameters: standard deviations and null directions.
 
-A Jacobian is decomposed once; every standard deviation, of a parameter or of a function of
-several, is then read off its singular vectors. Residuals may be correlated, in time or in groups.
+From one singular value decomposition of a Jacobian; residuals may be correlated, in time or in
+groups.
 """
 
 from __future__ import annotations
@@ -16,53 +16,29 @@ from bayesfric.recordings.arrays import Array, Flags
 
 # Relative size below which a singular value is rounding, for Jacobians exact to rounding.
 NULL = 1e-7
-# With fewer groups than this for each parameter, sums over groups say little.
+# Least groups for each parameter for sums over groups.
 LEAST_GROUPS = 2.0
-# Neighbouring residuals are called correlated from here on.
+# Least correlation of neighbouring residuals that counts.
 CORRELATED = 0.2
-# Least share of a direction that other groups are taken to decide.
+# Least share of a direction left to the other groups.
 _LEAST_LEFT = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """Singular value decomposition of a Jacobian, largest singular value first.
+    """Singular value decomposition of a Jacobian, largest singular value first."""
 
-    Attributes
-    ----------
-    units
-        ``(d,)`` what counts as a change of one, in each parameter's unit.
-    singular_values
-        ``(d,)`` of the Jacobian in those units.
-    rows
-        ``(d, d)`` right singular vectors, one a row, in those units.
-    tolerance
-        Singular values below this share of the largest are rounding.
-    known_null
-        ``(d, k)`` orthonormal, in those units: directions known to change no output.
-    """
-
-    units: Array
-    singular_values: Array
-    rows: Array
-    tolerance: float = NULL
+    units: Array  # (d,) what counts as a change of one, in each parameter's unit
+    singular_values: Array  # (d,) of the Jacobian in those units
+    rows: Array  # (d, d) right singular vectors, one a row, in those units
+    tolerance: float = NULL  # Singular values below this share of the largest are rounding
+    # (d, k) orthonormal, in those units: directions known to change no output
     known_null: Array | None = None
 
     def off_known(self, gradient: Array) -> Array:
-        """Take from a gradient what points along directions known to be null.
+        """Project a gradient ``(d,)`` off directions known to be null.
 
-        For functions that theory says no scaling changes; their numerical derivatives
-        point along it by the rounding, and by the kinks, of differences.
-
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` by the parameters, per their units.
-
-        Returns
-        -------
-        ndarray
-            ``(d,)``.
+        For functions that no scaling changes: their finite differences point along it by rounding.
         """
         if self.known_null is None:
             return gradient
@@ -71,40 +47,25 @@ class Directions:
 
     @property
     def null(self) -> Flags:
-        """Which directions ``(d,)``, rows of :attr:`rows`, change no output."""
+        """Which rows ``(d,)`` of :attr:`rows` change no output."""
         largest = self.singular_values[0] if self.singular_values.size else 0.0
         return self.singular_values <= self.tolerance * largest
 
     @property
-    def told(self) -> Array:
-        """Jacobian ``(rank, d)`` in those units without null directions, which says the same."""
+    def identified(self) -> Array:
+        """Jacobian ``(rank, d)`` in those units, null directions left out."""
         return np.asarray(self.rows[~self.null] * self.singular_values[~self.null, None])
 
     def sd(self, gradient: Array) -> float:
-        """Give the standard deviation that is left of a function of the parameters.
+        """Give the sd ``sqrt(g' (J'J)^-1 g)`` of a function of gradient ``g`` ``(d,)``.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` ``g`` of the function.
-
-        Returns
-        -------
-        float
-            ``sqrt(g' (J'J)^-1 g)``, for residuals of unit noise; infinite where the function
-            changes along a null direction.
+        For residuals of unit noise; infinite where the function changes along a null direction.
         """
         weight = self.solve(gradient)
         return float("inf") if weight is None else float(np.sqrt(gradient @ weight))
 
     def solve(self, gradient: Array) -> Array | None:
-        """Multiply the inverse of ``J'J`` by the gradient ``(d,)`` of a function of the parameters.
-
-        Returns
-        -------
-        ndarray or None
-            ``(d,)``; ``None`` where the function changes along a null direction.
-        """
+        """Multiply the inverse of ``J'J`` by a gradient ``(d,)``; ``None`` if not identified."""
         along = self.rows @ (gradient * self.units)
         null = self.null
         if np.linalg.norm(along[null]) > 1e-5 * np.linalg.norm(along):
@@ -116,23 +77,7 @@ class Directions:
 def directions(
     jacobian: Array, units: Array, tolerance: float = NULL, *, known_null: Array | None = None
 ) -> Directions:
-    """Decompose a Jacobian.
-
-    Parameters
-    ----------
-    jacobian
-        ``(n, d)`` of outputs by parameters.
-    units, tolerance
-        As in :class:`Directions`.
-    known_null
-        ``(k, d)`` directions, in parameter units, of which theory says that no output changes:
-        they come out as null however the derivatives were taken.
-
-    Returns
-    -------
-    Directions
-        By the SVD of the triangle of a QR decomposition, which has the same singular values.
-    """
+    """Decompose a Jacobian ``(n, d)``; rows of ``known_null`` ``(k, d)`` are null by theory."""
     scaled = jacobian * units
     basis = None
     if known_null is not None and known_null.size:
@@ -147,47 +92,20 @@ def directions(
 
 
 class Information:
-    """Standard deviations of whatever is computed from estimated parameters.
+    """Standard deviations of functions of estimated parameters.
 
-    Parameters
-    ----------
-    jacobian
-        ``(n, d)`` of the modelled outputs by the free parameters.
-    residual
-        ``(n,)`` measured minus modelled.
-    units
-        ``(d,)`` what counts as a change of one; for example the values themselves.
-    places
-        ``(n,)`` where each residual stands on an even grid of time; other recordings are far apart.
-    known
-        ``(k, d)`` rows 1/sd of independent knowledge.
-    tolerance, known_null
-        As for :func:`directions`.
-    groups
-        ``(n,)`` number of the group each residual belongs to, where they may be correlated within
-        groups in any way but not between them.
-    lost
-        Quantities fitted besides and already taken out, such as initial states.
-    least
-        Standard deviation of a residual that rounding alone makes, as of an encoder.
-
-    Attributes
-    ----------
-    freedom
-        Degrees of freedom of the residuals: n less the rank and ``lost``, at least 1.
-    sigma
-        Standard deviation of a residual, ``sqrt(residual' residual/freedom)`` or ``least``.
-    directions
-        Of Jacobian and knowledge together; a value known to 1/sd weighs as ``sigma`` over its sd.
+    ``freedom`` counts the residuals' degrees of freedom, ``sigma`` is their standard deviation, and
+    ``directions`` decompose Jacobian and knowledge together: a value known to 1/sd weighs as
+    ``sigma`` over its sd.
     """
 
     def __init__(
         self,
         jacobian: Array,  # (n, d) of the modelled outputs by the free parameters
         residual: Array,  # (n,) measured minus modelled
-        units: Array,  # (d,) what counts as a change of one; for example the values themselves
+        units: Array,  # (d,) unit change of each parameter, for example its value
         *,
-        # (n,) where each residual stands on an even grid of time; other recordings are far apart
+        # (n,) place of each residual on an even grid of time; other recordings are far apart
         places: NDArray[np.int64] | None = None,
         known: Array | None = None,  # (k, d) rows 1/sd of independent knowledge
         tolerance: float = NULL,
@@ -195,7 +113,7 @@ class Information:
         # (n,) number of the group each residual belongs to, where they may be correlated within
         # groups in any way but not between them
         groups: NDArray[np.int64] | None = None,
-        lost: int = 0,  # quantities fitted besides and already taken out, such as initial states
+        lost: int = 0,  # quantities that are fitted and eliminated, such as initial states
         least: float = 0.0,  # sd of a residual that rounding alone makes, as of an encoder
     ) -> None:
         n, d = jacobian.shape
@@ -205,8 +123,8 @@ class Information:
         self._known = np.zeros((0, d)) if known is None else known
         rank = 0
         if d:
-            found = directions(jacobian, units, tolerance, known_null=known_null)
-            rank = int(np.count_nonzero(~found.null))
+            decomposed = directions(jacobian, units, tolerance, known_null=known_null)
+            rank = int(np.count_nonzero(~decomposed.null))
         self.freedom = max(n - rank - lost, 1)
         self.sigma = float(np.sqrt(residual @ residual / self.freedom))
         self.sigma = max(self.sigma, least)
@@ -219,28 +137,13 @@ class Information:
         )
 
     def sds(self, gradient: Array) -> tuple[float, float]:
-        """Give the standard deviations of a function of the parameters.
+        """Give the plain and the robust sd of a function of gradient ``g`` ``(d,)``.
 
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` of the function by the parameters.
-
-        Returns
-        -------
-        plain : float
-            For uncorrelated residuals; infinite, as the other, where the function changes along a
-            null direction.
-        robust : float
-            Accounting for correlation: within groups, where there are enough, else by
-            :func:`long_run_variance`.
-
-        Notes
-        -----
         With ``w = (J'J)^-1 g`` and residuals ``r``, plain is ``sigma |J w|``, and robust the root
         of the variance of ``sum (J w) r`` (a sandwich estimate): in time times n over the degrees
-        of freedom, in groups with each group's part made larger for its leverage (Bell and
-        McCaffrey, Survey Methodology 28, 2002). What is known besides adds its own share to both.
+        of freedom, in groups each group's part enlarged for its leverage (Bell and McCaffrey,
+        Survey Methodology 28, 2002). Both are infinite where the function changes along a null
+        direction.
         """
         if not np.any(gradient):
             return 0.0, 0.0
@@ -248,26 +151,26 @@ class Information:
         if weight is None:
             return float("inf"), float("inf")
         effect = self._jacobian @ weight
-        told = self.sigma**4 * float(np.sum((self._known @ weight) ** 2))
-        plain = np.sqrt(self.sigma**2 * float(effect @ effect) + told)
+        known = self.sigma**4 * float(np.sum((self._known @ weight) ** 2))
+        plain = np.sqrt(self.sigma**2 * float(effect @ effect) + known)
         scores = self._group_scores
         if scores is not None:
             d = self.directions
             along = (d.rows[~d.null] @ (gradient * d.units)) / d.singular_values[~d.null]
             robust = float(np.sum((scores @ along) ** 2))
         else:
-            small = self._residual.size / self.freedom
-            robust = small * long_run_variance(effect * self._residual, self._places)
-        return float(plain), float(np.sqrt(robust + told))
+            scale = self._residual.size / self.freedom
+            robust = scale * long_run_variance(effect * self._residual, self._places)
+        return float(plain), float(np.sqrt(robust + known))
 
     @cached_property
     def _group_scores(self) -> Array | None:
         """Scores of every group in orthonormal directions, ``(K, rank)``; None if too few.
 
-        A group's residuals are small where the group itself decides a direction. Dividing
-        its score by the root of what it leaves to others makes the variance right for
-        uncorrelated residuals (Bell and McCaffrey, Survey Methodology 28, 2002), and near
-        right for the integrated noise of a simulation, where it is 20 to 30 % too small without.
+        A group's residuals are small where the group itself decides a direction. Dividing its score
+        by the root of what it leaves to others makes the variance right for uncorrelated residuals,
+        and near right for the integrated noise of a simulation, where it is 20 to 30 % too small
+        without.
         """
         if self._groups is None:
             return None
@@ -280,35 +183,17 @@ class Information:
         order = np.argsort(group, kind="stable")
         for k, rows in enumerate(np.split(order, np.cumsum(np.bincount(group))[:-1])):
             shares, axes = np.linalg.eigh(basis[rows].T @ basis[rows])
-            left = np.maximum(1.0 - shares, _LEAST_LEFT)
+            remaining = np.maximum(1.0 - shares, _LEAST_LEFT)
             score = axes.T @ (basis[rows].T @ self._residual[rows])
-            scores[k] = axes @ (score / np.sqrt(left))
+            scores[k] = axes @ (score / np.sqrt(remaining))
         return scores
 
 
 def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
-    """Variance of the sum of a correlated series of mean zero, with gaps.
+    """Estimate the variance of the sum of a correlated series ``(n,)`` at places on an even grid.
 
-    Parameters
-    ----------
-    score
-        ``(n,)`` terms of the sum.
-    places
-        ``(n,)`` positions on an even grid, rising; gaps count as zeros.
-
-    Returns
-    -------
-    float
-        At least zero.
-
-    Notes
-    -----
-    Sum of autocovariances, weighted by the quadratic spectral kernel with the bandwidth of a
-    first-order autoregression.
-
-    References
-    ----------
-    Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4; gaps: Parzen 1963.
+    Gaps count as zeros (Parzen 1963). Quadratic spectral kernel with the bandwidth of a first-order
+    autoregression: Andrews, Econometrica 59, 1991, eqs. 6.2 to 6.4.
     """
     grid = np.zeros(int(places[-1] - places[0]) + 1)
     grid[places - places[0]] = score
@@ -320,7 +205,7 @@ def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
     present = np.zeros(grid.size)
     present[places - places[0]] = 1.0
     pairs = float(present[:-1] @ present[1:])
-    # correlation of neighbours, per pair that is there
+    # correlation of neighbours, per pair
     rho = covariance[1] / covariance[0] * score.size / max(pairs, 1.0) if grid.size > 1 else 0.0
     rho = float(np.clip(rho, -0.97, 0.97))
     alpha = 4.0 * rho**2 / (1.0 - rho) ** 4
@@ -335,21 +220,7 @@ def long_run_variance(score: Array, places: NDArray[np.int64]) -> float:
 
 
 def lag_one(residual: Array, follows: Flags) -> float:
-    """Correlate each residual with the next where that follows one step later.
-
-    Parameters
-    ----------
-    residual
-        ``(M,)``.
-    follows
-        ``(M - 1,)`` of bool: whether the next one does.
-
-    Returns
-    -------
-    float
-        Mean product of neighbours over the mean square; ``nan`` with fewer than ten such pairs, or
-        where all residuals are zero.
-    """
+    """Correlate residuals ``(M,)`` with their successors where these follow one step later."""
     first, second, power = residual[:-1][follows], residual[1:][follows], np.mean(residual**2)
     if first.size < 10 or power == 0.0:
         return float("nan")

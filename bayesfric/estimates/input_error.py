@@ -1,7 +1,7 @@
-"""Which parameters make the modelled torque nearest the measured one: the input error, section 4.2.
+"""Every parameter from the error of the modelled torque: the input error, section 4.2.
 
-For any chain. Where the torque has the form of eq. (13), eqs. (18) and (19) give a start; the
-search itself knows bounds, several recordings, and values known with a standard deviation.
+For any chain, with bounds, priors and several recordings. Where the torque has the form of
+eq. (13), eqs. (18) and (19) give a start.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import cycle, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +17,47 @@ from scipy.optimize import minimize_scalar
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
-from bayesfric.estimates.descent import ROUNDING, Found, Terms, TorqueProblem, descend, few_threads
-from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.descent import (
+    ROUNDING,
+    LocalMinimum,
+    Terms,
+    TorqueProblem,
+    few_threads,
+    minimise,
+)
 from bayesfric.estimates.information import Information
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.shape_starts import at_tried_shapes
+from bayesfric.estimates.sizes import sizes_at, typical_sizes
 from bayesfric.estimates.torque import places
 from bayesfric.estimates.torque_form import scale_known, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Array = NDArray[np.float64]
 Bounds = NDArray[np.int_]
 
-# Splits of the totals to start from: load loss, and the share the motor gets.
+# Splits of the totals to start from: load-dependent friction, and the motor's share.
 _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.7))
-# A minimum this many residual variances higher is another one.
+# Residual variances between the sums of squares of two minima that differ.
 _SAME = 0.01
-# Minima of the first pass that the second looks at again.
+# Minima of the first pass that the second starts from.
 _MINIMA = 3
-# Steps downhill by the whole of long recordings before the lowest of an excerpt's minima is taken.
+# Steps with the whole of long recordings before the lowest of a subsample's minima is taken; and
+# with shapes held, where the torque is linear but for products such as rise times friction.
 _STEPS = 3
-# Share of the lowest criterion of all by which what is known may raise it, and none is lower.
-_REACHED = 1e-6
-# Share of the torque that counts as a change of one, at least.
-_SHOWN = 1e-3
-# Standard deviations between a prior and what the data say alone that are no chance.
+# Of the starts at shapes to try, so many of the lowest are followed; sums of squares that differ
+# by a smaller share than the second number are the same.
+_FOLLOWED, _SAME_SHAPE = 4, 1e-6
+# A search this close, relatively, to the unbounded minimum ends the searches.
+_CLOSE = 1e-6
+# Least effect on the torque of a unit change, as a share of it.
+_LEAST_EFFECT = 1e-3
+# Standard deviations between a prior and the data that are a contradiction.
 CONTRADICTED = 3.0
-# How often the sds behind weights are taken anew, and when they stand still.
+# Rounds of reweighting, and the relative change of weights at which they are settled.
 _ROUNDS = 8
 _SETTLED = 1e-3
 
@@ -108,73 +119,63 @@ def contradicted(
     options: Estimation,
     start: Mapping[str, float],
 ) -> dict[str, tuple[float, float]]:
-    """Compare priors with an estimate that only has the support and what is fixed.
+    """List parameters whose prior contradicts an estimate from the support and fixed values alone.
 
-    Parameters
-    ----------
-    chain, observations, knowledge, options
-        As for :func:`input_error`.
-    start
-        Values of all parameters to begin at: an estimate that has the priors.
-
-    Returns
-    -------
-    dict
-        Name of each parameter that the data alone have farther from its prior than
-        :data:`CONTRADICTED` standard deviations of both: their value, and that distance. What the
-        data do not determine, or physics bounds, contradicts nothing.
+    By name, that estimate's value and the distance in standard deviations of both.
     """
     support = {p.name: (p.lower, p.upper) for p in chain.parameters}
-    # how wide those of a column's coefficient must be, an arm asks all its joints together
+    # coefficients of signals keep theirs: an arm compares those of all joints together
     columns = {p.name for p in chain.parameters if p.row.option == "signals"}
     priors = {
-        name: (*knowledge.bounds.get(name, support[name]), *knowledge.told.get(name, (None, 0.0)))
+        name: (*knowledge.bounds.get(name, support[name]), *knowledge.priors.get(name, (None, 0.0)))
         for name in knowledge.free(chain)
         if name not in columns
     }
-    if all(known[:2] == support[n] and known[2] is None for n, known in priors.items()):
+    if all(bounds[:2] == support[n] and bounds[2] is None for n, bounds in priors.items()):
         return {}
-    kept = {name: told for name, told in knowledge.told.items() if name in columns}
-    alone = replace(knowledge, bounds={}, told=kept)
-    estimate = input_error(chain, observations, alone, options, start)
+    column_priors = {name: prior for name, prior in knowledge.priors.items() if name in columns}
+    support_only = replace(knowledge, bounds={}, priors=column_priors)
+    estimate = input_error(chain, observations, support_only, options, start)
     circular = {p.name: p.circular for p in chain.parameters}
     far = {}
     for name, (low, high, mean, sd) in priors.items():
         value = estimate[name]
         nearest = float(np.clip(value.value, low, high)) if mean is None else mean
-        away = value.value - nearest
+        distance = value.value - nearest
         if circular[name]:
-            away -= 2.0 * np.pi * round(away / (2.0 * np.pi))
+            distance -= 2.0 * np.pi * round(distance / (2.0 * np.pi))
         scale = math.hypot(value.larger_sd, sd)
-        if value.determined and scale > 0.0 and abs(away) > CONTRADICTED * scale:
-            far[name] = (value.value, abs(away) / scale)
+        if value.determined and scale > 0.0 and abs(distance) > CONTRADICTED * scale:
+            far[name] = (value.value, abs(distance) / scale)
     return far
 
 
 def _estimate(
     problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
 ) -> Estimate:
-    """Search from all starts, weigh recordings and known values, and state what was found."""
+    """Search from all starts, weigh recordings and priors, and make the estimate."""
     chain, observations = problem.chain, problem.observations
-    some = problem.excerpt() if start is None else problem
-    plain = Terms(np.ones(some.measured.size))
+    subsample = problem.excerpt() if start is None else problem
+    plain = Terms(np.ones(subsample.measured.size))
     if start is None:
-        inside, lowest, searched = _starts(some, plain, options)
+        starts, lowest, note = _starts(subsample, plain, options)
     else:
-        inside, lowest, searched = [problem.inside(chain.vector(start))], -math.inf, ""
-    found = []
-    for x in inside:
-        found.append(descend(some, plain, x))
-        if found[-1].height <= lowest:
+        starts, lowest, note = [problem.inside(chain.vector(start))], -math.inf, ""
+    minima = []
+    for x in starts:
+        minima.append(minimise(subsample, plain, x))
+        if minima[-1].squares <= lowest:
             break
-    found.sort(key=lambda one: one.height)
-    agreement = _agreement(some, found)
-    if some is not problem:
+    minima.sort(key=lambda minimum: minimum.squares)
+    agreement = _agreement(subsample, minima)
+    if subsample is not problem:
         plain = Terms(np.ones(problem.measured.size))
-        # a few steps tell which of them is the lowest of the whole
-        begun = [descend(problem, plain, x.x, iterations=_STEPS) for x in _distinct(some, found)]
-        found = [descend(problem, plain, min(begun, key=lambda one: one.height).x)]
-    terms, x = _refined(problem, found)
+        # a few steps decide which of them is the lowest of the whole
+        refits = [
+            minimise(problem, plain, x.x, iterations=_STEPS) for x in _distinct(subsample, minima)
+        ]
+        minima = [minimise(problem, plain, min(refits, key=lambda minimum: minimum.squares).x)]
+    terms, x = _refined(problem, minima)
     values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
     x = problem.inside(values)
     values = problem.vector(x)
@@ -182,7 +183,7 @@ def _estimate(
     information = _information(problem, terms, x)
     residual = problem.residual(x)
     notes = [
-        agreement + searched,
+        agreement + note,
         *_scale_notes(problem, information),
     ]
     return Estimate(
@@ -202,10 +203,10 @@ def _estimate(
 def _starts(
     problem: TorqueProblem, plain: Terms, options: Estimation
 ) -> tuple[list[Array], float, str]:
-    """Make starts of the variable projection, splits of the totals, random vectors, and shapes.
+    """Make starts from variable projection, splits of the totals, random vectors, and shapes.
 
-    Gives free parameters ``(d,)`` each within the limits, a height below which no other start can
-    come, and a note of how they were found.
+    Gives free parameters ``(d,)`` within the limits, the sum of squares that ends the search, and a
+    note on the starts.
     """
     lowest = -math.inf
     vectors = [problem.split(mu, share) for mu, share in _SPLITS]
@@ -216,45 +217,45 @@ def _starts(
     fixed = problem.knowledge.fixed
     form = torque_form(problem.chain, problem.observations)
     vectors = [scale_known(problem.chain, vector, fixed) for vector in vectors]
-    searched = ""
+    note = ""
     if form is not None:
         projection = VariableProjection(form, problem.observations)
-        found = projection.minimise([form.thetas(vector)[1] for vector in vectors])
-        # the projection has looked everywhere; the splits look for minima that limits make
+        projected = projection.minimise([form.thetas(vector)[1] for vector in vectors])
+        # the projection covers random starts; the splits search minima that limits make
         vectors = vectors[: len(_SPLITS)]
-        vectors.insert(0, form.parameters(found.theta1, found.theta2, fixed))
-        if _alone(problem):  # where nothing known is in the way, the projection has the lowest
-            lowest = (1.0 + _REACHED) * projection.criterion(found.theta2) + problem.rounding
-        if found.theta2.size:
-            searched = f"; of eqs. (18) and (19), {found.starts_agreeing} of {found.starts}"
-    inside = [problem.inside(vector) for vector in vectors]
-    inside, tried = at_tried_shapes(problem, plain, inside, rng)
-    if tried:
-        searched = f", those that fitted best of {tried} with shapes held at values to try"
-    return inside, lowest, searched
+        vectors.insert(0, form.parameters(projected.theta1, projected.theta2, fixed))
+        if _single_pass(problem):  # without priors the projection has the lowest
+            lowest = (1.0 + _CLOSE) * projection.criterion(projected.theta2) + problem.rounding
+        if projected.theta2.size:
+            note = f"; of eqs. (18) and (19), {projected.starts_agreeing} of {projected.starts}"
+    starts = [problem.inside(vector) for vector in vectors]
+    starts, count = _at_trial_shapes(problem, plain, starts, rng)
+    if count:
+        note = f", those that fitted best of {count} with shapes held at values to try"
+    return starts, lowest, note
 
 
-def _alone(problem: TorqueProblem) -> bool:
+def _single_pass(problem: TorqueProblem) -> bool:
     """Whether the plain sum of squares is all that is minimised: there is no second pass."""
-    told = problem.knowledge.rows(problem.chain)[0].size
-    return not told and len(problem.observations) == 1
+    prior_terms = problem.knowledge.rows(problem.chain)[0].size
+    return not prior_terms and len(problem.observations) == 1
 
 
-def _refined(problem: TorqueProblem, found: Sequence[Found]) -> tuple[Terms, Array]:
-    """Second pass: recordings by their own sd, and known values; none if there is neither.
+def _refined(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> tuple[Terms, Array]:
+    """Second pass, if needed: recordings weighted by their own sd, and priors.
 
-    Gives the terms that were minimised, and free parameters ``(d,)``.
+    Gives the minimised terms and free parameters ``(d,)``.
     """
     n = problem.measured.size
     floor = ROUNDING * _rms(problem.measured)
     several = len(problem.observations) > 1
     rows, targets = problem.knowledge.rows(problem.chain)
     terms = Terms(np.ones(n))
-    best = found[0]
-    if _alone(problem):
+    best = minima[0]
+    if _single_pass(problem):
         return terms, best.x
-    # sds from a fit that a noisy recording has bent are taken again
-    for again in range(_ROUNDS if several else 1):
+    # sds from a fit that a noisy recording dominates are estimated again
+    for k in range(_ROUNDS if several else 1):
         residual = problem.residual(best.x)
         weights = _recording_weights(problem, terms, best.x, residual) if several else np.ones(n)
         sd = _rms(weights * residual) * float(np.sqrt(n / max(n - len(problem.free), 1)))
@@ -262,9 +263,11 @@ def _refined(problem: TorqueProblem, found: Sequence[Found]) -> tuple[Terms, Arr
         previous, terms = terms, Terms(weights)
         if rows.size:
             terms = replace(terms, rows=sd * rows, targets=sd * targets)
-        # another minimum of the first pass may be the lower one now
-        begin = [best.x] if again else _apart(problem, found)
-        best = min((descend(problem, terms, x) for x in begin), key=lambda one: one.height)
+        # another minimum of the first pass may be lower now
+        starts = [best.x] if k else _second_starts(problem, minima)
+        best = min(
+            (minimise(problem, terms, x) for x in starts), key=lambda minimum: minimum.squares
+        )
         if np.allclose(weights, previous.weights, rtol=_SETTLED, atol=0.0):
             break
     return terms, best.x
@@ -281,37 +284,39 @@ def _recording_weights(problem: TorqueProblem, terms: Terms, x: Array, residual:
     """
     counts = np.array([o.measured.size for o in problem.observations])
     borders = np.cumsum(counts)[:-1]
-    # a fit takes from each recording as many degrees of freedom as it leans on it
+    # a fit takes from each recording as many degrees of freedom as its leverage
     left, singular, _ = np.linalg.svd(
         terms.weights[:, None] * problem.jacobian(x) * problem.typical[problem.columns],
         full_matrices=False,
     )
-    leaning = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
-    leant = np.array([part.sum() for part in np.split(leaning, borders)])
+    leverage = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
+    leverages = np.array([part.sum() for part in np.split(leverage, borders)])
     sds = np.array([_rms(part) for part in np.split(residual, borders)])
-    sds *= np.sqrt(counts / np.maximum(counts - leant, 1e-3 * counts))
-    # a recording without noise has rounding for residuals, not a thousandfold say
+    sds *= np.sqrt(counts / np.maximum(counts - leverages, 1e-3 * counts))
+    # residuals of a recording without noise are rounding, and must not dominate
     sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _rms(problem.measured)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
 
 
-def _toward_told(problem: TorqueProblem, values: Array) -> Array:
-    """Move along the scalings, where these are free, to where values with an sd fit best."""
+def _toward_priors(problem: TorqueProblem, values: Array) -> Array:
+    """Move along the scalings, where these are free, to where the priors fit best."""
     if any(o.inputs.known_load for o in problem.observations):
         return values
-    told, fixed = problem.knowledge.told, problem.knowledge.fixed
+    priors, fixed = problem.knowledge.priors, problem.knowledge.fixed
     for scaling in scalings(problem.chain):
         names = set(scaling.names)
-        if names & set(told) and not names & set(fixed):
-            values = scaling.scaled(values, _told_factor(scaling, values, told))
+        if names & set(priors) and not names & set(fixed):
+            values = scaling.scaled(values, _prior_factor(scaling, values, priors))
     return values
 
 
-def _told_factor(scaling: Scaling, values: Array, told: Mapping[str, tuple[float, float]]) -> float:
-    """Factor that a passive gearbox allows at which values with an sd fit best."""
-    shown = [name for name in scaling.names if name in told]
-    columns = [scaling.chain.names.index(name) for name in shown]
-    means, sds = np.array([told[name] for name in shown]).T
+def _prior_factor(
+    scaling: Scaling, values: Array, priors: Mapping[str, tuple[float, float]]
+) -> float:
+    """Factor that a passive gearbox allows at which the priors fit best."""
+    names = [name for name in scaling.names if name in priors]
+    columns = [scaling.chain.names.index(name) for name in names]
+    means, sds = np.array([priors[name] for name in names]).T
 
     def misfit(log_k: float) -> float:
         return float(np.sum(((scaling.scaled(values, np.exp(log_k))[columns] - means) / sds) ** 2))
@@ -325,22 +330,24 @@ def _told_factor(scaling: Scaling, values: Array, told: Mapping[str, tuple[float
 
 
 def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
-    """Say what determines the free parameters.
+    """Give the information on the free parameters.
 
-    Those on a limit are among them: taking such a value for known would leave what it
-    trades off against with a standard deviation far too small.
+    Those on a limit are among them: held, they would leave those they trade off against with
+    standard deviations far too small.
     """
     residual = terms.weights * problem.residual(x)
     rows, _ = problem.knowledge.rows(problem.chain)
     jacobian = terms.weights[:, None] * problem.jacobian(x)
-    # of what is zero, as on a bound: what shows in the torque
-    shown = np.linalg.norm(jacobian, axis=0)
-    least = _SHOWN * np.linalg.norm(problem.measured) / np.where(shown > 0.0, shown, np.inf)
+    # the unit of a value of zero, as on a bound, is one with an effect on the torque
+    effect = np.linalg.norm(jacobian, axis=0)
+    least_unit = (
+        _LEAST_EFFECT * np.linalg.norm(problem.measured) / np.where(effect > 0.0, effect, np.inf)
+    )
     units = fitted.units_of(problem.chain, problem.free, problem.vector(x))
     return Information(
         jacobian,
         residual,
-        np.maximum(units, least),
+        np.maximum(units, least_unit),
         places=places(problem.observations),
         known=rows,
         known_null=fitted.open_directions(
@@ -349,69 +356,71 @@ def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
     )
 
 
-def _width(problem: TorqueProblem, found: Sequence[Found]) -> float:
-    """By how much two minima have to differ to be two."""
-    variance = found[0].height / max(problem.measured.size - len(problem.free), 1)
+def _least_difference(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> float:
+    """Least difference of the sums of squares of two distinct minima."""
+    variance = minima[0].squares / max(problem.measured.size - len(problem.free), 1)
     return _SAME * variance + problem.rounding
 
 
-def _distinct(problem: TorqueProblem, found: Sequence[Found]) -> list[Found]:
-    """One of each of the lowest minima, of those ``found``, lowest first."""
-    width = _width(problem, found)
-    apart: list[Found] = []
-    for one in found:
-        if not apart or one.height > apart[-1].height + width:
-            apart.append(one)
-    return apart[:_MINIMA]
+def _distinct(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> list[LocalMinimum]:
+    """List the lowest distinct minima, lowest first."""
+    difference = _least_difference(problem, minima)
+    distinct: list[LocalMinimum] = []
+    for minimum in minima:
+        if not distinct or minimum.squares > distinct[-1].squares + difference:
+            distinct.append(minimum)
+    return distinct[:_MINIMA]
 
 
-def _apart(problem: TorqueProblem, found: Sequence[Found]) -> list[Array]:
-    """One vector of each of the lowest minima, moved to where values with an sd fit best."""
-    apart = _distinct(problem, found)
-    vectors = [_toward_told(problem, problem.vector(one.x)) for one in apart]
+def _second_starts(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> list[Array]:
+    """Give the lowest distinct minima, moved to where the priors fit best."""
+    distinct = _distinct(problem, minima)
+    vectors = [_toward_priors(problem, problem.vector(minimum.x)) for minimum in distinct]
     return [problem.inside(vector) for vector in vectors]
 
 
-def _agreement(problem: TorqueProblem, found: Sequence[Found]) -> str:
-    limit = found[0].height + _width(problem, found)
-    return f"{sum(one.height <= limit for one in found)} of {len(found)} starts reached the minimum"
+def _agreement(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> str:
+    limit = minima[0].squares + _least_difference(problem, minima)
+    return (
+        f"{sum(one.squares <= limit for one in minima)} of {len(minima)} starts reached the minimum"
+    )
 
 
 def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
-    """Say what fixes the scale between leg and alpha, or that nothing does."""
+    """State what fixes the scale between leg and alpha, or that nothing does."""
     notes = []
     knowledge, free = problem.knowledge, np.array(problem.free)
     still_open = fitted.open_scalings(problem.chain, knowledge, problem.observations)
     for scaling in scalings(problem.chain):
-        what = f"the scale between {scaling.element}.alpha and what is behind it"
+        scale = f"the scale between {scaling.element}.alpha and what is behind it"
         gradients = [(free == name).astype(np.float64) for name in scaling.names if name in free]
-        unseen = all(np.isinf(information.sds(g)[0]) for g in gradients)
-        if unseen or scaling.element in {one.element for one in still_open}:
-            notes.append(f"{what} is open: the estimate is one of a family that fits as well")
+        null = all(np.isinf(information.sds(g)[0]) for g in gradients)
+        if null or scaling.element in {open_scaling.element for open_scaling in still_open}:
+            notes.append(f"{scale} is open: the estimate is one of a family that fits as well")
             continue
         by = [f"known {name}" for name in scaling.names if name in knowledge.fixed]
-        by += [f"told {name}" for name in scaling.names if name in knowledge.told]
+        by += [f"the prior of {name}" for name in scaling.names if name in knowledge.priors]
         loaded = any(o.inputs.known_load for o in problem.observations)
         by += ["the known load"] if loaded else []
         if by:
-            notes.append(f"{what} is fixed by {', '.join(by)}")
+            notes.append(f"{scale} is fixed by {', '.join(by)}")
     return notes
 
 
 def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
-    """Say in one sentence what the standard deviations take for granted."""
+    """State in one sentence what the standard deviations assume."""
     text = "sd: uncorrelated residuals of equal variance"
     text += " within each recording" if np.ptp(terms.weights) else ""
     text += "; sd_robust: correlated ones (HAC)"
-    text += "; told values are independent of the data" if terms.rows is not None else ""
-    on = [name for name, bound in zip(problem.free, at_bound, strict=True) if bound]
-    if on:
-        text += f"; {', '.join(on)} on a bound: the sds of the others are those without it"
+    text += "; priors are independent of the data" if terms.rows is not None else ""
+    names = [name for name, bound in zip(problem.free, at_bound, strict=True) if bound]
+    if names:
+        text += f"; {', '.join(names)} on a bound: the sds of the others are those without it"
     return text
 
 
 def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
-    """Refuse what cannot be estimated: nothing free, no room between limits, too few outputs."""
+    """Refuse a fit with nothing free, equal limits, or too few outputs."""
     free = knowledge.free(chain)
     where = ", ".join(o.name for o in observations)
     if not free:
@@ -427,3 +436,49 @@ def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowled
             f"{outputs} outputs cannot determine {len(free)} parameters",
             "use a longer recording, or decimate less",
         )
+
+
+def _at_trial_shapes(
+    problem: TorqueProblem, terms: Terms, starts: Sequence[Array], rng: np.random.Generator
+) -> tuple[list[Array], int]:
+    """Move starts ``(d,)`` to trial values of the shapes, all else to what fits best there.
+
+    Far from its own, a shape (exponent, Stribeck velocity, time constant) has no effect at any
+    value, and a search ends at a limit. Gives the lowest of these, and their number; no shape, 0.
+    """
+    shapes = _trial_shapes(problem)
+    if not shapes:
+        return list(starts), 0
+    count = max(len(starts), *(len(values) for values in shapes.values()))
+    shifted = np.stack(list(islice(cycle(starts), count)))
+    for column, values in shapes.items():
+        shifted[:, column] = np.resize(rng.permutation(values), count)
+    held = list(shapes)
+    ends: list[LocalMinimum] = []
+    for x in shifted:
+        lower, upper = problem.lower.copy(), problem.upper.copy()
+        lower[held] = upper[held] = x[held]
+        ends.append(minimise(problem, terms, x, lower=lower, upper=upper, iterations=_STEPS))
+    distinct: list[LocalMinimum] = []
+    for end in sorted(ends, key=lambda end: end.squares):
+        if (
+            not distinct
+            or end.squares > (1.0 + _SAME_SHAPE) * distinct[-1].squares + problem.rounding
+        ):
+            distinct.append(end)
+    return [end.x for end in distinct[:_FOLLOWED]], count
+
+
+def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
+    """List the trial values of each free shape within its limits, by column."""
+    chain = problem.chain
+    free = [(k, chain.parameters[chain.names.index(name)]) for k, name in enumerate(problem.free)]
+    shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
+    if not shaping:
+        return {}
+    scales = typical_sizes(chain, problem.observations)
+    trials = {}
+    for k, p, tries in shaping:
+        values = np.array(tries(sizes_at(chain, p.owner, scales)))
+        trials[k] = np.unique(np.clip(values, problem.lower[k], problem.upper[k]))
+    return trials

@@ -1,4 +1,4 @@
-"""Whether a larger model is the better one: by the torque of parts that it was not fitted to."""
+"""Whether a larger model predicts better: cross-validation, and what is new in it is identified."""
 
 from __future__ import annotations
 
@@ -9,40 +9,31 @@ from functools import cached_property
 import numpy as np
 
 from bayesfric.estimates.delay import furthest_delay
-from bayesfric.estimates.descent import Terms, TorqueProblem, descend, few_threads
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.descent import Terms, TorqueProblem, few_threads, minimise
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.quantities import QUANTITIES
 
-# Quantities that shape others.
+# Quantities that shape other terms.
 _SHAPES = {name for name, row in QUANTITIES.items() if row.role == "form"}
-# Parts that recordings are cut into, one after the other, of which each is left out once; and steps
-# downhill in which a model settles on the others, which is where it stood already or near.
+# Parts that recordings are cut into, each left out once; steps of a refit from the whole estimate.
 _PARTS, _STEPS = 4, 10
-# Searches end this close to each other, so two models that are the same one look no better.
+# Relative difference of rms that the end of a search may make.
 _SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """A model, and its estimate of the input error.
+class FittedModel:
+    """A model and its estimate."""
 
-    Attributes
-    ----------
-    given
-        Mechanism, observations, knowledge and options.
-    estimate
-        By :func:`bayesfric.estimates.input_error.input_error` from these.
-    """
-
-    given: Given
-    estimate: Estimate
+    inputs: EstimationInputs
+    estimate: Estimate  # the input error's
 
     @property
     def dated(self) -> bool:
-        """Whether a delay, if there is one, is determined, and to less than the range of search."""
+        """Whether a delay, if there is one, is determined to less than the range of the search."""
         return all(
-            v.known and max(abs(v.value), v.larger_sd) <= furthest_delay(self.given.observations)
+            v.known and max(abs(v.value), v.larger_sd) <= furthest_delay(self.inputs.observations)
             for v in self.estimate.parameters
             if v.quantity == "delay"
         )
@@ -51,44 +42,31 @@ class Candidate:
     def left_out_rms(self) -> float:
         """Root mean square of residuals in parts that the model was not fitted to, N m or N.
 
-        Notes
-        -----
-        Four-fold cross-validation (Stone, Journal of the Royal Statistical Society B 36, 1974). The
-        parts are quarters of the recordings in a row, so what one of them says alone, as a term
-        that fits a single place or minute, does not help with the others. Each fit takes at most
-        ten steps from the whole estimate.
+        Four-fold cross-validation (Stone, Journal of the Royal Statistical Society B 36, 1974) with
+        quarters of the recordings in a row: a term that fits a single place or minute does not help
+        in others.
         """
-        given = self.given
-        problem = TorqueProblem(given.chain, given.observations, given.knowledge)
+        inputs = self.inputs
+        problem = TorqueProblem(inputs.chain, inputs.observations, inputs.knowledge)
         start = problem.inside(problem.chain.vector(dict(self.estimate.point)))
         squares, n = 0.0, problem.measured.size
-        with few_threads(given.observations):
+        with few_threads(inputs.observations):
             for part in np.array_split(np.arange(n), _PARTS):
                 weights = np.ones(n)
                 weights[part] = 0.0
-                found = descend(problem, Terms(weights), start, iterations=_STEPS)
-                squares += float(np.sum(problem.residual(found.x)[part] ** 2))
+                fit = minimise(problem, Terms(weights), start, iterations=_STEPS)
+                squares += float(np.sum(problem.residual(fit.x)[part] ** 2))
         return math.sqrt(squares / n)
 
 
-def better(larger: Candidate, smaller: Candidate) -> bool:
-    """Whether a larger model predicts better, and what is new in it is identified.
+def predicts_better(larger: FittedModel, smaller: FittedModel) -> bool:
+    """Whether a larger model has the smaller left-out error and its new terms are identified.
 
-    Parameters
-    ----------
-    larger, smaller
-        Models of the same recordings.
-
-    Returns
-    -------
-    bool
-        True where the left-out error falls, the 90 % interval of every new parameter that shapes a
-        term leaves out zero, and so does that of at least one other new parameter, if there are
-        any. A delay that was determined stays so, or is new: its interval leaves out zero, and
-        neither it nor its standard deviation exceeds the range that is searched.
+    The 90 % interval of every new parameter that shapes a term, and of at least one other, must
+    exclude zero; a delay that was determined stays so.
     """
-    before = {v.name for v in smaller.estimate.parameters}
-    new = [v for v in larger.estimate.parameters if v.name not in before]
+    names = {v.name for v in smaller.estimate.parameters}
+    new = [v for v in larger.estimate.parameters if v.name not in names]
     shapes = [v.known for v in new if v.quantity in _SHAPES]
     sizes = [v.known for v in new if v.quantity not in _SHAPES]
     if not all(shapes) or (sizes and not any(sizes)):

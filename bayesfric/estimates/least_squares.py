@@ -1,4 +1,4 @@
-"""Which totals does the motor see: linear least squares, section 4.1, eqs. (10) and (11)."""
+"""The totals at the motor: linear least squares, section 4.1, eqs. (10) and (11)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import OPEN, columns, filled, in_order, shortest
+from bayesfric.estimates.torque_form import (
+    OPEN,
+    column_names,
+    columns,
+    filled_columns,
+    minimum_norm,
+)
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter, effort_words
 from bayesfric.mechanism.quantities import SHAPES, TOTALS
@@ -26,16 +32,16 @@ def least_squares(
     """Estimate the motor-side totals of eq. (11).
 
     The gearbox is taken with one mean transfer coefficient ``alpha_m`` (eq. 10), so the torque is
-    linear in the totals. A total that the motion cannot tell from others gets an infinite standard
-    deviation. A known added mass is part of the totals unless recordings with different masses, or
-    a load without parameters of its own, set it apart.
+    linear in the totals. A total that is collinear with others has an infinite standard deviation.
+    A known added mass is part of the totals unless recordings with different masses, or a load
+    without parameters, identify it.
 
     Parameters
     ----------
     chain, observations
         The mechanism and its recordings, prepared.
     projection
-        Theirs, where it is there already.
+        Theirs, if it is computed already.
 
     Returns
     -------
@@ -45,7 +51,7 @@ def least_squares(
     Raises
     ------
     BadInput
-        If there are not more outputs than totals, or nothing of the model shows.
+        If there are not more outputs than totals, or no regressor differs from zero.
 
     Notes
     -----
@@ -65,7 +71,7 @@ def least_squares(
     if not names or not regressors.any():
         raise BadInput(
             ", ".join(o.name for o in observations),
-            "nothing in this model shows in this motion",
+            "this motion has no effect on this model",
             "use a recording that moves, or a mechanism with inertia or friction",
         )
     solution = projection.solve(torque)
@@ -80,14 +86,14 @@ def least_squares(
     values = []
     for i, name in enumerate(names):
         sds = information.sds(np.eye(len(names))[i])
-        stated = projection.labels[i], *projection.describe(name)
-        values.append(EstimatedValue(*stated, float(solution[i]), *sds))
+        description = projection.labels[i], *projection.describe(name)
+        values.append(EstimatedValue(*description, float(solution[i]), *sds))
     assumption = "sd: uncorrelated residuals of equal variance; sd_robust: correlated ones (HAC)"
     if "added_load" not in names and any(o.inputs.known_load for o in observations):
         assumption += "; the known load is part of the totals"
     if shapes := [p for p in chain.parameters if p.quantity in SHAPES]:
-        held = ", ".join(f"{p.name} = {p.row.start:g}" for p in shapes)
-        assumption += f"; taken for known: {held}"
+        fixed = ", ".join(f"{p.name} = {p.row.start:g}" for p in shapes)
+        assumption += f"; assumed known: {fixed}"
     return Estimate(
         method="least-squares",
         values=tuple(values),
@@ -99,88 +105,48 @@ def least_squares(
 
 
 class TotalsProjection:
-    """The linear map from torques to the totals of eq. (11).
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its recordings, prepared.
-
-    Attributes
-    ----------
-    names
-        Of the k totals, such as ``inertia``.
-    regressors
-        ``(n_outputs, k)``, filtered like the measured torque.
-    labels
-        Names as results show them: ``total.inertia``, or ``motor.inertia`` where that is all of it.
-    scale
-        ``(k,)`` norm of each regressor.
-    open
-        ``(k,)`` of bool: which totals the motion cannot tell from others.
-    """
+    """The linear map from torques to the totals of eq. (11)."""
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
         self._chain, self._observations = chain, observations
-        # of the totals, such as inertia; (n_outputs, n_totals), filtered like the measured torque
+        # of the k totals, such as inertia; (n_outputs, k), filtered like the measured torque
         self.names, self.regressors = totals_regressors(chain, observations)
-        # the same as results show them: total.inertia, or motor.inertia where that is all of it
+        # in results: total.inertia, or motor.inertia where that is all of it
         self.labels = [total_label(chain, name) for name in self.names]
-        # norm of each regressor, and which totals the motion cannot tell from others
-        self.scale, self.open, self._solution, _ = shortest(self.regressors)
+        # (k,) norm of each regressor, and which totals are collinear with others
+        self.scale, self.open, self._solution, _ = minimum_norm(self.regressors)
 
     def solve(self, torque: Array) -> Array:
-        """Totals of filtered torques.
-
-        Parameters
-        ----------
-        torque
-            ``(n_outputs,)`` or ``(n_outputs, m)``, N m or N.
-
-        Returns
-        -------
-        ndarray
-            ``(k,)`` or ``(k, m)``; where totals cannot be told apart, the shortest solution.
-        """
+        """Give the totals ``(k,)`` of filtered torques ``(n_outputs,)``, or of columns of them."""
         return np.asarray(self._solution @ torque)
 
     def of_samples(self) -> list[Array]:
-        """Give the same map for unfiltered torque.
-
-        Returns
-        -------
-        list of ndarray
-            ``(k, N)`` of each recording: the totals are the sum over recordings of these times the
-            samples.
-        """
+        """Give the same map for unfiltered torque, ``(k, N)`` of each recording."""
         ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
         parts = np.split(self._solution, ends, axis=1)
         pairs = zip(self._observations, parts, strict=True)
         return [o.filter.reached(part) for o, part in pairs]
 
     def aliases(self) -> dict[str, str]:
-        """Give labels by other names: ``total.<name>``, and the owner's where it has all of it.
+        """Give other names of labels: ``total.<name>``, and the owner's where it is the only one.
 
-        So ``motor.viscous`` stays one where the motor's viscous friction differs by direction.
-
-        Returns
-        -------
-        dict
-            Label of :attr:`labels` by the other name.
+        So ``motor.viscous`` stays valid where the motor's viscous friction differs by direction.
         """
-        found: dict[str, str] = {}
+        labels: dict[str, str] = {}
         for name, label in zip(self.names, self.labels, strict=True):
-            parts = (p for p in self._chain.parameters if name in dict(_regressed(self._chain, p)))
+            parts = (
+                p for p in self._chain.parameters if name in dict(_regressors_of(self._chain, p))
+            )
             owners = {p.owner for p in parts}
-            names = [f"total.{name}", *(f"{one}.{name}" for one in owners if len(owners) == 1)]
-            found |= {other: label for other in names if other != label}
-        return found
+            names = [f"total.{name}", *(f"{owner}.{name}" for owner in owners if len(owners) == 1)]
+            labels |= {alias: label for alias in names if alias != label}
+        return labels
 
     def describe(self, name: str) -> tuple[str, str, str]:
         """Give unit, LaTeX symbol and meaning of a total."""
         chain = self._chain
         for p in chain.parameters:
-            if _has_own(chain, p) and p.name == name:
+            if _has_regressor(chain, p) and p.name == name:
                 return p.unit, p.symbol, p.meaning
         kind, _, recording = name.partition(".")
         total, motion = TOTALS[kind], chain.motor_motion
@@ -193,107 +159,82 @@ class TotalsProjection:
 
 
 def total_label(chain: Joint, name: str) -> str:
-    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``.
-
-    Parameters
-    ----------
-    chain
-        The mechanism; with an unknown gain no total is a parameter, and behind load-dependent
-        friction none.
-    name
-        Of :attr:`TotalsProjection.names`.
-    """
-    if any(_has_own(chain, p) and p.name == name for p in chain.parameters):
+    """Name a total: that of the parameter that makes it up alone, else ``total.<name>``."""
+    if any(_has_regressor(chain, p) and p.name == name for p in chain.parameters):
         owner, places = name.partition(".")[0], [e.name for e in chain.elements]
-        if owner in ("drive", "target"):  # it is of the torque as measured
+        if owner in ("drive", "target"):  # added to the torque as measured
             return name
         before = chain.elements[: places.index(owner)] if owner in places else chain.elements
         scaled = chain.gain or any(e.load_loss != "none" for e in before)
         return f"total.{name}" if scaled else name
     kind = name.partition(".")[0]
-    owners = [p for p in chain.parameters if kind in dict(_regressed(chain, p))]
-    own = [p for p in owners if p.name == name] if name.startswith("offset.") else owners
-    if len(own) == 1 and own[0].owner in (chain.elements[0].name, "") and not chain.gain:
-        told = own[0].quantity == kind and (name == kind or len(owners) == len(chain.own_offsets))
-        if told:
-            return own[0].name
+    owners = [p for p in chain.parameters if kind in dict(_regressors_of(chain, p))]
+    filling = [p for p in owners if p.name == name] if name.startswith("offset.") else owners
+    if len(filling) == 1 and filling[0].owner in (chain.elements[0].name, "") and not chain.gain:
+        sole = filling[0].quantity == kind and (
+            name == kind or len(owners) == len(chain.own_offsets)
+        )
+        if sole:
+            return filling[0].name
     return f"total.{name}"
 
 
-def _has_own(chain: Joint, p: Parameter) -> bool:
+def _has_regressor(chain: Joint, p: Parameter) -> bool:
     """Whether a parameter has a regressor that no total is."""
-    return p.name in dict(_regressed(chain, p)) and p.quantity != "offset"
+    return p.name in dict(_regressors_of(chain, p)) and p.quantity != "offset"
 
 
-def _regressed(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
-    """Regressors of eq. (11) that a parameter shows in, and its torque there for a value of one.
+def _regressors_of(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
+    """Regressors of eq. (11) of a parameter, and its torque in each for a value of one.
 
-    A mean transfer coefficient stands for load-dependent friction; what shapes other terms, or
-    scales everything, has no regressor of its own.
+    A mean transfer coefficient replaces load-dependent friction; what shapes or scales other terms
+    has no regressor.
     """
     if p.circular:
         return (("gravity_cosine", 0.0),)
-    return tuple((TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled(chain, p))
+    return tuple(
+        (TOTALS[k].regressor or k if k in TOTALS else k, c) for k, c in filled_columns(chain, p)
+    )
 
 
 def starting_values(chain: Joint, totals: Estimate, mu: float, share: float) -> dict[str, float]:
-    """Split the totals of :func:`least_squares` into parameters, as a place to start from.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    totals
-        By :func:`least_squares`, of the same mechanism.
-    mu
-        Load-dependent friction wherever there is some.
-    share
-        The motor's share of each total; the other elements and the load divide the rest.
-
-    Returns
-    -------
-    dict
-        A value for every parameter, in its unit.
-
-    Raises
-    ------
-    KeyError
-        If the table of quantities does not say where to start for one.
-    """
-    labels = {name: total_label(chain, name) for name in in_order(chain)}
+    """Split the totals of :func:`least_squares` into parameters, as a place to start from."""
+    labels = {name: total_label(chain, name) for name in column_names(chain)}
     total = {name: totals[label].value for name, label in labels.items() if label in totals}
     gain = total.get("added_load", 1.0)
     owners: dict[str, set[str]] = {}
     for p in chain.parameters:
-        for kind, _ in _regressed(chain, p):
+        for kind, _ in _regressors_of(chain, p):
             owners.setdefault(kind, set()).add(p.owner)
     values: dict[str, float] = {}
-    way = np.sign(chain.load.gravity)
+    sign = np.sign(chain.load.gravity)
     for p in chain.parameters:
         if p.row.role == "loss":
             values[p.name] = mu
         elif p.quantity == "first_moment":
-            seen = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
-            values[p.name] = max(seen, 1e-6) * chain.ratio / abs(chain.load.gravity)
+            amount = float(np.hypot(total.get("gravity", 0.0), total.get("gravity_cosine", 0.0)))
+            values[p.name] = max(amount, 1e-6) * chain.ratio / abs(chain.load.gravity)
         elif p.circular:
             cosine, sine = total.get("gravity_cosine", 0.0), total.get("gravity", 0.0)
-            values[p.name] = float(np.arctan2(way * cosine, way * sine)) if sine or cosine else 0.0
+            values[p.name] = (
+                float(np.arctan2(sign * cosine, sign * sine)) if sine or cosine else 0.0
+            )
         elif p.quantity == "gain":
             values[p.name] = 1.0 / gain if gain > 0 else 1.0
         elif p.quantity == "offset":
             values[p.name] = total.get(p.name, 0.0)
         elif p.row.role == "own":
-            kind = _regressed(chain, p)[0][0]
+            kind = _regressors_of(chain, p)[0][0]
             part = _part(p.owner, owners[kind], chain.elements[0].name, share)
-            seen = total.get(kind, 0.0)
+            amount = total.get(kind, 0.0)
             if p.lower == 0.0:
-                seen = max(seen, 1e-3 * abs(totals.residual_rms) + 1e-12)
-            # the whole torque of a regressor for a value of one, both directions together
-            whole = sum(
+                amount = max(amount, 1e-3 * abs(totals.residual_rms) + 1e-12)
+            # torque of the regressor for a value of one, both directions together
+            unit_torque = sum(
                 abs(c) for q in chain.parameters if q.owner == p.owner
-                for k, c in _regressed(chain, q) if k == kind
+                for k, c in _regressors_of(chain, q) if k == kind
             )  # fmt: skip
-            values[p.name] = part * seen / whole
+            values[p.name] = part * amount / unit_torque
         else:
             if p.row.start is None:
                 raise KeyError(
@@ -314,27 +255,14 @@ def _part(owner: str, peers: set[str], motor: str, share: float) -> float:
 
 
 def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tuple[list[str], Array]:
-    """Name the totals of eq. (11), and give their regressors.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and its recordings.
-
-    Returns
-    -------
-    names : list of str
-        Of :func:`bayesfric.estimates.torque_form.in_order`, those that show in this mechanism.
-    regressors : ndarray
-        ``(n_outputs, k)`` motor torque for a value of one, filtered like the measured one.
-    """
-    found = {kind for p in chain.parameters for kind, _ in _regressed(chain, p)}
+    """Name the k totals of eq. (11), and give their regressors ``(n_outputs, k)``, filtered."""
+    kinds = {kind for p in chain.parameters for kind, _ in _regressors_of(chain, p)}
     loads = {o.inputs.load(chain.load.motion) for o in observations}
-    pushed = any(o.inputs.load_torque is not None for o in observations)
-    if pushed or (loads != {(0.0, 0.0)} and ("gravity" not in found or len(loads) > 1)):
-        found.add("added_load")
-    if "offset" in found:
-        found |= set(chain.offset_names)
-    names = [name for name in in_order(chain) if name in found]
+    loaded = any(o.inputs.load_torque is not None for o in observations)
+    if loaded or (loads != {(0.0, 0.0)} and ("gravity" not in kinds or len(loads) > 1)):
+        kinds.add("added_load")
+    if "offset" in kinds:
+        kinds |= set(chain.offset_names)
+    names = [name for name in column_names(chain) if name in kinds]
     blocks = [o.filter.apply(columns(chain, o, names)).T for o in observations if names]
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))

@@ -1,4 +1,4 @@
-"""Which of the paper's three methods estimate a joint, in which order, and from which start."""
+"""The paper's three methods of estimation, their order, and the start that each needs."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate, Method
@@ -18,69 +17,47 @@ from bayesfric.recordings.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
-class Given:
-    """What may be estimated from.
-
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    observations
-        Its recordings, prepared.
-    knowledge, options
-        Known values and bounds; how estimates are made.
-    trajectories
-        Makes the recordings for simulation, not divided; called only where a method simulates.
-    """
+class EstimationInputs:
+    """What estimates are made from."""
 
     chain: Joint
     observations: Sequence[Observation]
     knowledge: Knowledge
     options: Estimation
+    # makes the recordings for simulation, not divided; called only where a method simulates
     trajectories: Callable[[], Sequence[Trajectory]]
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """A method of point estimation.
-
-    Attributes
-    ----------
-    name, title
-        As it is asked for, and as a heading.
-    estimate
-        Makes the estimate, from the ones that were made before, by name.
-    starts_from
-        Method whose estimate it needs, if any.
-    simulates
-        Whether it is dear, and some mechanisms have none.
-    """
+    """A method of point estimation."""
 
     name: Method
-    title: str
-    estimate: Callable[[Given, Mapping[Method, Estimate]], Estimate]
-    starts_from: Method | None = None
-    simulates: bool = False
+    title: str  # heading of its results
+    # makes the estimate, given earlier ones by name
+    estimate: Callable[[EstimationInputs, Mapping[Method, Estimate]], Estimate]
+    starts_from: Method | None = None  # method whose estimate it needs
+    simulates: bool = False  # slow, and not for every mechanism
 
 
-def _output_error(given: Given, found: Mapping[Method, Estimate]) -> Estimate:
-    known = given.observations, given.knowledge, given.options
-    return output_error(given.chain, given.trajectories(), *known, found["input-error"])
+def _output_error(inputs: EstimationInputs, earlier: Mapping[Method, Estimate]) -> Estimate:
+    arguments = inputs.observations, inputs.knowledge, inputs.options
+    return output_error(inputs.chain, inputs.trajectories(), *arguments, earlier["input-error"])
 
 
 # In the order of METHODS.
 ESTIMATORS = {
-    one.name: one
-    for one in (
+    estimator.name: estimator
+    for estimator in (
         Estimator(
             "least-squares",
-            "Least squares, section 4.1, eq. (11): what the motor feels",
-            lambda given, _: least_squares(given.chain, given.observations),
+            "Least squares, section 4.1, eq. (11): totals at the motor",
+            lambda inputs, _: least_squares(inputs.chain, inputs.observations),
         ),
         Estimator(
             "input-error",
             "Direct minimisation of the input error, section 4.2",
-            lambda at, _: input_error(at.chain, at.observations, at.knowledge, at.options),
+            lambda x, _: input_error(x.chain, x.observations, x.knowledge, x.options),
         ),
         Estimator(
             "output-error",
@@ -95,43 +72,21 @@ ESTIMATORS = {
 
 def estimate_by(
     methods: Sequence[Method],
-    given: Given,
-    found: Mapping[Method, Estimate] | None = None,
+    inputs: EstimationInputs,
+    earlier: Mapping[Method, Estimate] | None = None,
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[Method, Estimate]:
-    """Estimate by some methods, and by those they start from unless ``found`` has them.
-
-    Parameters
-    ----------
-    methods
-        Names of :data:`ESTIMATORS`.
-    given
-        What is estimated from.
-    found
-        Estimates that were made before, by name.
-    progress
-        Called with the name of each method before it begins.
-
-    Returns
-    -------
-    dict
-        Estimates by every name in ``methods``, in the order of :data:`ESTIMATORS`.
-
-    Raises
-    ------
-    BadInput
-        If there is no such method, or one cannot be used with these recordings.
-    """
+    """Estimate by some methods, and by those they start from unless ``earlier`` has them."""
     for name in methods:
         if name not in ESTIMATORS:
             raise BadInput(f"method {name!r}", "there is none", nearest(name, ESTIMATORS))
-    made = dict(found or {})
-    wanted = {name for name in methods if name not in made}
+    estimates = dict(earlier or {})
+    wanted = {name for name in methods if name not in estimates}
     starts = (ESTIMATORS[name].starts_from for name in wanted)
-    wanted |= {one for one in starts if one is not None} - made.keys()
-    for name, one in ESTIMATORS.items():
+    wanted |= {estimator for estimator in starts if estimator is not None} - estimates.keys()
+    for name, estimator in ESTIMATORS.items():
         if name in wanted:
             progress(name)
-            made[name] = one.estimate(given, made)
-    return {name: made[name] for name in ESTIMATORS if name in methods}
+            estimates[name] = estimator.estimate(inputs, estimates)
+    return {name: estimates[name] for name in ESTIMATORS if name in methods}

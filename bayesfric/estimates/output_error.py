@@ -1,4 +1,4 @@
-"""Which parameters simulate the position nearest the measured one: output error, section 4.3."""
+"""Every parameter from the error of a simulated position: the output error, section 4.3."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import LEAST_GROUPS, Information
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution
@@ -31,21 +30,20 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
 
-# Segment lengths to try, s. Noise of the torque is integrated, so short segments tell more
-# where the encoder is fine, long ones where it is coarse; measured: beyond 1 s drift rules.
+# Segment lengths to try, s: short ones suit a fine encoder, as noise of the torque is integrated,
+# long ones a coarse one; measured: beyond 1 s drift dominates.
 LENGTHS = (0.2, 0.5, 1.0)
 # Shortest segment, samples: two states come off each.
 _LEAST_SAMPLES = 40
 # A longer segment is taken where it lowers the logarithm of robust sds by this much.
-_CLEARLY = 0.2
-# A search that could still lower the sum of squares by this many residual variances, though
-# no step does, is at no minimum.
-_LEFT = 100.0
-# How many times as much torque another minimum leaves.
-_MORE = 2.0
-# How often recordings and told values are weighed anew.
+_LEAST_GAIN = 0.2
+# Residual variances that a full step may promise at a minimum, though no step keeps it.
+_LARGEST_GAIN = 100.0
+# Ratio of unexplained torque that shows another minimum.
+_WORSE = 2.0
+# Rounds of reweighting recordings and priors.
 _WEIGHINGS = 4
-# Differences carry errors of 1e-8 of a derivative; what is smaller than this is null.
+# Finite differences carry errors of 1e-8; smaller relative singular values than this are null.
 _NULL = 1e-6
 
 
@@ -103,20 +101,20 @@ def output_error(
     values = chain.vector({**dict(start.point), **knowledge.fixed})
     lengths = problem.lengths()
     best: Fit | None = None
-    # Of the two places to start from the nearer one; the other if that one gets stuck.
-    starts = [values, _split(chain, observations, knowledge)]
+    # the start that simulates better; the other if the search from it gets stuck
+    starts = [values, _split_totals(chain, observations, knowledge)]
     starts.sort(key=lambda v: problem.distance(v, lengths[0]))
-    for begin in starts:
-        found = problem.fit(begin, lengths[0])
-        if found is not None and (best is None or found.solution.cost < best.solution.cost):
-            best = found
+    for vector in starts:
+        fit = problem.fit(vector, lengths[0])
+        if fit is not None and (best is None or fit.solution.cost < best.solution.cost):
+            best = fit
         if best is not None and (best.solution.converged or problem.late):
             break
     if best is None:
         raise BadInput(
             ", ".join(f"recording '{t.name}'" for t in trajectories),
-            "the joint cannot be simulated: from no start has the torque one bounded motion",
-            "check units and sign of the torque, bound the load losses, or shorten 'segment'",
+            "the joint cannot be simulated: from no start does the torque give a bounded motion",
+            "check units and sign of the torque, bound the load_loss, or shorten 'segment'",
         )
     fits = [best]
     for length in lengths[1:]:
@@ -125,55 +123,29 @@ def output_error(
         longer = problem.fit(fits[-1].solution.values, length)
         if longer is not None:
             fits.append(longer)
-    # The more segments, the sounder the sds: a longer length must be clearly better. One that
-    # runs into other bounds only looks better, for bounds count as certain.
+    # more segments make better sds, so a longer length must clearly gain; on other bounds it only
+    # seems to, as bounds count as certain
     chosen = fits[0]
     for longer in fits[1:]:
         same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.solution.converged
-        if same and _spread(longer) < _spread(chosen) - _CLEARLY:
+        if same and _spread(longer) < _spread(chosen) - _LEAST_GAIN:
             chosen = longer
     return problem.estimate(chosen, values)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit with segments of one length.
-
-    Attributes
-    ----------
-    frame, solution
-        What was held, and where the descent ended.
-    information
-        Of the free parameters, bounds left out: beside one, others would look far too certain.
-    at_bound
-        ``(d,)``: -1 on the lower bound, 1 on the upper, else 0.
-    """
+    """A fit with segments of one length."""
 
     frame: Frame
     solution: Solution
+    # of the free parameters, those on a bound included: held, others would look far too certain
     information: Information
-    at_bound: NDArray[np.int_]
+    at_bound: NDArray[np.int_]  # (d,): -1 on the lower bound, 1 on the upper, else 0
 
 
 class OutputError:
-    """Fits of simulated to measured position with segments of any length.
-
-    Parameters
-    ----------
-    chain, trajectories, observations, knowledge, options
-        As for :func:`output_error`. The time limit counts from here.
-
-    Attributes
-    ----------
-    free, columns, limits
-        Names of the d free parameters, indices among the chain's, lower and upper limits.
-    scalings
-        Those that nothing known takes away (section 4.2).
-    deadline
-        CPU time of the process, s.
-    grain
-        Standard deviation of a position that rounding alone makes, of each recording, rad or m.
-    """
+    """Fits of simulated to measured position with segments of any length."""
 
     def __init__(
         self,
@@ -190,7 +162,7 @@ class OutputError:
         self.limits = knowledge.limits(chain)
         self.scalings = fitted.open_scalings(chain, knowledge, observations)
         self.deadline = time.process_time() + options.max_seconds
-        # sd of the rounding to counts: no position is measured better
+        # sd of the rounding to counts, of each recording, rad or m
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
 
     @property
@@ -199,26 +171,13 @@ class OutputError:
         return time.process_time() >= self.deadline
 
     def distance(self, values: Array, length: float) -> float:
-        """Sum of squares at a start, states fitted; infinite where it cannot be simulated.
-
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)``.
-        length
-            Of the segments, s.
-
-        Returns
-        -------
-        float
-            rad² or m².
-        """
+        """Sum of squares at a start ``(n_parameters,)``, states fitted; infinite if unstable."""
         *_, residual = self._begin(values, length)
-        found = float(np.sum(residual**2))
-        return found if np.isfinite(found) else np.inf
+        squares = float(np.sum(residual**2))
+        return squares if np.isfinite(squares) else np.inf
 
     def _begin(self, values: Array, length: float) -> tuple[Frame, Array, Array, Array]:
-        """Cut the recordings, bring a start within the limits, and fit its states; residuals."""
+        """Divide the recordings, put a start within the limits, and fit its states."""
         cut = [
             divided(t, o, length) for t, o in zip(self.trajectories, self.observations, strict=True)
         ]
@@ -229,24 +188,10 @@ class OutputError:
         return frame, values, states, residual_of(frame, values, states)
 
     def fit(self, values: Array, length: float) -> Fit | None:
-        """Fit from a start with segments of one length.
+        """Fit from a start ``(n_parameters,)`` with segments of one length; ``None`` if unstable.
 
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` to start from.
-        length
-            s.
-
-        Returns
-        -------
-        Fit or None
-            ``None`` where the joint cannot be simulated.
-
-        Notes
-        -----
-        Recordings, and values with a standard deviation, are weighed anew four times by the
-        residuals. Along an open scaling the fit is moved to the middle of what a gearbox allows.
+        Recordings and priors are reweighted four times by the residuals. Along an open scaling the
+        fit is moved to the middle of what a gearbox allows.
         """
         frame, values, states, residual = self._begin(values, length)
         shooting = frame.shooting
@@ -257,7 +202,7 @@ class OutputError:
             if substeps != shooting.substeps:
                 frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
         several = len(self.trajectories) > 1
-        for _ in range(_WEIGHINGS if several or self.knowledge.told else 1):
+        for _ in range(_WEIGHINGS if several or self.knowledge.priors else 1):
             frame = self._weighted(frame, residual)
             solution = descend_afresh(frame, values, states)
             if not np.isfinite(solution.cost):
@@ -273,69 +218,57 @@ class OutputError:
         return Fit(frame, solution, information, at_bound)
 
     def lengths(self) -> tuple[float, ...]:
-        """Segment lengths to try, s: the one given, or those that leave segments enough.
+        """Segment lengths to try, s: the configured one, or those with two segments a parameter.
 
-        Enough for ``sd_robust`` are two for each free parameter; none is shorter than 40 samples,
-        as two states come off each.
+        ``sd_robust`` needs these; two states come off each segment, so none is below 40 samples.
         """
         if self.options.segment is not None:
             return (self.options.segment,)
         total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
         period = max(t.period for t in self.trajectories)
         needed = LEAST_GROUPS * max(self.columns.size, 1)
-        least = _LEAST_SAMPLES * period
-        fitting = [length for length in LENGTHS if length >= least and total >= needed * length]
-        return tuple(fitting) or (max(LENGTHS[0], least),)
+        shortest = _LEAST_SAMPLES * period
+        fitting = [length for length in LENGTHS if length >= shortest and total >= needed * length]
+        return tuple(fitting) or (max(LENGTHS[0], shortest),)
 
     def estimate(self, fit: Fit, start: Array) -> Estimate:
-        """State everything a fit says.
+        """Make the estimate of a fit; ``start`` is the input error's vector.
 
-        Parameters
-        ----------
-        fit
-            The chosen one.
-        start
-            ``(n_parameters,)`` of the input error, whose unexplained torque is compared with the
-            fit's.
-
-        Returns
-        -------
-        Estimate
-            Its notes begin with what should be doubted: no convergence, or another minimum than the
-            input error's, which leaves more than twice as much of the torque.
+        Warnings come first in its notes: no convergence, or a minimum that leaves more than twice
+        the input error's unexplained torque.
         """
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         solution, shooting = fit.solution, fit.frame.shooting
-        given = self.chain, self.observations, self.knowledge
-        values = fitted.assemble(*given, solution.values, fit.information, fit.at_bound)
+        data = self.chain, self.observations, self.knowledge
+        values = fitted.assemble(*data, solution.values, fit.information, fit.at_bound)
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         n = shooting.n_segments
         notes = [f"simulated in {n} segments of {length:.3g} s"]
         if n < LEAST_GROUPS * self.columns.size:
             notes.append(
-                f"{n} segments are too few for sums over segments: sd_robust takes residuals for "
+                f"{n} segments are too few for sums over segments: sd_robust treats residuals as "
                 "a stationary series and is too small where they drift; give a shorter 'segment'"
             )
-        # of residuals that are rounding anyway nothing is left to gain
+        # residuals that are rounding cannot be lowered
         variance = float(np.mean(solution.residual**2))
         rounding = 1e-12 * fit.frame.span**2
-        near = solution.gain * variance <= _LEFT * max(variance, rounding)
-        converged = solution.converged or (near and not self.late)
+        near_minimum = solution.gain * variance <= _LARGEST_GAIN * max(variance, rounding)
+        converged = solution.converged or (near_minimum and not self.late)
         if not converged:
             values = tuple(replace(v, sd=np.nan, sd_robust=np.nan, span=None) for v in values)
-            why = (
+            reason = (
                 f"the search was stopped after {self.options.max_seconds:g} s of CPU time (raise "
                 "estimation.max_seconds, or give fewer recordings)"
                 if self.late
-                else "the search stopped in a place that is no minimum (another segment length, or "
+                else "the search stopped away from a minimum (another segment length, or "
                 "longer recordings, may help)"
             )
-            notes.insert(0, f"NOT CONVERGED, these numbers are no estimate: {why}")
-        before, left = self._torque_left(start), self._torque_left(solution.values)
-        if converged and left > _MORE * before:
+            notes.insert(0, f"NOT CONVERGED, these numbers are not an estimate: {reason}")
+        before, after = self._torque_left(start), self._torque_left(solution.values)
+        if converged and after > _WORSE * before:
             notes.insert(
                 0,
-                f"ANOTHER MINIMUM than the input error's: these numbers leave {left / before:.2g} "
+                f"ANOTHER MINIMUM than the input error's: these numbers leave {after / before:.2g} "
                 "times as much of the torque; believe the input error",
             )
         return Estimate(
@@ -352,14 +285,14 @@ class OutputError:
         )
 
     def _torque_left(self, values: Array) -> float:
-        """Root mean square of the torque that parameters leave."""
+        """Root mean square of the unexplained torque."""
         pairs = (
             (o.measured, filtered_torque(self.chain, o, values[None])) for o in self.observations
         )
         return float(np.sqrt(np.mean(np.concatenate([y - x[0] for y, x in pairs]) ** 2)))
 
     def _frame(self, shooting: Shooting, values: Array) -> Frame:
-        """Lay out what stays the same in a descent; all residuals weigh alike."""
+        """Collect what a descent keeps fixed, with equal weights."""
         rows, targets = self.knowledge.rows(self.chain)
         speeds = np.concatenate([o.qd for o in self.observations])
         return Frame(
@@ -378,28 +311,28 @@ class OutputError:
         )
 
     def _units(self, values: Array) -> Array:
-        """Change of every parameter that changes the torque by all of itself."""
-        values_size = fitted.units_of(self.chain, self.chain.names, values)
-        steps = 1e-6 + 1e-4 * values_size
+        """Give the change of each parameter that changes the torque by its rms."""
+        sizes = fitted.units_of(self.chain, self.chain.names, values)
+        steps = 1e-6 + 1e-4 * sizes
         jacobian = torque_jacobian(self.chain, self.observations, values, steps)
         torque = np.concatenate([o.measured for o in self.observations])
-        size = np.sqrt(np.mean(jacobian**2, axis=0))
-        whole = float(np.sqrt(np.mean(torque**2)))
-        return np.where(size > 0.0, whole / np.where(size > 0.0, size, 1.0), values_size)
+        effect = np.sqrt(np.mean(jacobian**2, axis=0))
+        torque_rms = float(np.sqrt(np.mean(torque**2)))
+        return np.where(effect > 0.0, torque_rms / np.where(effect > 0.0, effect, 1.0), sizes)
 
     def _weighted(self, frame: Frame, residual: Array) -> Frame:
-        """Weigh recordings by one over their residual rms, the encoder's rounding at least."""
-        of = frame.shooting.recording_of
+        """Weight recordings by one over their residual rms, the encoder's rounding at least."""
+        recording_of = frame.shooting.recording_of
         rows = np.ones(residual.size)
         if len(self.trajectories) > 1:
-            sizes = np.sqrt(np.bincount(of, residual**2) / np.bincount(of))
-            # a joint that stands still is simulated exactly, and measured to a count no better
+            sizes = np.sqrt(np.bincount(recording_of, residual**2) / np.bincount(recording_of))
+            # a joint at standstill is simulated exactly, but measured to a count only
             sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
-            rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[of]
+            rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[recording_of]
         return replace(frame, rows=rows, sigma=float(np.sqrt(np.mean((residual * rows) ** 2))))
 
     def _information(self, frame: Frame, solution: Solution) -> Information:
-        """Say what determines the free parameters, states taken out, segments as groups."""
+        """Give the information on the free parameters, states eliminated, segments as groups."""
         linear = Linearised(frame, solution.values, solution.states)
         projected = linear.elimination.projected
         return Information(
@@ -407,7 +340,7 @@ class OutputError:
             projected[:, 0],
             frame.units,
             places=frame.shooting.places,
-            known=frame.told,
+            known=frame.prior_rows,
             known_null=fitted.open_directions(
                 self.chain, self.knowledge, self.observations, solution.values
             ),
@@ -419,15 +352,15 @@ class OutputError:
 
 
 def _spread(fit: Fit) -> float:
-    """Mean logarithm of the robust standard deviations of what every length determines."""
+    """Mean logarithm of the robust standard deviations of identified directions."""
     d = fit.information.directions
-    told = d.rows[~d.null]
-    found = [fit.information.sds(row / d.units)[1] for row in told]
-    return float(np.mean(np.log(np.maximum(found, 1e-300)))) if found else np.inf
+    identified = d.rows[~d.null]
+    sds = [fit.information.sds(row / d.units)[1] for row in identified]
+    return float(np.mean(np.log(np.maximum(sds, 1e-300)))) if sds else np.inf
 
 
-def _split(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
-    """Least-squares totals split into parameters, as a second place to start from."""
+def _split_totals(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
+    """Split the least-squares totals into parameters, as a second start."""
     values = starting_values(chain, least_squares(chain, observations), 0.2, 0.5)
     return chain.vector({**values, **knowledge.fixed})
 
@@ -435,8 +368,8 @@ def _split(chain: Joint, observations: Sequence[Observation], knowledge: Knowled
 def _check(chain: Joint, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
     """Refuse a mechanism without inertia, and fewer samples than unknowns."""
     inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
-    known = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
-    if not known and not all(t.inputs.added_mass for t in trajectories):
+    inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
+    if not inertias and not all(t.inputs.added_mass for t in trajectories):
         raise BadInput(
             "mechanism",
             "has no inertia, so a torque does not determine a motion to compare with",

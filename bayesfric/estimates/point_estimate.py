@@ -1,4 +1,4 @@
-"""What a point estimate is, whichever method made it: numbers, standard deviations, assumptions."""
+"""A point estimate of any method: numbers, standard deviations, assumptions."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-# In the order of every list; those that others start from come before them.
+# In the order of results; a method comes after the one that it starts from.
 Method = Literal["least-squares", "input-error", "output-error"]
 METHODS: tuple[Method, ...] = get_args(Method)
 Kind = Literal["total", "derived", "parameter"]
 Bound = Literal["lower", "upper"]
-
 
 # Half a 90 % interval of a normal distribution, in standard deviations.
 HALF = 1.645
@@ -19,108 +18,65 @@ HALF = 1.645
 
 @dataclass(frozen=True)
 class EstimatedValue:
-    """One estimated number.
-
-    Attributes
-    ----------
-    name, unit, symbol, meaning
-        As for parameters; the symbol is LaTeX without dollar signs.
-    value
-        In SI units; where ``sd`` is infinite it is one of many that fit as well.
-    sd
-        For uncorrelated residuals, as the field quotes it; infinite where the data do not determine
-        the number, NaN where it has none because the estimate stands on a bound or has not
-        converged.
-    sd_robust
-        Accounts for correlated residuals.
-    kind
-        ``total`` seen by the motor, eq. (11); ``parameter`` of the chain; ``derived`` from
-        parameters.
-    gauge_free
-        Whether scaling leg parameters and alpha together leaves it unchanged (section 4.2).
-    at_bound
-        Bound that it stands on, if any.
-    span
-        What a passive gearbox allows where a scaling leaves it open.
-    """
+    """One estimated number."""
 
     name: str
     unit: str
-    symbol: str
+    symbol: str  # LaTeX without dollar signs
     meaning: str
-    value: float
+    value: float  # in SI units; where sd is infinite one of many that fit as well
+    # for uncorrelated residuals; infinite where the data leave the number open, NaN on a bound and
+    # without convergence
     sd: float
-    sd_robust: float = math.nan
+    sd_robust: float = math.nan  # for correlated residuals
     kind: Kind = "total"
-    gauge_free: bool = True
+    gauge_free: bool = True  # unchanged by scaling leg parameters and alpha (section 4.2)
     at_bound: Bound | None = None
-    span: tuple[float, float] | None = None
+    span: tuple[float, float] | None = None  # what a passive gearbox allows, if open
 
     @property
     def relative_sd(self) -> float:
-        """``sd`` in per cent of the value, the way the field quotes it; infinite for zero."""
+        """``sd`` in per cent of the value; infinite for zero."""
         return 100.0 * self.sd / abs(self.value) if self.value else math.inf
 
     @property
     def larger_sd(self) -> float:
-        """The larger of plain and robust standard deviation, of those that are known; else zero."""
+        """The larger of the plain and robust sds that are not NaN; else zero."""
         return max((sd for sd in (self.sd, self.sd_robust) if not math.isnan(sd)), default=0.0)
 
     @property
     def quantity(self) -> str:
-        """What it is, without whose: the part of its name behind the last dot."""
+        """Its name without the owner."""
         return self.name.rpartition(".")[2]
 
     @property
     def known(self) -> bool:
-        """Whether it stands on no bound and its 90 % interval leaves out zero."""
+        """Whether it is on no bound and its 90 % interval excludes zero."""
         return self.at_bound is None and abs(self.value) > HALF * self.larger_sd
 
     @property
     def determined(self) -> bool:
-        """Whether the data, or what is known besides, determine the number."""
+        """Whether data and priors determine the number."""
         return math.isfinite(self.sd)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A point estimate; ``estimate[name]`` is one of its numbers, and raises ``KeyError`` for none.
-
-    Attributes
-    ----------
-    method
-        ``least-squares``, ``input-error`` or ``output-error``.
-    values
-        Totals, derived quantities, parameters.
-    residual_rms
-        Root mean square of measured minus modelled, in ``residual_unit``.
-    n_outputs
-        Number of residuals.
-    assumption
-        What the standard deviations take for granted, one sentence.
-    residual_unit
-        That of torque, or of position for the output error.
-    notes
-        What a user should know of how it came about, one sentence each.
-    point
-        Name and value of every chain parameter; empty for least squares.
-    converged
-        Whether it is a minimum; values have no standard deviations where it is not.
-    """
+    """A point estimate; ``estimate[name]`` is one of its numbers."""
 
     method: Method
-    values: tuple[EstimatedValue, ...]
-    residual_rms: float
+    values: tuple[EstimatedValue, ...]  # totals, derived quantities, parameters
+    residual_rms: float  # of measured minus modelled, in residual_unit
     n_outputs: int
-    assumption: str
-    residual_unit: str = "N m"
-    notes: tuple[str, ...] = ()
-    point: tuple[tuple[str, float], ...] = ()
+    assumption: str  # of the standard deviations, in a sentence
+    residual_unit: str = "N m"  # of torque, or of position for the output error
+    notes: tuple[str, ...] = ()  # remarks on the search, a sentence each
+    point: tuple[tuple[str, float], ...] = ()  # of every chain parameter; empty for least squares
     converged: bool = True
 
     @property
     def parameters(self) -> list[EstimatedValue]:
-        """Those of the chain's own."""
+        """Values of the chain's parameters."""
         return [v for v in self.values if v.kind == "parameter"]
 
     def __getitem__(self, name: str) -> EstimatedValue:

@@ -1,6 +1,6 @@
-"""Which positions a joint takes in simulation, and what parameters and initial states do to them.
+"""Simulated positions of a joint, and their derivatives by parameters and initial states.
 
-Every segment of a recording is simulated from a state of its own, driven by the measured
+Every segment of a recording is simulated from its own initial state, driven by the measured
 torque (section 4.3). Segments do not depend on each other, so moving all their initial positions
 (or speeds) at once differentiates by each of them, and taking them out of a least-squares
 problem is one small QR decomposition a segment (variable projection). This is multiple
@@ -22,56 +22,22 @@ from bayesfric.recordings.trajectory import Trajectory
 
 # Most integration steps a sample; more do not pay where measured torque has kinks at samples.
 _MAX_SUBSTEPS = 64
-# A discretisation error is small below this share of what the encoder can tell.
+# Tolerated discretisation error, as a share of the encoder's resolution.
 _SHARE_OF_RESOLUTION = 0.01
-# A speed that moves the joint for less than this share of one sample says nothing.
+# Share of a sample for which an initial speed must carry the joint to be identified.
 _LEAST_REACH = 1e-2
 
 
 class Sensitivities(NamedTuple):
-    """Simulated positions and their derivatives.
+    """Simulated positions and their derivatives."""
 
-    Attributes
-    ----------
-    positions
-        ``(n,)`` rad or m.
-    parameters
-        ``(n, d)`` by the free parameters.
-    states
-        ``(n, 2)`` by position and speed at the start of the segment each sample is in.
-    """
-
-    positions: Array
-    parameters: Array
-    states: Array
+    positions: Array  # (n,) rad or m
+    parameters: Array  # (n, d) by the free parameters
+    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
 
 
 class Shooting:
-    """Simulation of recordings from one state for each of their segments.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        Its recordings, divided into segments, K in all.
-    substeps
-        Integration steps a sample.
-
-    Attributes
-    ----------
-    measured
-        ``(n,)`` position inside the segments of all recordings, rad or m.
-    recording_of, segment_of, places
-        ``(n,)`` of each sample the recording, the segment counted over all, and the place on an
-        even grid of time, recordings apart.
-    borders
-        ``(K + 1,)``: segment k is ``borders[k]:borders[k + 1]`` of the samples.
-    periods
-        ``(K,)`` s between samples.
-    initial
-        ``(K, 2)`` position and speed to start the search for the initial states from.
-    """
+    """Simulation of recordings, each of their K segments from its own state."""
 
     def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
         self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
@@ -89,11 +55,11 @@ class Shooting:
         )
         # (K, 2) position and speed to start the search for the initial states from
         self.initial = np.concatenate([np.stack([t.q0, t.qd0], axis=1) for t in trajectories])
-        places, begin = [], 0
+        places, first = [], 0
         for t in trajectories:
             # a gap of a tenth of the recording keeps it from being a neighbour of the next
-            places.append(t.samples + begin)
-            begin += t.position.size + t.position.size // 10 + 1
+            places.append(t.samples + first)
+            first += t.position.size + t.position.size // 10 + 1
         self.places = np.concatenate(places)
 
     @property
@@ -102,21 +68,9 @@ class Shooting:
         return int(self.initial.shape[0])
 
     def positions(self, values: Array, states: Array, substeps: int | None = None) -> Array:
-        """Simulate the positions of parameter vectors.
+        """Simulate the positions ``(m, n)`` of vectors ``(m, n_parameters)``; NaN if unstable.
 
-        Parameters
-        ----------
-        values
-            ``(m, n_parameters)``.
-        states
-            ``(K, 2)``, or ``(m, K, 2)`` for each vector its own: position and speed, rad or m, SI.
-        substeps
-            Integration steps a sample; its own if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(m, n)``, rad or m; NaN where a vector cannot be simulated.
+        ``states`` are ``(K, 2)``, or ``(m, K, 2)`` for each vector.
         """
         return self.motion(values, states, substeps)[0]
 
@@ -157,27 +111,10 @@ class Shooting:
         *,
         central: bool = True,
     ) -> Sensitivities:
-        """Simulate and differentiate, all differences side by side in one go.
+        """Simulate and differentiate, all finite differences side by side.
 
-        Parameters
-        ----------
-        values, states
-            ``(n_parameters,)`` and ``(K, 2)``.
-        steps
-            ``(n_parameters,)`` widths of the differences; zero for parameters to leave out.
-        state_steps
-            Widths by position and speed, rad or m, SI.
-        limits
-            Lower and upper of every parameter, ``(n_parameters,)`` each; the supports where left
-            out.
-        central
-            Whether to take central differences, and where they would leave the limits the one-sided
-            formula of the same order; else plain one-sided ones, at half the cost.
-
-        Returns
-        -------
-        Sensitivities
-            By the parameters with a step; NaN where neither side can be simulated.
+        By the parameters with a step ``(n_parameters,)``. Central differences, of the same order
+        but one-sided at a limit; or plain one-sided ones, at half the cost.
         """
         if limits is None:
             lower = np.array([p.lower for p in self.chain.parameters])
@@ -187,50 +124,37 @@ class Shooting:
         moving = np.flatnonzero(steps)
         d = moving.size
         h = steps[moving]
-        near = np.where(values[moving] - h < lower[moving], 1.0, -1.0)
-        far = np.where(near > 0, 2.0, np.where(values[moving] + h > upper[moving], -2.0, 1.0))
-        ways = np.array([near, far]) * h
-        widths = np.concatenate([ways, np.multiply.outer([1.0, -1.0], state_steps)], axis=1)
+        first_side = np.where(values[moving] - h < lower[moving], 1.0, -1.0)
+        second_side = np.where(
+            first_side > 0, 2.0, np.where(values[moving] + h > upper[moving], -2.0, 1.0)
+        )
+        sides = np.array([first_side, second_side]) * h
+        widths = np.concatenate([sides, np.multiply.outer([1.0, -1.0], state_steps)], axis=1)
         widths = widths if central else widths[:1]
         # for each way a row a parameter and a row a state; then the middle
         rows = widths.size + 1
         vectors, starts = np.tile(values, (rows, 1)), np.tile(states, (rows, 1, 1))
-        for way, changes in enumerate(widths):
-            first = way * (d + 2)
+        for side, changes in enumerate(widths):
+            first = side * (d + 2)
             vectors[first + np.arange(d), moving] += changes[:d]
             for i in range(2):
                 starts[first + d + i, :, i] += changes[d + i]
         *out, middle = self.positions(vectors, starts)
-        found = np.stack(
+        slopes = np.stack(
             [
                 _slope(middle, out[j], out[d + 2 + j] if central else None, *widths[:, j])
                 for j in range(d + 2)
             ],
             axis=1,
         )
-        return Sensitivities(middle, found[:, :d], found[:, d:])
+        return Sensitivities(middle, slopes[:, :d], slopes[:, d:])
 
 
 class Elimination:
-    """A least-squares problem without its initial states.
+    """A least-squares problem with the initial states eliminated, by a QR of each segment.
 
-    Parameters
-    ----------
-    shooting
-        Whose segments the states are of.
-    states
-        ``(n, 2)`` derivatives by them, weighted like ``columns``.
-    columns
-        ``(n, k)``: residual and derivatives by parameters.
-
-    Attributes
-    ----------
-    projected, onto
-        As :meth:`of` gives them for ``columns``.
-    lost
-        Number of states taken out; not a speed that moves nothing, as where the joint sticks.
-    back
-        ``(K, 2, 2)``, from coefficients of an orthonormal basis in each segment to the states.
+    ``projected`` and ``onto`` are those of its columns, ``lost`` the number of states eliminated,
+    and ``back`` ``(K, 2, 2)`` leads from coefficients of orthonormal bases to the states.
     """
 
     def __init__(self, shooting: Shooting, states: Array, columns: Array) -> None:
@@ -239,8 +163,7 @@ class Elimination:
         self.back = np.zeros((shooting.n_segments, 2, 2))
         for k, (a, b) in enumerate(pairwise(self._borders)):
             q, r = np.linalg.qr(states[a:b])
-            # Where the joint sticks at the start, its speed there is no more than noise of
-            # the differences; how long the speed would carry it says which is which.
+            # where the joint sticks at the start, its speed is noise of the differences
             full = abs(r[1, 1]) > _LEAST_REACH * shooting.periods[k] * abs(r[0, 0])
             rank = 2 if full else 1
             self.lost += rank
@@ -249,20 +172,7 @@ class Elimination:
         self.projected, self.onto = self.of(columns)
 
     def of(self, columns: Array) -> tuple[Array, Array]:
-        """Take the states out of columns.
-
-        Parameters
-        ----------
-        columns
-            ``(n, k)``.
-
-        Returns
-        -------
-        projected : ndarray
-            ``(n, k)``, each segment's made orthogonal to its state columns.
-        onto : ndarray
-            ``(K, 2, k)``, the change of the states that each column stands for.
-        """
+        """Eliminate the states of columns ``(n, k)``: projected ``(n, k)``, onto ``(K, 2, k)``."""
         parts = self._base[:, :, None] * columns[:, None, :]
         coefficients = np.add.reduceat(parts, self._borders[:-1], axis=0)
         spread = np.repeat(coefficients, np.diff(self._borders), axis=0)
@@ -270,14 +180,14 @@ class Elimination:
 
 
 def resolution(position: Array) -> float:
-    """Smallest change of position ``(N,)`` that a recording can tell.
+    """Smallest change of position ``(N,)`` that a recording resolves.
 
-    The larger of the smallest step between values and the noise of neighbouring samples
-    (third differences: motion itself hardly shows in them).
+    The larger of the smallest step between values and the noise of neighbouring samples (third
+    differences: motion itself hardly shows in them).
     """
     span = float(np.ptp(position))
     gaps = np.diff(np.unique(position))
-    # what is left of rounding after a conversion of units is no step of the encoder
+    # rounding of a conversion of units is not a step of the encoder
     gaps = gaps[gaps > 1e-9 * span]
     step = float(gaps.min()) if gaps.size else 0.0
     noise = float(np.median(np.abs(np.diff(position, 3)))) / (0.6745 * np.sqrt(20.0))
@@ -287,21 +197,7 @@ def resolution(position: Array) -> float:
 def choose_substeps(
     shooting: Shooting, values: Array, states: Array, small: float | None = None
 ) -> tuple[int, float]:
-    """Choose integration steps a sample: the fewest, doubled from one on, that err little enough.
-
-    Parameters
-    ----------
-    shooting, values, states
-        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``.
-    small
-        Error that is small, rad or m; a hundredth of the resolution if left out.
-
-    Returns
-    -------
-    substeps : int
-    error : float
-        Largest estimated error of the position, rad or m.
-    """
+    """Choose integration steps a sample: the fewest powers of two that err little."""
     if small is None:
         small = _SHARE_OF_RESOLUTION * min(resolution(t.position) for t in shooting.trajectories)
     substeps = 1
@@ -316,32 +212,17 @@ def choose_substeps(
 def step_error(
     shooting: Shooting, values: Array, states: Array, substeps: int, coarse: Array | None = None
 ) -> tuple[float, Array]:
-    """Discretisation error at a number of substeps, and positions with twice as many.
-
-    Parameters
-    ----------
-    shooting, values, states, substeps
-        What is simulated, one vector ``(n_parameters,)`` from states ``(K, 2)``, and how finely.
-    coarse
-        Its positions ``(n,)``, where they are there already.
-
-    Returns
-    -------
-    error : float
-        Largest, rad or m; the method is of fourth order, so halving the step leaves a sixteenth.
-    fine : ndarray
-        ``(n,)``.
-    """
+    """Discretisation error at a number of substeps, and positions ``(n,)`` with twice as many."""
     if coarse is None:
         coarse = shooting.positions(values[None], states, substeps)[0]
     fine = shooting.positions(values[None], states, 2 * substeps)[0]
     return float(np.nanmax(np.abs(fine - coarse))) * 16.0 / 15.0, fine
 
 
-def _slope(middle: Array, one: Array, two: Array | None, a: float, b: float = 0.0) -> Array:
+def _slope(middle: Array, first: Array, second: Array | None, a: float, b: float = 0.0) -> Array:
     """Differentiate at zero the parabola through 0, ``a`` and ``b``; a line if one is missing."""
-    if two is None or not np.isfinite(two).all():
-        return np.asarray((one - middle) / a)
-    if not np.isfinite(one).all():
-        return np.asarray((two - middle) / b)
-    return np.asarray(((one - middle) * b / a - (two - middle) * a / b) / (b - a))
+    if second is None or not np.isfinite(second).all():
+        return np.asarray((first - middle) / a)
+    if not np.isfinite(first).all():
+        return np.asarray((second - middle) / b)
+    return np.asarray(((first - middle) * b / a - (second - middle) * a / b) / (b - a))

@@ -1,4 +1,4 @@
-"""How large torque, speed and acceleration are: what default priors are scaled by."""
+"""Typical torque, speed and acceleration, which default priors are scaled by."""
 
 from __future__ import annotations
 
@@ -16,71 +16,39 @@ from bayesfric.mechanism.quantities import Sizes
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Share of the samples that a size is the largest of: a glitch must not set a scale.
+# Quantile that is taken for the largest: a glitch must not set a scale.
 _NEARLY_ALL = 0.999
 
 
 @dataclass(frozen=True)
-class Scales:
-    """Sizes of what was measured.
+class TypicalSizes:
+    """Sizes of what was measured."""
 
-    Attributes
-    ----------
-    torque
-        Largest measured of the motor (99.9th percentile), N m or N.
-    speed, acceleration
-        Root mean square at the joint, rad or m and s.
-    lean
-        Largest sine of the joint's angle that gravity was seen at.
-    exchanged
-        Torque that one term surely takes, from another maybe, N m or N.
-    position
-        Range of the joint's, rad or m.
-    duration
-        Of the longest recording, s.
-    position_step
-        Finest that one was read in, rad or m; 0 where it is not known.
-    columns
-        Root mean square torque of each term with a shape of its own, for a value of one.
-    """
-
-    torque: float
-    speed: float
+    torque: float  # Largest measured of the motor (99.9th percentile), N m or N
+    speed: float  # Root mean square at the joint, rad or m and s
     acceleration: float
-    lean: float = 1.0
-    exchanged: float = 0.0
-    position: float = 1.0
-    duration: float = 1.0
-    position_step: float = 0.0
+    lean: float = 1.0  # Largest sine of the joint's angle that gravity was seen at
+    exchanged: float = 0.0  # Torque that one term surely takes, from another maybe, N m or N
+    position: float = 1.0  # Range of the joint's, rad or m
+    duration: float = 1.0  # Of the longest recording, s
+    position_step: float = 0.0  # Finest that one was read in, rad or m; 0 where it is not known
+    # rms torque of each custom or signal term, for a value of one
     columns: Mapping[str, float] = field(default_factory=dict)
 
 
-def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales:
-    """Take the scales from all recordings together.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism, and at least one recording of it; samples away from outputs, as excluded
-        ones, do not count.
-
-    Returns
-    -------
-    Scales
-        With an acceleration that at least changes the speed once in all recordings, and a lean of 1
-        where gravity's angle is unknown.
-    """
+def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalSizes:
+    """Take the scales from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
     # only where outputs are: an excluded glitch must not set a scale
     speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
     acceleration = np.concatenate([o.acceleration for o in observations])
     duration = sum(o.period * o.measured.size for o in observations)
-    return Scales(
+    return TypicalSizes(
         torque=float(np.quantile(np.abs(torque), _NEARLY_ALL)),
         lean=_lean(chain, observations),
         exchanged=_surely_taken(chain, observations),
         speed=_rms(speed),
-        # a motion that hardly accelerates still changes its speed once in the recording
+        # a motion changes its speed at least once in all recordings
         acceleration=max(_rms(acceleration), _rms(speed) / duration),
         position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
@@ -92,21 +60,8 @@ def measured_scales(chain: Joint, observations: Sequence[Observation]) -> Scales
     )
 
 
-def sizes_at(chain: Joint, owner: str, scales: Scales) -> Sizes:
-    """Give the sizes at the input of an element, or of ``load``.
-
-    Parameters
-    ----------
-    chain, owner
-        The mechanism, and the element's name.
-    scales
-        Of its recordings, at the joint and, the torque, at the motor.
-
-    Returns
-    -------
-    Sizes
-        Speeds go with the ratio, torque against it; losses on the way are not counted.
-    """
+def sizes_at(chain: Joint, owner: str, scales: TypicalSizes) -> Sizes:
+    """Give the sizes at the input of an element, or of ``load``; losses on the way are left out."""
     to_joint = chain.reaches[owner]
     return Sizes(
         scales.torque * (chain.ratio / to_joint),
@@ -122,26 +77,28 @@ def _lean(chain: Joint, observations: Sequence[Observation]) -> float:
     # from an unknown zero it may be any
     if any(p.circular for p in chain.parameters):
         return 1.0
-    most = max(float(np.abs(np.sin(o.q[o.filter.centres])).max()) for o in observations)
-    return most or 1.0
+    largest = max(float(np.abs(np.sin(o.q[o.filter.centres])).max()) for o in observations)
+    return largest or 1.0
 
 
 def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
-    """Give the largest torque of one term by least squares, less two standard deviations."""
+    """Give the largest torque of a single term by least squares, less two standard deviations."""
     projection = TotalsProjection(chain, observations)
     with suppress(BadInput):
-        found = least_squares(chain, observations, projection)
+        estimate = least_squares(chain, observations, projection)
         sizes = np.quantile(np.abs(projection.regressors), _NEARLY_ALL, axis=0)
-        known = np.array([v.determined for v in found.values])
-        sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in found.values])
-        least = np.abs([v.value for v in found.values]) - 2.0 * sds
-        return float(np.max(least[known] * sizes[known], initial=0.0))
+        determined = np.array([v.determined for v in estimate.values])
+        sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in estimate.values])
+        lowest = np.abs([v.value for v in estimate.values]) - 2.0 * sds
+        return float(np.max(lowest[determined] * sizes[determined], initial=0.0))
     return 0.0
 
 
 def _at_outputs(carried: CarriedTerm, o: Observation) -> Array:
-    at = o.filter.centres
-    return along(carried.row, carried.reach, o.q[at], o.qd[at], o.stamps[at], o.inputs)
+    centres = o.filter.centres
+    return along(
+        carried.row, carried.reach, o.q[centres], o.qd[centres], o.stamps[centres], o.inputs
+    )
 
 
 def _rms(x: Array) -> float:

@@ -1,4 +1,4 @@
-"""What the modelled torque is behind the filter of the measured one, and its derivatives."""
+"""The modelled torque behind the filter of the measured one, and its derivatives."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Outputs further apart than this are taken to know nothing of each other.
+# Outputs further apart than this are taken to be independent.
 _FAR = 2000
-
 # Numbers of unfiltered torque held at once.
 _ROWS_AT_ONCE = 2_000_000
 # The load torque at which efficiencies are stated: nearly the largest of the recordings.
@@ -22,46 +21,18 @@ _LOAD_QUANTILE = 0.95
 
 
 def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
-    """Motor torque along a measured motion, behind the filter of the measured torque.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observation
-        Motion, inputs and filter.
-    values
-        ``(n, n_parameters)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    ndarray
-        ``(n, n_outputs)``, N m or N, to be compared with ``observation.measured``.
-    """
+    """Model the motor torque ``(n, n_outputs)`` of vectors ``(n, n_parameters)``, filtered."""
     out = np.empty((values.shape[0], observation.filter.n_outputs))
     for part, torque in _torques(chain, observation, values):
         out[part] = observation.filter.apply(torque)
     return out
 
 
-def weighed_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
-    """Weigh the samples of the modelled torque before any filter.
-
-    Parameters
-    ----------
-    chain, observation, values
-        As for :func:`filtered_torque`.
-    weights
-        ``(k, n_samples)``.
-
-    Returns
-    -------
-    ndarray
-        ``(k, n)``.
-    """
+def weighted_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
+    """Apply weights ``(k, n_samples)`` to the modelled torque before any filter: ``(k, n)``."""
     out = np.empty((len(weights), values.shape[0]))
     for part, torque in _torques(chain, observation, values):
-        # no threads: for products this small those of @ cost more, on a busy machine fifty times
+        # einsum has no threads: for products this small those of @ cost up to fifty times as much
         out[:, part] = np.einsum("ks,ns->kn", weights, torque)
     return out
 
@@ -69,7 +40,7 @@ def weighed_torque(chain: Joint, observation: Observation, weights: Array, value
 def _torques(
     chain: Joint, observation: Observation, values: Array
 ) -> Iterator[tuple[slice, Array]]:
-    """Give unfiltered torque of a few vectors at a time: of a long recording it is large."""
+    """Yield unfiltered torque of a few vectors at a time: that of a long recording is large."""
     o = observation
     samples = chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
     rows = max(1, _ROWS_AT_ONCE // max(o.q.size, 1))
@@ -81,92 +52,51 @@ def _torques(
 def torque_jacobian(
     chain: Joint, observations: Sequence[Observation], values: Array, steps: Array
 ) -> Array:
-    """Differentiate the filtered torque by the chain's parameters.
+    """Differentiate the filtered torque by the parameters: ``(n_outputs, n_parameters)``.
 
-    The torque is linear in every parameter that adds to it, so a difference to one side is exact up
-    to rounding except where a step changes the direction of power; in what only shapes other terms
-    differences are central.
-
-    Parameters
-    ----------
-    chain, observations
-        As for :func:`filtered_torque`, of several recordings.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    steps
-        ``(n_parameters,)`` widths of the differences, in the parameters' units; zero for
-        parameters to leave out.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, n_parameters)`` over all recordings; zero where the step is.
+    The torque is linear in every parameter that adds to it, so one-sided differences are exact up
+    to rounding except where a step changes the direction of power; of what only shapes terms they
+    are central. Columns are zero where the step ``(n_parameters,)`` is.
     """
     moving = np.flatnonzero(steps)
-    beside = np.eye(values.size)[moving] * steps
+    shifts = np.eye(values.size)[moving] * steps
     shaping = np.array([chain.parameters[k].row.role == "form" for k in moving], dtype=bool)
-    moved = np.concatenate([values[None], values + beside, values - beside[shaping]])
+    vectors = np.concatenate([values[None], values + shifts, values - shifts[shaping]])
     blocks = []
     for o in observations:
-        torque = filtered_torque(chain, o, moved)
-        here, up, down = np.split(torque, [1, 1 + moving.size])
-        change = up - here
-        change[shaping] = (up[shaping] - down) / 2.0
+        torque = filtered_torque(chain, o, vectors)
+        middle, up, down = np.split(torque, [1, 1 + moving.size])
+        difference = up - middle
+        difference[shaping] = (up[shaping] - down) / 2.0
         block = np.zeros((o.filter.n_outputs, values.size))
-        block[:, moving] = (change / steps[moving, None]).T
+        block[:, moving] = (difference / steps[moving, None]).T
         blocks.append(block)
     return np.concatenate(blocks)
 
 
 def load_at_outputs(chain: Joint, o: Observation, values: Array) -> Array:
-    """Torque ``(n_outputs,)`` that moves the load itself at the middles of the outputs, eq. (3).
+    """Compute the load's own torque ``(n_outputs,)`` at the middles of the outputs, eq. (3).
 
-    ``values`` ``(n_parameters,)`` in the order of ``chain.names``; N m or N at the joint.
+    N m or N at the joint.
     """
     at = o.filter.centres
     return load_torque(chain, values, o.q[at], o.acceleration, inputs=o.inputs, time=o.stamps[at])
 
 
 def typical_load(chain: Joint, observations: Sequence[Observation], values: Array) -> float:
-    """Joint torque at which efficiencies are stated: the 95th percentile of the recordings.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism, and the motions that it made.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-
-    Returns
-    -------
-    float
-        Of the absolute torque of eq. (3), N m or N.
-    """
+    """Give the joint torque at which efficiencies are stated: the recordings' 95th percentile."""
     loads = [load_at_outputs(chain, o, values) for o in observations]
     return float(np.quantile(np.abs(np.concatenate(loads)), _LOAD_QUANTILE))
 
 
 def places(observations: Sequence[Observation]) -> NDArray[np.int64]:
-    """Position of every output on an even grid of time.
-
-    Parameters
-    ----------
-    observations
-        Of the recordings, in their order.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs,)`` of int, rising; segments and recordings are far apart, so that correlation
-        in time is not taken to reach from one to the next.
-    """
-    found, begin = [], 0
+    """Give each output its place ``(n_outputs,)`` on an even grid of time, segments far apart."""
+    numbers, first = [], 0
     for o in observations:
         step = max(int(np.diff(o.filter.starts).min(initial=len(o.filter.taps))), 1)
         raw = o.filter.starts // step
-        # a gap after each segment as long as a tenth of the recording keeps them apart; with
-        # thousands of segments more than what any kernel spans would only be zeros
-        apart = min(int(raw[-1] - raw[0]) // 10 + 1, _FAR)
-        found.append(raw - raw[0] + o.segment_of * apart + begin)
-        begin = int(found[-1][-1]) + apart
-    return np.concatenate(found)
+        # a gap of a tenth of the recording separates segments, at most what any kernel spans
+        gap = min(int(raw[-1] - raw[0]) // 10 + 1, _FAR)
+        numbers.append(raw - raw[0] + o.segment_of * gap + first)
+        first = int(numbers[-1][-1]) + gap
+    return np.concatenate(numbers)

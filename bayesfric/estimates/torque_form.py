@@ -1,7 +1,7 @@
 """The torque as ``psi Theta1 + sign(qd) |psi Theta2|``, eq. (13), and the way back to parameters.
 
 Chains with at most one load-dependent element and no Stribeck rise have this form wherever they
-move; at exact rest the mechanism takes no loss, while eq. (13) leaves ``lambda_1``.
+move; at standstill the mechanism has no loss, while eq. (13) leaves ``lambda_1``.
 """
 
 from __future__ import annotations
@@ -32,54 +32,32 @@ POSITIVE = tuple(total.name for total in TOTALS.values() if total.positive)
 class TorqueForm:
     """How a chain's parameters make up ``Theta1`` and ``Theta2`` of eq. (13).
 
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    names1, names2
-        Columns of psi that ``Theta1`` and ``Theta2`` multiply, those of TOTALS in motor units as
-        the paper's; ``offset.<recording>`` is one in that recording, ``added_load`` the torque of
-        the known load at the motor, whose coefficients are ``lambda_1`` and ``lambda_2``.
-    front, behind
-        Of each column the parameters up to the gearbox, and behind it, with their torque at the
-        motor for a value of one.
-    loss
-        Name of the element with load-dependent friction; empty for none.
-
-    Notes
-    -----
     ``lambda_1 = (1/alpha_1 + 1/alpha_2)/2``, ``lambda_2 = (1/alpha_1 - 1/alpha_2)/2``, and ``Theta1
     = front + lambda_1 behind``, ``Theta2 = lambda_2 behind``, column by column. ``-Theta2`` makes
     the same torque.
     """
 
-    chain: Joint
+    chain: Joint  # The mechanism
+    # Columns of psi that Theta1 and Theta2 multiply, those of TOTALS in motor units as the paper's;
+    # offset.<recording> is one in that recording, added_load the torque of the known load at the
+    # motor, whose coefficients are lambda_1 and lambda_2
     names1: tuple[str, ...]
     names2: tuple[str, ...]
+    # Of each column the parameters up to the gearbox, and behind it, with their torque at the motor
+    # for a value of one
     front: Mapping[str, list[Term]] = field(repr=False)
     behind: Mapping[str, list[Term]] = field(repr=False)
-    loss: str
+    loss: str  # Name of the element with load-dependent friction; empty for none
 
     def thetas(self, values: Array) -> tuple[Array, Array]:
-        """``Theta1`` and ``Theta2`` of eq. (13) of a parameter vector.
-
-        Parameters
-        ----------
-        values
-            ``(n_parameters,)`` in the order of ``chain.names``.
-
-        Returns
-        -------
-        theta1, theta2 : ndarray
-            ``(len(names1),)`` and ``(len(names2),)``, in motor units.
-        """
+        """Compute ``Theta1`` and ``Theta2`` of eq. (13) from a vector ``(n_parameters,)``."""
         lambda1, lambda2 = 1.0, 0.0
         if self.loss:
-            at = dict(zip(self.chain.names, values.tolist(), strict=True))
-            one = at.get(f"{self.loss}.load", 0.0)
-            drive = at.get(f"{self.loss}.load_drive", one)
-            back = at.get(f"{self.loss}.load_back", one)
-            lambda1, lambda2 = (2.0 + drive - back) / 2.0, (drive + back) / 2.0
+            point = dict(zip(self.chain.names, values.tolist(), strict=True))
+            common = point.get(f"{self.loss}.load", 0.0)
+            driving = point.get(f"{self.loss}.load_drive", common)
+            driven = point.get(f"{self.loss}.load_back", common)
+            lambda1, lambda2 = (2.0 + driving - driven) / 2.0, (driving + driven) / 2.0
         leg = self._sums(self.behind, values)
         motor = self._sums(self.front, values)
         theta1 = [motor.get(name, 0.0) + lambda1 * leg.get(name, 0.0) for name in self.names1]
@@ -88,107 +66,80 @@ class TorqueForm:
     def parameters(
         self, theta1: Array, theta2: Array, fixed: Mapping[str, float] | None = None
     ) -> Array:
-        """Parameters behind ``Theta1`` and ``Theta2``; exact where these have one.
+        """Compute a vector from ``Theta1`` and ``Theta2``; exact where these have one.
 
-        Parameters
-        ----------
-        theta1, theta2
-            As of :meth:`thetas`.
-        fixed
-            Known values by name, which the result has.
-
-        Returns
-        -------
-        ndarray
-            ``(n_parameters,)``. Where more parameters than one fill a column, they share it evenly;
-            negative values stay.
-
-        Notes
-        -----
-        ``lambda_1/lambda_2`` comes from the columns that only the load fills
-        (``theta5/theta10``), then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and
-        leg = ``Theta2/lambda_2``. The scale comes from the known mass, a ``fixed``
-        parameter, or is the middle of what a passive gearbox allows.
+        ``lambda_1/lambda_2`` comes from the columns that only the load fills (``theta5/theta10``),
+        then motor = ``Theta1 - (lambda_1/lambda_2) Theta2`` and leg = ``Theta2/lambda_2``. The
+        scale comes from the known mass, a ``fixed`` parameter, or is the middle of what a passive
+        gearbox allows.
         """
-        one = dict(zip(self.names1, theta1.tolist(), strict=True))
-        two = dict(zip(self.names2, theta2.tolist(), strict=True))
+        totals1 = dict(zip(self.names1, theta1.tolist(), strict=True))
+        totals2 = dict(zip(self.names2, theta2.tolist(), strict=True))
         values = np.zeros(len(self.chain.names))
-        rho = self._ratio(one, two)
+        rho = self._ratio(totals1, totals2)
         # one mu for both directions means lambda_1 = 1; with two it is a place to start
         lambda1, lambda2 = 1.0, 1.0 / rho
         single = f"{self.loss}.load" in self.chain.names
-        if "added_load" in two and not single and two["added_load"] > 0.0:
-            lambda1, lambda2 = rho * two["added_load"], two["added_load"]
-        self._spread(self.behind, {k: v / lambda2 for k, v in two.items()}, values)
-        self._spread(self.front, {k: v - rho * two.get(k, 0.0) for k, v in one.items()}, values)
+        if "added_load" in totals2 and not single and totals2["added_load"] > 0.0:
+            lambda1, lambda2 = rho * totals2["added_load"], totals2["added_load"]
+        self._spread(self.behind, {k: v / lambda2 for k, v in totals2.items()}, values)
+        self._spread(
+            self.front, {k: v - rho * totals2.get(k, 0.0) for k, v in totals1.items()}, values
+        )
         if single:
             values[self.chain.names.index(f"{self.loss}.load")] = lambda2
         elif self.loss:
             values[self.chain.names.index(f"{self.loss}.load_drive")] = lambda1 + lambda2 - 1.0
             values[self.chain.names.index(f"{self.loss}.load_back")] = 1.0 - (lambda1 - lambda2)
-        if "added_load" not in two:
+        if "added_load" not in totals2:
             values = scale_known(self.chain, values, fixed or {})
         for name, value in (fixed or {}).items():
             values[self.chain.names.index(name)] = value
         return values
 
     def _sums(self, terms: Mapping[str, list[Term]], values: Array) -> dict[str, float]:
-        """Sum up each column; an angle turns gravity into a sine and a cosine column."""
-        out = {k: sum(values[i] * c for i, c in found) for k, found in terms.items()}
-        if "gravity_cosine" in out:
-            angle = float(values[_turning(self.chain)[0]])
-            out["gravity_cosine"] = out["gravity"] * math.sin(angle)
-            out["gravity"] *= math.cos(angle)
+        """Sum each column; an angle turns gravity into a sine and a cosine column."""
+        sums = {k: sum(values[i] * c for i, c in members) for k, members in terms.items()}
+        if "gravity_cosine" in sums:
+            angle = float(values[_angle(self.chain)[0]])
+            sums["gravity_cosine"] = sums["gravity"] * math.sin(angle)
+            sums["gravity"] *= math.cos(angle)
         if terms is self.behind:
-            out["added_load"] = 1.0
-        return out
+            sums["added_load"] = 1.0
+        return sums
 
-    def _ratio(self, one: Mapping[str, float], two: Mapping[str, float]) -> float:
-        """``lambda_1/lambda_2`` where a column shows it, else such that all stays positive."""
-        only = [k for k in two if k in one and not self.front.get(k)]
+    def _ratio(self, totals1: Mapping[str, float], totals2: Mapping[str, float]) -> float:
+        """``lambda_1/lambda_2`` from columns of the load alone, else with all parts positive."""
+        load_only = [k for k in totals2 if k in totals1 and not self.front.get(k)]
         # the known mass counts by itself; gravity's two parts in one unit
-        for group in (["added_load"], ["gravity", "gravity_cosine"], only):
-            pairs = [(one[k], two[k]) for k in group if k in only]
-            below = sum(b * b for _, b in pairs)
-            if below > 0.0:
-                return max(sum(a * b for a, b in pairs) / below, 0.1)
-        shares = [one[k] / two[k] for k in POSITIVE if two.get(k, 0.0) > 0.0 and k in one]
+        for group in (["added_load"], ["gravity", "gravity_cosine"], load_only):
+            pairs = [(totals1[k], totals2[k]) for k in group if k in load_only]
+            squares = sum(b * b for _, b in pairs)
+            if squares > 0.0:
+                return max(sum(a * b for a, b in pairs) / squares, 0.1)
+        shares = [
+            totals1[k] / totals2[k] for k in POSITIVE if totals2.get(k, 0.0) > 0.0 and k in totals1
+        ]
         return max(0.5 * min(shares, default=4.0), 1.0)
 
     def _spread(
         self, terms: Mapping[str, list[Term]], totals: Mapping[str, float], values: Array
     ) -> None:
-        """Write column totals into the parameters that make them up."""
+        """Distribute column totals over their parameters."""
         if "gravity_cosine" in terms and "gravity" in totals:
             sine, cosine = totals["gravity"], totals.get("gravity_cosine", 0.0)
-            way = math.copysign(1.0, self.chain.load.gravity)
-            angle = math.atan2(way * cosine, way * sine)
-            values[_turning(self.chain)[0]] = angle
-            totals = {**totals, "gravity": way * math.hypot(sine, cosine)}
-        for kind, found in terms.items():
+            sign = math.copysign(1.0, self.chain.load.gravity)
+            angle = math.atan2(sign * cosine, sign * sine)
+            values[_angle(self.chain)[0]] = angle
+            totals = {**totals, "gravity": sign * math.hypot(sine, cosine)}
+        for kind, members in terms.items():
             if kind != "gravity_cosine":
-                for i, c in found:
-                    values[i] += totals.get(kind, 0.0) / (len(found) * c)
+                for i, c in members:
+                    values[i] += totals.get(kind, 0.0) / (len(members) * c)
 
 
 def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Array:
-    """Move a vector along its scalings until a fixed parameter has its value.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    fixed
-        Known values by name.
-
-    Returns
-    -------
-    ndarray
-        ``(n_parameters,)``; where none is fixed, or no factor reaches it, in the middle of what a
-        passive gearbox allows.
-    """
+    """Scale a vector until a fixed parameter has its value, else to the middle of the range."""
     for scaling in scalings(chain):
         factors = (scaling.factor_to(values, n, fixed[n]) for n in scaling.names if n in fixed)
         reached = (factor for factor in factors if 0.0 < factor < math.inf)
@@ -196,8 +147,8 @@ def scale_known(chain: Joint, values: Array, fixed: Mapping[str, float]) -> Arra
     return values
 
 
-def _turning(chain: Joint) -> list[int]:
-    """Index of the angle that turns gravity's two columns, where there is one."""
+def _angle(chain: Joint) -> list[int]:
+    """Index of the gravity angle, if there is one."""
     return [i for i, p in enumerate(chain.parameters) if p.circular]
 
 
@@ -211,7 +162,7 @@ def torque_form(
     chain
         The mechanism.
     observations
-        Whose known mass has columns of its own, ``added_load``, if their motion sets it apart.
+        Whose known mass has separate columns, ``added_load``, if their motion identifies it.
     any_shape
         Leave out what only shapes or scales terms, as a Stribeck rise and the gain: the form is
         that of the others, times the gain.
@@ -225,7 +176,7 @@ def torque_form(
         of the form.
     """
     lossy = [i for i, e in enumerate(chain.elements) if e.load_loss != "none"]
-    angled = bool(_turning(chain))
+    angled = bool(_angle(chain))
     masses = any(o.inputs.known_load for o in observations)
     shaped = any(p.row.role == "form" and not p.circular for p in chain.parameters)
     if len(lossy) > 1 or (shaped and not any_shape) or (angled and masses):
@@ -238,7 +189,7 @@ def torque_form(
     for i, p in enumerate(chain.parameters):
         if p.owner:  # offsets follow
             side = front if p.owner in in_front else behind
-            for kind, c in filled(chain, p):
+            for kind, c in filled_columns(chain, p):
                 side.setdefault(kind, []).append((i, c))
     if angled:  # it turns gravity's two columns, see _sums
         for side in (front, behind):
@@ -246,13 +197,13 @@ def torque_form(
                 side["gravity_cosine"] = side["gravity"]
     for name in chain.offset_names:
         front[name] = [(chain.names.index(name), 1.0)]
-    order = in_order(chain)
+    order = column_names(chain)
     names1 = tuple(k for k in order if k in front or k in behind)
     names2 = tuple(k for k in order if k in behind)
     if masses and lossy:
         plain = np.concatenate([columns(chain, o, names2) for o in observations], axis=1)
         known = np.concatenate([columns(chain, o, ("added_load",)) for o in observations], axis=1)
-        # one mass everywhere may look like more leg: then it has no column of its own
+        # one mass everywhere may be collinear with the leg: then it has no column
         if _rank(np.concatenate([plain, known])) > _rank(plain):
             names2 = (*names2, "added_load")
             names1 += ("added_load",) if chain.elements[last].load_loss == "two" else ()
@@ -261,23 +212,9 @@ def torque_form(
     )
 
 
-def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
+def filled_columns(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     """Columns one parameter fills, and its torque at the motor there for a value of one.
 
-    Parameters
-    ----------
-    chain, p
-        The mechanism, and one of its parameters.
-
-    Returns
-    -------
-    tuple of (str, float)
-        Name of each column and that torque. A term that does not grow with a power of speed, or has
-        no total, has a column of its own name, which is that torque. Load-dependent friction has
-        none: ``lambda_1`` and ``lambda_2`` hold it.
-
-    Notes
-    -----
     Through a ratio of n from motor to owner, a term of the power k of motion, ``power`` of its row,
     comes to ``n**-(k + 1)`` at the motor: an inertia to ``J/n²``, Coulomb friction to ``C/n``.
     """
@@ -292,78 +229,61 @@ def filled(chain: Joint, p: Parameter) -> tuple[tuple[str, float], ...]:
     return tuple((kind, weight * factor) for kind, weight in p.row.fills)
 
 
-def in_order(chain: Joint) -> list[str]:
-    """Names of all columns there may be, in the order of the paper's theta."""
+def column_names(chain: Joint) -> list[str]:
+    """Names of all possible columns, in the order of the paper's theta."""
     offsets = chain.offset_names or ("offset",)
     order = [k for kind in TOTALS for k in (offsets if kind == "offset" else (kind,))]
     return list(dict.fromkeys([*order, *chain.names]))
 
 
 def columns(chain: Joint, observation: Observation, names: Iterable[str]) -> Array:
-    """Columns of ``psi`` of eq. (13), before filtering.
-
-    Parameters
-    ----------
-    chain, observation
-        The mechanism, and a motion of it.
-    names
-        Of :func:`in_order`.
-
-    Returns
-    -------
-    ndarray
-        ``(n, N)``, one column a row, in motor units; that of a parameter of its own is the torque
-        at the motor for a value of one.
-    """
+    """Compute columns of ``psi`` of eq. (13) in motor units, before filtering: ``(n, N)``."""
     o, n = observation, chain.ratio
     inertia, moment = o.inputs.load(chain.load.motion)
     sine = np.sin(o.q)
-    pushed = 0.0 if o.inputs.load_torque is None else o.inputs.load_torque.at(o.stamps)
+    applied = 0.0 if o.inputs.load_torque is None else o.inputs.load_torque.at(o.stamps)
     state = State(
         n * o.q,
         n * o.qd,
         n * o.qdd,
         np.sign(o.qd),
         o.stamps,
-        transmitted=(inertia * o.qdd + chain.load.gravity * moment * sine - pushed) / n,
+        transmitted=(inertia * o.qdd + chain.load.gravity * moment * sine - applied) / n,
         gravity=sine,
     )
 
     def column(name: str) -> Array:
         if name in TOTALS:
-            turned = name == "gravity_cosine"
-            at = state._replace(gravity=np.cos(o.q)) if turned else state
-            return np.asarray(TOTALS[name].column(at))
+            cosine = name == "gravity_cosine"
+            state_ = state._replace(gravity=np.cos(o.q)) if cosine else state
+            return np.asarray(TOTALS[name].column(state_))
         if name in chain.offset_names:
             return np.full_like(o.q, name == f"offset.{o.inputs.recording}")
         p = chain.parameters[chain.names.index(name)]
         reach = chain.reaches[p.owner]
         return along(p.row, reach, o.q, o.qd, o.stamps, o.inputs) * (reach / n)
 
-    found = [column(name) for name in names]
-    return np.stack(found) if found else np.empty((0, o.q.size))
+    rows = [column(name) for name in names]
+    return np.stack(rows) if rows else np.empty((0, o.q.size))
 
 
-def shortest(regressors: Array) -> tuple[Array, Flags, Array, Array]:
+def minimum_norm(regressors: Array) -> tuple[Array, Flags, Array, Array]:
     """Solve a linear least-squares problem ``(n, k)`` once for all targets.
 
-    Returns
-    -------
-    size : ndarray
-        ``(k,)`` norms of the columns, 1 for those of zeros.
-    shared : ndarray
-        ``(k,)`` of bool: which columns others can stand for.
-    solution : ndarray
-        ``(k, n)``, from targets to the solution that is shortest in units of the norms.
-    basis : ndarray
-        ``(n, rank)`` orthonormal, of what the columns span.
+    Gives the columns' norms ``(k,)``, which of them are collinear with others ``(k,)``, the map
+    from targets to the minimum-norm solution ``(k, n)``, and an orthonormal basis of the columns.
     """
-    size = np.linalg.norm(regressors, axis=0)
-    size[size == 0.0] = 1.0
-    left, singular, right = np.linalg.svd(regressors / size, full_matrices=False)
-    told = singular > OPEN * singular.max(initial=0.0)
-    solution = (right[told].T / singular[told]) @ left.T[told] / size[:, None]
-    return size, np.asarray((right[~told] ** 2).sum(axis=0) > 1e-8), solution, left[:, told]
+    norms = np.linalg.norm(regressors, axis=0)
+    norms[norms == 0.0] = 1.0
+    left, singular, right = np.linalg.svd(regressors / norms, full_matrices=False)
+    identified = singular > OPEN * singular.max(initial=0.0)
+    solution = (right[identified].T / singular[identified]) @ left.T[identified] / norms[:, None]
+    return (
+        norms,
+        np.asarray((right[~identified] ** 2).sum(axis=0) > 1e-8),
+        solution,
+        left[:, identified],
+    )
 
 
 def _rank(rows: Array) -> int:

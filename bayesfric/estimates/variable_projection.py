@@ -1,4 +1,4 @@
-"""Which ``Theta2`` fits best, ``Theta1`` in closed form: section 4.2, eqs. (12), (14) to (19)."""
+"""Variable projection: ``Theta2`` with ``Theta1`` in closed form, eqs. (12), (14) to (19)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayesfric.estimates.torque_form import POSITIVE, TorqueForm, columns, shortest
+from bayesfric.estimates.torque_form import POSITIVE, TorqueForm, columns, minimum_norm
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
@@ -18,22 +18,13 @@ _SAME = 1e-6  # two minima closer than this, relatively, are one
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """Where the criterion (12) is smallest.
+    """The minimum of the criterion (12)."""
 
-    Attributes
-    ----------
-    theta1
-        ``(n1,)`` coefficients of the columns of the form, in motor units.
-    theta2
-        ``(n2,)``; of this and its negative, the same torque, the one that a mechanism can have.
-    starts, starts_agreeing
-        How many searches there were, and how many reached this minimum.
-    """
-
-    theta1: Array
+    theta1: Array  # (n1,) coefficients of the columns of the form, in motor units
+    # (n2,), of this and its negative, which make the same torque, the physical one
     theta2: Array
-    starts: int
-    starts_agreeing: int
+    starts: int  # searches
+    starts_agreeing: int  # those that reached this minimum
 
 
 class VariableProjection:
@@ -68,24 +59,24 @@ class VariableProjection:
         self._psi2 = [columns(chain, o, form.names2) for o in observations]
         self._sign = [np.sign(o.qd) for o in observations]
         target, regressors = [], []
-        leg_is_scaled = f"{form.loss}.load_drive" in chain.names
+        two_losses = f"{form.loss}.load_drive" in chain.names
         for o in observations:
             known = np.zeros_like(o.measured)
-            if o.inputs.known_load and "added_load" not in form.names1 and not leg_is_scaled:
+            if o.inputs.known_load and "added_load" not in form.names1 and not two_losses:
                 # lambda_1 is one: what the known load takes is known
                 known = o.filter.apply(columns(chain, o, ("added_load",)))[0]
             target.append(o.measured - known)
             regressors.append(o.filter.apply(columns(chain, o, form.names1)))
         self._target = np.concatenate(target)
-        *_, self._solution, self._range = shortest(np.concatenate(regressors, axis=1).T)
+        *_, self._solution, self._range = minimum_norm(np.concatenate(regressors, axis=1).T)
         norms = np.sqrt(sum(((p**2).sum(axis=1) for p in self._psi2), np.zeros(len(form.names2))))
         self.scale: Array = np.where(norms > 0.0, norms, 1.0)
 
     def theta1(self, theta2: Array) -> Array:
-        """``Theta1`` ``(n1,)`` that fits best beside ``Theta2`` ``(n2,)``, eq. (18).
+        """Best ``Theta1`` ``(n1,)`` given ``Theta2`` ``(n2,)``, eq. (18).
 
-        ``(psi' psi)^-1 psi' (torque - sign(qd) |psi Theta2|)``; the shortest one where columns are
-        alike.
+        ``(psi' psi)^-1 psi' (torque - sign(qd) |psi Theta2|)``; of minimum norm if columns are
+        collinear.
         """
         return np.asarray(self._solution @ (self._target - self._folded(theta2)))
 
@@ -107,45 +98,34 @@ class VariableProjection:
         return float(residual @ residual)
 
     def minimise(self, starts: Sequence[Array]) -> Minimum:
-        """Search from several ``Theta2`` (Levenberg-Marquardt) and keep the best.
-
-        Parameters
-        ----------
-        starts
-            ``(n2,)`` each; zeros are moved off the fold of ``|psi Theta2|``.
-
-        Returns
-        -------
-        Minimum
-            With ``Jc > 0`` and ``alpha_2 > alpha_1``. It solves eq. (19).
-        """
+        """Solve eq. (19): search from several ``Theta2`` ``(n2,)`` (Levenberg-Marquardt)."""
         settings: Any = {"method": "lm", "x_scale": 1.0 / self.scale, "max_nfev": 100}
         settings |= {"xtol": 1e-12, "ftol": 1e-12, "gtol": 1e-14}
         # a start of zero would sit on the fold of |psi Theta2|
-        begins = [np.where(start == 0.0, 1e-6 / self.scale, start) for start in starts]
-        found = [np.zeros(0)]
+        unfolded = [np.where(start == 0.0, 1e-6 / self.scale, start) for start in starts]
+        ends = [np.zeros(0)]
         if self.form.names2:
-            found = [least_squares(self.residual, x, self.jacobian, **settings).x for x in begins]
-        heights = np.array([self.criterion(theta2) for theta2 in found])
+            ends = [least_squares(self.residual, x, self.jacobian, **settings).x for x in unfolded]
+        heights = np.array([self.criterion(theta2) for theta2 in ends])
         best = int(np.argmin(heights))
         limit = (1.0 + _SAME) * heights[best] + 1e-20 * float(self._target @ self._target)
-        theta2 = self._signed(found[best])
+        theta2 = self._signed(ends[best])
         agreeing = int(np.count_nonzero(heights <= limit))
-        return Minimum(self.theta1(theta2), theta2, len(found), agreeing)
+        return Minimum(self.theta1(theta2), theta2, len(ends), agreeing)
 
     def _signed(self, theta2: Array) -> Array:
-        """Of the two equal solutions the one with ``Jc > 0`` and ``alpha_2 > alpha_1``.
+        """Of the two equal solutions give the one with ``Jc > 0`` and ``alpha_2 > alpha_1``.
 
-        Every loss and inertia is positive then; where noise has turned one of them
-        around, the larger torques decide.
+        Every loss and inertia is positive then; where noise has turned a sign, the larger torques
+        decide.
         """
-        one = dict(zip(self.form.names1, self.theta1(theta2), strict=True))
+        totals1 = dict(zip(self.form.names1, self.theta1(theta2), strict=True))
         score = 0.0
         for name, value in zip(self.form.names2, theta2 * self.scale, strict=True):
             if name in POSITIVE:
                 score += value
             elif name.startswith("gravity"):
-                score += value * np.sign(one[name])
+                score += value * np.sign(totals1[name])
         return -theta2 if score < 0.0 else theta2
 
     def _folded(self, theta2: Array) -> Array:
@@ -157,5 +137,5 @@ class VariableProjection:
         return np.concatenate(blocks)
 
     def _outside(self, x: Array) -> Array:
-        """Take away what ``psi Theta1`` can make up for."""
+        """Project off what ``psi Theta1`` explains."""
         return np.asarray(x - self._range @ (self._range.T @ x))

@@ -10,8 +10,7 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked
-from bayesfric.identifiability.back_emf import SpeedTerm
-from bayesfric.identifiability.identification import Identification
+from bayesfric.identifiability.identification import Identification, SpeedTerm
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.rests_beyond import RestsBeyond
 from bayesfric.problem.problem import Problem, StartingPoint

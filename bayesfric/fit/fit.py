@@ -11,11 +11,10 @@ from bayesfric.base.progress import Progress, Shown
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
-from bayesfric.estimates.collinear_losses import collinear_losses
+from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.conclusion import Examination, conclude
 from bayesfric.fit.result import Result
-from bayesfric.identifiability.back_emf import speed_term
-from bayesfric.identifiability.identification import Identification, identify
+from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit

@@ -17,10 +17,8 @@ from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit.fit import fit
 from bayesfric.fit.pooled_fit import Pooled, pooled
 from bayesfric.fit.result import Result
-from bayesfric.identifiability.at_estimate import estimate_point
-from bayesfric.identifiability.back_emf import speed_term
-from bayesfric.identifiability.identification import Identification, identify
-from bayesfric.identifiability.local import local_information
+from bayesfric.identifiability.identification import Identification, identify, speed_term
+from bayesfric.identifiability.local import estimate_point, local_information
 from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
@@ -194,7 +192,7 @@ class Model(Problem):
             and not (prior := self.priors[p.name]).fixed
         }
         finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
-        knowledge = replace(given.knowledge, told={**finite, **given.knowledge.told})
+        knowledge = replace(given.knowledge, priors={**finite, **given.knowledge.priors})
         given = replace(given, knowledge=knowledge)
         with self.config.named():
             found = estimate_by([method], given, progress=by_method(progress))[method]

@@ -1,7 +1,7 @@
 """The ``[advice]`` table of a configuration: within what limits the next experiment may be.
 
 It is read by ``bayesfric identify --advise`` alone; what is left out is settled from the
-recordings, see :func:`bayesfric.identifiability.proposals.limits_of`.
+recordings, see :func:`bayesfric.identifiability.next_recording.limits_of`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a recording went through: who drove whom, how far it turned, whether it accelerated."""
+"""What each recording covers: direction of power, range of position, acceleration."""
 
 from __future__ import annotations
 
@@ -14,100 +14,66 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Share of the torque below which inertia does not show.
+# Share of the torque below which inertia is negligible.
 _LITTLE = 0.05
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What one recording went through, at the point estimate where that needs one.
-
-    Attributes
-    ----------
-    name, outputs
-        Of the recording, and how many outputs it has.
-    moving
-        Share of outputs in which the joint moves.
-    load_drives
-        By element with a load loss, share of those in which the load drives it.
-    turn
-        Range of the joint's position, rad or m.
-    steady
-        Share of outputs in which inertia takes less than a twentieth of the torque.
-    added_mass, radius
-        Known mass on the load, kg, and its distance from the axis, m.
-    """
+    """What one recording covers, at the point estimate."""
 
     name: str
     outputs: int
-    moving: float
+    moving: float  # share of outputs in which the joint moves
+    # share of those in which the load drives each element with load-dependent friction
     load_drives: dict[str, float]
-    turn: float
-    steady: float
-    added_mass: float
-    radius: float
+    turn: float  # range of the joint's position, rad or m
+    steady: float  # share of outputs in which inertia takes less than a twentieth of the torque
+    added_mass: float  # known mass on the load, kg
+    radius: float  # its distance from the axis, m
 
 
 def coverage_of(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> tuple[Coverage, ...]:
-    """Look at what every recording went through.
-
-    Parameters
-    ----------
-    values
-        ``(n_parameters,)`` of the chain at the estimate.
-
-    Returns
-    -------
-    tuple of Coverage
-        One for each recording.
-    """
-    return tuple(
-        Coverage(
-            name=o.name,
-            outputs=int(o.measured.size),
-            moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
-            load_drives={k: float(x[0]) for k, x in back_driven(chain, [o], values[None]).items()},
-            turn=float(np.ptp(o.q[o.filter.centres])),
-            steady=_steady(chain, o, values),
-            added_mass=o.inputs.added_mass,
-            radius=o.inputs.radius,
+    """Compute what every recording covers at ``values`` ``(n_parameters,)``."""
+    covered = []
+    for o in observations:
+        shares = back_driving_shares(chain, [o], values[None])
+        covered.append(
+            Coverage(
+                name=o.name,
+                outputs=int(o.measured.size),
+                moving=float(np.mean(o.qd[o.filter.centres] != 0.0)),
+                load_drives={name: float(share[0]) for name, share in shares.items()},
+                turn=float(np.ptp(o.q[o.filter.centres])),
+                steady=_steady(chain, o, values),
+                added_mass=o.inputs.added_mass,
+                radius=o.inputs.radius,
+            )
         )
-        for o in observations
-    )
+    return tuple(covered)
 
 
-def back_driven(
+def back_driving_shares(
     chain: Joint, observations: Sequence[Observation], values: Array
 ) -> dict[str, Array]:
-    """Give how often the load drives each element that has a load loss.
+    """Share of moving outputs in which the load drives each element with load-dependent friction.
 
-    Parameters
-    ----------
-    chain, observations
-        The joint, and what was measured of it.
-    values
-        Vectors ``(n, n_parameters)`` of the chain's parameters.
-
-    Returns
-    -------
-    dict
-        By element, for each vector the share ``(n,)`` of all moving outputs in which the torque
-        behind it times the speed is negative, eq. (6) of the paper.
+    Of vectors ``(n, n_parameters)``: ``(n,)`` each.
     """
-    found = {}
+    shares = {}
     for i, element in enumerate(chain.elements):
         if element.load_loss == "none":
             continue
         back, moving = np.zeros(values.shape[0]), 0
         for o in observations:
             outputs = np.flatnonzero(o.speed)
-            passed = _behind(chain, i, o, outputs, values)
-            back += np.count_nonzero(passed * o.speed[outputs] < 0.0, axis=1)
+            transmitted = _behind(chain, i, o, outputs, values)
+            back += np.count_nonzero(transmitted * o.speed[outputs] < 0.0, axis=1)
             moving += outputs.size
-        found[element.name] = back / max(moving, 1)
-    return found
+        shares[element.name] = back / max(moving, 1)
+    return shares
 
 
 def _behind(
@@ -115,7 +81,7 @@ def _behind(
 ) -> Array:
     """Torque at the output of element ``i``, ``(n, len(outputs))``.
 
-    Of the last element that is the load's; else that of the shorter chain behind it.
+    That of the load for the last element, else of the shorter chain behind it.
     """
     at = o.filter.centres[outputs]
     q, qd, qdd = o.q[at], o.qd[at], o.acceleration[outputs]
@@ -131,7 +97,7 @@ def _behind(
 
 def _steady(chain: Joint, o: Observation, values: Array) -> float:
     """Share of outputs in which the torque would be the same without acceleration."""
-    still = replace(o, qdd=np.zeros_like(o.qdd))
-    whole = filtered_torque(chain, o, values[None])[0]
-    without = filtered_torque(chain, still, values[None])[0]
-    return float(np.mean(np.abs(whole - without) < _LITTLE * np.abs(whole)))
+    steady = replace(o, qdd=np.zeros_like(o.qdd))
+    torque = filtered_torque(chain, o, values[None])[0]
+    steady_torque = filtered_torque(chain, steady, values[None])[0]
+    return float(np.mean(np.abs(torque - steady_torque) < _LITTLE * np.abs(torque)))

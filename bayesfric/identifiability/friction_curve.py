@@ -4,15 +4,14 @@ The joint runs at constant speed against a constant load. With ``T`` the true mo
 torque (without its constant offset) and ``L`` the loss-free torque of the load, both at the
 motor, friction is ``F = T - L``. What is recorded is ``T`` over ``drive.gain``, where that is one.
 
-``L`` is where care is due. A recording tells ``Gamma/N``, the torque of the leg over the
-ratio, only up to the scaling of leg parameters and ``alpha_1, alpha_2`` that changes no
-torque. ``(1 + mu_1) Gamma/N`` and ``(1 - mu_2) Gamma/N``, what the motor feels of the load
-while it drives and while it is driven, are known all the same, and so is their mean,
-``lambda_1 Gamma/N`` of eq. (13). Where the scale is open this mean therefore stands for the
-load: ``F(speed, L)`` then is the same for all members of the ridge. It is what an
-experiment finds that lifts and lowers the load at one speed, calls half the sum of the two
-torques load and half their difference friction. Where something fixes the scale (a known
-mass, a known parameter of the leg, ``mu_1 = mu_2``), ``L`` is ``Gamma/N`` itself.
+A recording determines ``Gamma/N``, the torque of the leg over the ratio, only up to the scaling of
+leg parameters and ``alpha_1, alpha_2`` that changes no torque. ``(1 + mu_1) Gamma/N`` and ``(1 -
+mu_2) Gamma/N``, the load at the motor while it drives and is driven, are determined, and so is
+their mean, ``lambda_1 Gamma/N`` of eq. (13). Where the scale is open, ``L`` is this mean, so that
+``F(speed, L)`` is the same along the ridge: an experiment that lifts and lowers the load at one
+speed takes half the sum of the torques for load and half their difference for friction. Where
+something fixes the scale (a known mass, a known leg parameter, ``mu_1 = mu_2``), ``L`` is
+``Gamma/N``.
 """
 
 from __future__ import annotations
@@ -38,11 +37,11 @@ from bayesfric.recordings.measurement import AT_ROOM
 from bayesfric.recordings.observation import Observation
 from bayesfric.results.reported import LEVEL
 
-# Of the recorded range of speed, and of load: outputs so near to a place cover it.
+# Distance from outputs, over the recorded range of speed and load, that is covered.
 NEAR = 0.08
-# Outputs that must be near a place for it to count as recorded.
+# Outputs that must be near a place to cover it.
 FEWEST = 3
-# A quantile of so many draws is known to a fortieth of the band's width.
+# A quantile of so many draws has an error of a fortieth of the band's width.
 _DRAWS = 1000
 _PRIOR_DRAWS = 500
 _POINTS = 121
@@ -84,22 +83,7 @@ class Recorded(Protocol):
 
 
 def friction_curves(fit: Fit, levels: Sequence[float] = ()) -> list[Curve]:
-    """Evaluate friction over speed, where recordings ran: without load, driven, and driving.
-
-    Parameters
-    ----------
-    fit
-        Its draws are those that allow for model discrepancy, where that is ``fit.wide``.
-    levels
-        Speeds are these quantiles of how fast the motor ran near the load; a grid over the recorded
-        range if left out.
-
-    Returns
-    -------
-    list of Curve
-        At no load; where friction depends on load also at nine tenths of the recorded loads that
-        resist the motion, and of those that drive the motor.
-    """
+    """Evaluate friction over speed, where recordings ran: without load, driven, and driving."""
     open_scale = has_open_scale(fit)
     median = fit.target.chain_values(fit.posterior.median[None])
     place = covered(fit, median[0], open_scale)
@@ -117,9 +101,9 @@ def friction_curves(fit: Fit, levels: Sequence[float] = ()) -> list[Curve]:
             continue
         speed = _quantiles(place[0, at_load], levels, symmetric) if levels else _grid(place[0])
         load = np.full(speed.size, x)
-        of = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
-        seen = near(np.stack([speed, load])[:k], place[:k])
-        curves.append(Curve(speed, load, *band(fit, of), seen))
+        torque = partial(friction_torque, fit.chain, speed=speed, load=load, open_scale=open_scale)
+        near_outputs = near(np.stack([speed, load])[:k], place[:k])
+        curves.append(Curve(speed, load, *band(fit, torque), near_outputs))
     return curves
 
 
@@ -130,7 +114,7 @@ def _grid(recorded: Array) -> Array:
     sides = [(low, -least)] if low < -least else []
     sides += [(least, high)] if high > least else []
     speed = np.concatenate([np.linspace(*ends, _POINTS // len(sides)) for ends in sides])
-    # friction jumps at rest, where it has no value
+    # friction jumps at standstill, where it is not defined
     return np.insert(speed, _POINTS // 2, 0.0) if len(sides) > 1 else speed
 
 
@@ -141,9 +125,9 @@ def _quantiles(speed: Array, levels: Sequence[float], symmetric: bool) -> Array:
     """
     ways = []
     for sign in (1.0, -1.0):
-        here = sign * speed[sign * speed > 0.0]
-        size = np.quantile(here if here.size and not symmetric else np.abs(speed), levels)
-        ways.append(sign * np.where(size <= here.max(initial=0.0), size, np.nan))
+        speeds = sign * speed[sign * speed > 0.0]
+        size = np.quantile(speeds if speeds.size and not symmetric else np.abs(speed), levels)
+        ways.append(sign * np.where(size <= speeds.max(initial=0.0), size, np.nan))
     return np.concatenate(ways)
 
 
@@ -159,7 +143,7 @@ def band(fit: Fit, curve: Callable[[Array], Array]) -> tuple[Array, Flags]:
     where a draw has no value. The data determine it where they narrow what the prior has.
     """
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        # points that no draw has are nan, and say so by that
+        # points without a draw are nan
         warnings.simplefilter("ignore", RuntimeWarning)
         before = fit.posterior.prior_draws(_PRIOR_DRAWS, 4)
         every = [curve(fit.chain_draws(_DRAWS)), curve(fit.target.chain_values(before))]
@@ -187,20 +171,19 @@ def friction_torque(
     """
     sign = np.sign(speed)
     elements, table, carried = chain.tables(values)
-    # a load that weighs what is asked for, and nothing else: the same kernel as everywhere
+    # a load of the given weight alone, in the same kernel as everywhere
     table[:] = 0.0
     table[:, kernels.GAIN] = 1.0
     table[:, kernels.GRAVITY] = 1.0
     with np.errstate(divide="ignore"):
         table[:, kernels.FIRST_MOMENT] = 1.0 / load_reach(chain, values, open_scale=open_scale)
-    # what pulls at rest, wherever it goes, is no friction
+    # a torque at standstill is not friction
     rest = State(0.0, 0.0, 0.0, 0.0, 0.0)
     for k, term in enumerate(chain.carried):
         if term.row.column is not None and not term.row.shape and term.row.column(rest) != 0.0:
             carried[:, k, 0] = 0.0
-    # the sine of the angle is put in place of one: the load is any, not that of a position
+    # the sine of the angle carries the load, which belongs to no position
     still = np.zeros_like(load)
-    # at constant speed the torque stands still too
     samples = chain.samples(still, speed / chain.ratio, still, AT_ROOM, still)
     samples = samples._replace(sin_q=np.ascontiguousarray(sign * load), cos_q=still)
     torque = kernels.inverse_many(elements, table, carried, samples)
@@ -208,14 +191,14 @@ def friction_torque(
 
 
 def near(places: Array, recorded: Array) -> Flags:
-    """Tell which places ``(k, N)`` have ``FEWEST`` of the outputs ``(k, M)`` near, ``(N,)``."""
+    """Whether ``FEWEST`` of the outputs ``(k, M)`` are near each place ``(k, N)``: ``(N,)``."""
     reach = _reach(recorded)[:, None]
     apart = (np.abs(recorded - at[:, None]) <= reach for at in places.T)
     return np.array([np.all(close, axis=0).sum() >= FEWEST for close in apart])
 
 
 def _reach(recorded: Array) -> Array:
-    """Say how near to outputs ``(k, M)`` is near, ``(k,)``."""
+    """Give the distance from outputs ``(k, M)`` that counts as near, ``(k,)``."""
     # nine tenths of the outputs, or one jerk would stretch what counts as near
     inner = np.subtract(*np.quantile(recorded, [0.95, 0.05], axis=1)) / 0.9
     return np.asarray(NEAR * np.where(inner > 0.0, inner, np.ptp(recorded, axis=1)))

@@ -1,4 +1,4 @@
-"""What recordings can and cannot tell, before anything is sampled.
+"""What recordings can and cannot determine, before anything is sampled.
 
 The Jacobian of the observed quantity over its noise, in logarithms of the parameters, is taken at
 the estimate. A direction is *null* where its singular value is below 1e-7 of the largest, which is
@@ -6,7 +6,7 @@ a thousand times what rounding makes of an exact zero (1e-6 for a simulated posi
 where the data leave the logarithm of a parameter more than 0.5.
 
 Among the combinations are the base parameters, the motor-side totals of eq. (11), which the data
-may determine whatever else they leave open.
+may determine even where they leave single parameters open.
 """
 
 from __future__ import annotations
@@ -21,12 +21,11 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import bounds_met
 from bayesfric.estimates.information import Directions
-from bayesfric.identifiability.back_emf import SpeedTerm
-from bayesfric.identifiability.coverage import Coverage, back_driven, coverage_of
+from bayesfric.identifiability.coverage import Coverage, back_driving_shares, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
-    derived_beside,
+    derived_gradients,
     in_natural_units,
     joined,
     local_information,
@@ -40,9 +39,12 @@ from bayesfric.identifiability.open_directions import (
     open_rows,
     trials,
 )
+from bayesfric.identifiability.simulated_recording import scaled_jacobian, torque_noise
+from bayesfric.inference.local_units import units_of
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Measurement
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
 
 if TYPE_CHECKING:
@@ -51,201 +53,135 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prospect:
-    """One parameter or derived quantity and how well it would be known.
-
-    Attributes
-    ----------
-    name, unit, meaning
-        As in :class:`bayesfric.mechanism.parameter.Parameter`.
-    value
-        At the estimate; it means nothing where ``data_sd`` is infinite.
-    data_sd
-        Standard deviation that the data alone would leave, the noise being what a fit takes it for.
-    expected_sd
-        Of data and prior together.
-    prior_sd
-        Of a parameter's prior; NaN of what is derived.
-    status
-        To be expected of a fit.
-    on_bound
-        ``lower`` or ``upper`` end of its prior where the estimate is on it: then only a limit can
-        be reported.
-    """
+    """One parameter or derived quantity and how well it would be known."""
 
     name: str
     unit: str
     meaning: str
-    value: float
-    data_sd: float
-    expected_sd: float
-    prior_sd: float = float("nan")
-    status: Status | None = None
+    value: float  # at the estimate; arbitrary where data_sd is infinite
+    data_sd: float  # from the data alone, with the noise of a fit
+    expected_sd: float  # of data and prior together
+    prior_sd: float = float("nan")  # NaN of derived quantities
+    status: Status | None = None  # expected of a fit
+    # end of its prior that the estimate is on: then only a limit can be reported
     on_bound: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Everything that the local picture says.
+    """The identifiability of a model at an estimate."""
 
-    Attributes
-    ----------
-    method, noise
-        Of the likelihood, and what it takes the noise for.
-    memory
-        Whether the noise may be autocorrelated: point estimates weigh all residuals alike, and have
-        other standard deviations then.
-    local
-        Fisher information at the estimate.
-    directions
-        Null ones first, then weak ones, the weakest first.
-    parameters
-        The free ones, in their order.
-    combinations
-        What they amount to, best known first.
-    recordings
-        What each went through.
-    back_driving
-        By element with a load loss, share of the moving outputs in which the load drives it.
-    voltage
-        What a back-EMF cannot be told from, where a torque comes from a voltage.
-    """
-
-    method: str
-    noise: str
+    method: str  # of the likelihood
+    noise: str  # its model of the noise
+    # whether the noise may be autocorrelated: point estimates assume white residuals instead
     memory: bool
     local: LocalInformation
-    directions: tuple[OpenDirection, ...]
-    parameters: tuple[Prospect, ...]
-    combinations: tuple[Prospect, ...]
+    directions: tuple[OpenDirection, ...]  # null ones, then weak ones, the weakest first
+    parameters: tuple[Prospect, ...]  # the free ones, in their order
+    combinations: tuple[Prospect, ...]  # derived quantities, best known first
     recordings: tuple[Coverage, ...]
+    # share of the moving outputs in which the load drives each element
     back_driving: dict[str, float]
-    voltage: SpeedTerm | None
+    voltage: SpeedTerm | None  # where a torque comes from a voltage
 
     @property
     def frame(self) -> pd.DataFrame:
-        """One row a parameter: how well it would be known, by what, and with what it is open."""
+        """One row a parameter: how well it would be known, and what it trades off against."""
         import pandas as pd
 
-        found = pd.DataFrame([vars(one) for one in self.parameters]).set_index("name")
+        table = pd.DataFrame([vars(prospect) for prospect in self.parameters]).set_index("name")
         sharing = [
-            [name for one in self.directions if label in one.exponents for name in one.exponents]
+            [name for d in self.directions if label in d.exponents for name in d.exponents]
             for label in self.local.labels
         ]
-        found["open_with"] = [
+        table["open_with"] = [
             ", ".join(dict.fromkeys(name for name in names if name != label))
             for label, names in zip(self.local.labels, sharing, strict=True)
         ]
-        return found
+        return table
 
     def __repr__(self) -> str:
         return self.frame.to_string(float_format="{:.4g}".format)
 
     @property
     def determined(self) -> list[Prospect]:
-        """Combinations that the data determine, whatever else they do not; no limits.
-
-        Those whose ``data_sd`` is less than half the value. A bound may narrow them further, as it
-        does what a value on it can be traded for.
-        """
+        """Combinations with a ``data_sd`` below half the value; no limits."""
         return [
-            one
-            for one in self.combinations
-            if one.data_sd < WEAK * abs(one.value)
-            and one.status != "unidentified"
-            and not one.on_bound
+            combination
+            for combination in self.combinations
+            if combination.data_sd < WEAK * abs(combination.value)
+            and combination.status != "unidentified"
+            and not combination.on_bound
         ]
 
     @property
     def remarks(self) -> list[str]:
-        """What is to be said of back-driving and of a voltage, a sentence each."""
-        found = map(self._seen, self.back_driving)
-        return [*found, self.voltage.meaning] if self.voltage else [*found]
+        """Sentences on back-driving and on a voltage."""
+        sentences = map(self._back_driving, self.back_driving)
+        return [*sentences, self.voltage.meaning] if self.voltage else [*sentences]
 
-    def _seen(self, element: str) -> str:
-        """Say how often the load drives an element."""
+    def _back_driving(self, element: str) -> str:
+        """Describe how often the load drives an element."""
         share, loss = self.back_driving[element], f"{element}.load_back"
-        said = f"the load drives {element} in {percent(share)} % of the moving outputs"
-        row = next((one for one in self.parameters if one.name == loss), None)
-        open_ = share < HARDLY and row is not None and row.status == "unidentified"
-        return f"{said}: {loss} rests on its prior" if open_ else said
+        sentence = f"the load drives {element} in {percent(share)} % of the moving outputs"
+        row = next((prospect for prospect in self.parameters if prospect.name == loss), None)
+        open_loss = share < HARDLY and row is not None and row.status == "unidentified"
+        return f"{sentence}: {loss} rests on its prior" if open_loss else sentence
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
         voltage = self.voltage
-        found = {
+        fields = {
             "method": self.method,
             "noise": self.noise,
             "directions": self.directions,
-            "combinations": {p.name: _without(p, "name", "prior_sd") for p in self.combinations},
-            "parameters": {p.name: _without(p, "name") for p in self.parameters},
+            "combinations": {p.name: _fields(p, "name", "prior_sd") for p in self.combinations},
+            "parameters": {p.name: _fields(p, "name") for p in self.parameters},
             "back_driving": {
-                name: {"at_estimate": share, "meaning": self._seen(name)}
+                name: {"at_estimate": share, "meaning": self._back_driving(name)}
                 for name, share in self.back_driving.items()
             },
             "recordings": self.recordings,
             "voltage": voltage and {**vars(voltage), "meaning": voltage.meaning},
         }
-        return dict(jsonable(found))
+        return dict(jsonable(fields))
 
 
-def _without(record: Any, *names: str) -> dict[str, Any]:
+def _fields(record: Any, *names: str) -> dict[str, Any]:
     return {name: value for name, value in vars(record).items() if name not in names}
 
 
 def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None) -> Identification:
-    """Find out what the recordings can tell, before anything is sampled.
+    """Compute what the recordings determine at an estimate ``(d,)``, before anything is sampled.
 
-    Parameters
-    ----------
-    target
-        Posterior of the recordings together.
-    estimate
-        ``(d,)`` sampled parameters at which to look, noise scales last.
-    speed
-        What a back-EMF is confounded with, where the torque comes from a voltage.
-
-    Returns
-    -------
-    Identification
-        Standard deviations are of a normal posterior at the estimate; directions that no torque
-        tells are the scalings of section 4.2 of the paper, and what this motion leaves open
-        besides.
-
-    Raises
-    ------
-    BadInput
-        If a simulation fails beside the estimate.
-
-    Notes
-    -----
     With J the Jacobian over the noise and P the priors' variances, the data's information is
     ``J'J`` and a quantity of gradient g has ``sd² = g' (J'J + P^-1)^-1 g``. The scalings are
     structurally unidentifiable; weak directions are practically so [1]_.
 
-    References
-    ----------
     .. [1] A. Raue et al., "Structural and practical identifiability analysis of partially observed
-       dynamical models by exploiting the profile likelihood", Bioinformatics 25 (2009) 1923-1929.
+    dynamical models by exploiting the profile likelihood", Bioinformatics 25 (2009) 1923-1929.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     local = in_natural_units(target, estimate, local_information(target, estimate))
     values = target.chain_values(estimate[None])
     coverage = coverage_of(chain, observations, values[0])
-    shares = back_driven(chain, observations, values)
+    shares = back_driving_shares(chain, observations, values)
     back = {name: float(share[0]) for name, share in shares.items()}
     rare = any(share < HARDLY for share in back.values())
     open_ = any(open_rows(local))
     tried = trials(target, estimate, local, rare=rare) if open_ else []
     free = [p for p in chain.parameters if p.name in target.free]
     bounds = _bounds_met(target, estimate)
-    both = joined(local.directions.told, prior_rows(target, local))
+    both = joined(local.directions.identified, prior_rows(target, local))
     parameters = _parameters(target, estimate, local, bounds, both)
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
         target.likelihood.noise.accounts_for_correlation,
         local,
-        tuple(open_directions(local, free, coverage, back, tried, _told(target, estimate))),
+        tuple(
+            open_directions(local, free, coverage, back, tried, _known_parameters(target, estimate))
+        ),
         parameters,
         _combinations(target, estimate, local, parameters, both),
         coverage,
@@ -255,7 +191,7 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
 
 
 def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
-    """Say of every free parameter on which end of its prior the estimate stands."""
+    """Give the end of its prior that the estimate of each free parameter is on, if any."""
     k = len(target.free)
     low, high = np.array([p.limits for p in target.priors[:k]]).T
     sds = np.array([p.sd() for p in target.priors[:k]])
@@ -270,7 +206,7 @@ def _parameters(
     bounds: Sequence[str | None],
     both: Directions,
 ) -> tuple[Prospect, ...]:
-    """Say of every free parameter what data alone, data and prior, and the prior leave of it."""
+    """Give the sds of every free parameter from data, data and prior, and prior."""
     described = {p.name: p for p in target.likelihood.chain.parameters}
     rows = []
     for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
@@ -282,12 +218,12 @@ def _parameters(
     return tuple(rows)
 
 
-def _status(found: Determined, bound: str | None) -> Status:
-    return "limit" if bound and found != "prior" else KNOWN_BY[found]
+def _status(determined: Determined, bound: str | None) -> Status:
+    return "limit" if bound and determined != "prior" else KNOWN_BY[determined]
 
 
-def _told(target: Target, estimate: Array) -> set[str]:
-    """Name parameters that somebody knows, as their priors say."""
+def _known_parameters(target: Target, estimate: Array) -> set[str]:
+    """Name parameters with an informative prior."""
     return {
         name
         for name, prior, value in zip(target.names, target.priors, estimate, strict=True)
@@ -302,19 +238,87 @@ def _combinations(
     parameters: Sequence[Prospect],
     both: Directions,
 ) -> tuple[Prospect, ...]:
-    """Derive what the parameters amount to, best known first; on a bound where all of them are.
-
-    What is undefined at the estimate, or made of fixed values only, is left out.
-    """
-    found = []
-    for q, value, gradient in derived_beside(target, estimate, local):
+    """Give the derived quantities, best known first; undefined and fixed ones are left out."""
+    combinations = []
+    for q, value, gradient in derived_gradients(target, estimate, local):
         if not np.isfinite([value, *gradient]).all() or not gradient.any():
             continue
         data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)
         ends = [p.on_bound for p, x in zip(parameters, gradient, strict=True) if x]
         on_bound = ends[0] if all(ends) else None
-        # its prior is not looked at here
+        # without its prior
         status = _status(verdict(expected, float("inf"), data_sd), on_bound)
-        one = Prospect(q.name, q.unit, q.meaning, value, data_sd, expected)
-        found.append(replace(one, status=status, on_bound=on_bound))
-    return tuple(sorted(found, key=lambda one: one.data_sd / max(abs(one.value), 1e-300)))
+        prospect = Prospect(q.name, q.unit, q.meaning, value, data_sd, expected)
+        combinations.append(replace(prospect, status=status, on_bound=on_bound))
+    return tuple(sorted(combinations, key=lambda p: p.data_sd / max(abs(p.value), 1e-300)))
+
+
+# Sine of the angle below which two columns of a Jacobian are collinear.
+_COLLINEAR = 1e-6
+
+
+@dataclass(frozen=True)
+class SpeedTerm:
+    """What is collinear with a torque proportional to speed, such as a back-EMF's."""
+
+    recordings: tuple[str, ...]  # whose torque comes from a voltage
+    nominal: float  # the largest kt²/R, in N m s or N s/m at the motor
+    unit: str
+    same_as_back_emf: tuple[str, ...]  # parameters whose effect, single or joint, is collinear
+    explained: float  # share of the term's square that parameters make up for, 0 to 1
+
+    @property
+    def meaning(self) -> str:
+        """Describe what is confounded, and what measurement would separate it."""
+        names = " and ".join(self.same_as_back_emf)
+        premise = (
+            f"torque comes from a voltage ({', '.join(self.recordings)}), less the nominal "
+            f"back-EMF kt²/R ({self.nominal:.3g} {self.unit}, at the motor) times speed"
+        )
+        if not names:
+            return f"{premise}; parameters explain {100.0 * self.explained:.0f} % of an error in it"
+        return (
+            f"{premise}; viscous loss and back-EMF are indistinguishable: it has exactly the shape"
+            f" of {names}: viscous loss plus the error of the nominal kt²/R. A measured current, or"
+            " kt and R measured at a standstill, would distinguish them"
+        )
+
+
+def speed_term(
+    target: Target, parameters: Array, recordings: Sequence[Measurement]
+) -> SpeedTerm | None:
+    """Project a torque proportional to speed on the effects of the parameters.
+
+    With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
+    motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
+    filtered and whitened as the torque is, is projected on the columns of the Jacobian.
+    """
+    observations = target.likelihood.observations
+    nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}
+    names = tuple(o.name for o in observations if o.name in nominal)
+    if not names:
+        return None
+    at, values = units_of(target, parameters), target.chain_values(parameters[None])[0]
+    noise = [torque_noise(target, parameters, r) for r in range(len(observations))]
+    pairs = list(zip(observations, noise, strict=True))
+    blocks = [scaled_jacobian(target, o, values, at, n) for o, n in pairs]
+    jacobian = np.concatenate(blocks)
+    term = np.concatenate(
+        [n.whitened(o.filter.apply(o.qd) * (o.name in names), o) for o, n in pairs]
+    )
+    term /= np.linalg.norm(term)
+    sizes = np.linalg.norm(jacobian, axis=0)
+    unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
+    apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
+    same = np.flatnonzero((sizes > 0.0) & (apart < _COLLINEAR))
+    coefficients = np.linalg.lstsq(unit, term, rcond=1e-9)[0]
+    residual = term - unit @ coefficients
+    if not same.size and np.linalg.norm(residual) < _COLLINEAR:  # as of friction by direction
+        same = np.flatnonzero(np.abs(coefficients) > _COLLINEAR)
+    return SpeedTerm(
+        names,
+        max(nominal[name] for name in names),
+        "N m s" if target.likelihood.chain.motor_motion == "rotary" else "N s/m",
+        tuple(target.free[j] for j in same),
+        float(1.0 - residual @ residual),
+    )

@@ -1,7 +1,7 @@
-"""What the likelihood alone determines near one parameter vector: its Fisher information.
+"""The Fisher information of the likelihood at one parameter vector.
 
-Null directions of the Jacobian, standard deviations that the data alone would leave, and from them
-the verdict by whom a parameter was determined: the data, the prior, or both.
+Null directions of the Jacobian, standard deviations from the data alone, and from them the verdict
+whether data, prior or both determine a parameter.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from bayesfric.estimates.assemble import open_directions
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.torque import torque_jacobian, typical_load
+from bayesfric.inference.likelihood.autoregression import burg
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.local_units import LocalUnits, units_of
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.inference.target import Target
@@ -25,59 +27,46 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 from bayesfric.results.reported import Determined
 
-# Central differences of a torque that is linear are wrong by rounding alone: some 1e-16 of
-# the torque over twice this step. That is 1e-10 of the largest singular value, a thousandth
-# of what NULL allows; what any real recording leaves open is far above both.
+# Central differences of a linear torque err by rounding alone, 1e-16 of the torque over twice this
+# step: 1e-10 of the largest singular value, a thousandth of NULL.
 _STEP = 1e-6
 # A simulation's rounding is larger by the number of its steps, and it is not quite linear.
 _NULL_SIMULATED = 1e-6
-# A direction along which the data leave more than this in a logarithm is weak: a factor
-# exp(0.5) = 1.6 either way.
+# A direction with a larger sd of the logarithm is weak: a factor exp(0.5) = 1.6 either way.
 WEAK = 0.5
-# Share of the prior's sd from which on data do not determine a number.
+# Share of the prior's sd above which data do not determine a number.
 WIDE = 0.5
-# What told priors settle is, without its own, not much wider than it came out, and at least so many
-# times as wide without those.
+# With other parameters' priors a number that they determine is at most so many times as wide as it
+# is, without these at least so many times.
 _WIDER, _BETTER = 1.5, 2.0
-# Share of the measured torque that counts as one for values the data cannot tell from zero.
-_FELT = 0.1
-# Step of the derivatives of what is derived, in the local units.
-_BESIDE = 1e-5
-# Singular values below this share of the largest are rounding once null directions are out.
+# Share of the measured torque that a unit change makes, of values indistinguishable from zero.
+_UNIT_TORQUE = 0.1
+# Step of derivatives of derived quantities, in the local units.
+_DERIVED_STEP = 1e-5
+# Relative singular values below this are rounding once null directions are out.
 _JOINED = 1e-13
-# Entries of a null direction smaller than this do not belong to it.
+# Entries of a null direction smaller than this are rounding.
 _ROUNDING = 1e-5
+# Grid of the search for noise scales: points a scale, and refinements.
+_GRID = _REFINEMENTS = 7
 
 
 @dataclass(frozen=True)
 class NullDirection:
-    """Parameters that can change together without changing any predicted torque.
+    """Parameters that can change together without changing any predicted torque."""
 
-    Attributes
-    ----------
-    exponents
-        By parameter (or alpha of a load loss) its relative change, the largest being one: the
-        powers of one factor. One that is next to zero changes in units of its prior sd.
-    """
-
+    # by parameter (or alpha of load-dependent friction) its power of a common factor, the largest
+    # one; of a parameter next to zero its change in units of the prior sd
     exponents: dict[str, float]
 
     @property
     def meaning(self) -> str:
-        """The same in words, see :func:`meaning_of`."""
+        """The same in words."""
         return meaning_of(self.exponents)
 
 
 def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | None = None) -> str:
-    """Say in words what no torque tells.
-
-    Parameters
-    ----------
-    exponents
-        By parameter its power of one factor k; or its change, of what is ``in_units``.
-    in_units
-        Units of parameters of which no logarithm is taken, as they are next to zero.
-    """
+    """Describe in words a change that no torque shows."""
     names, in_units = ", ".join(exponents), in_units or {}
     if len(exponents) == 1:
         return f"{names} does not show in the torque at all"
@@ -92,30 +81,18 @@ def meaning_of(exponents: Mapping[str, float], in_units: Mapping[str, str] | Non
 
 @dataclass(frozen=True, eq=False)
 class LocalInformation(LocalUnits):
-    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`.
+    """Fisher information of the torque near one parameter vector, in :class:`LocalUnits`."""
 
-    Attributes
-    ----------
-    data_sd
-        ``(d,)`` sd that the data alone would leave, in the parameter's unit; infinite where a null
-        direction touches it.
-    null_rows
-        ``(n_null, d)`` null directions in those units, the largest entry of each one; scalings
-        known from theory first.
-    directions
-        Singular values and vectors of the Jacobian over the noise.
-    from_theory
-        How many null directions, the first, are scalings that hold everywhere (section 4.2).
-    """
-
+    # (d,) sd from the data alone, in the parameter's unit; infinite in a null direction
     data_sd: Array
+    # (n_null, d) null directions in those units, the largest entry one; scalings first
     null_rows: Array
-    directions: Directions
-    from_theory: int = 0
+    directions: Directions  # of the Jacobian over the noise
+    from_theory: int = 0  # how many null directions are scalings (section 4.2)
 
     @property
     def null_directions(self) -> tuple[NullDirection, ...]:
-        """What no torque can tell, by name, in the order of ``null_rows``."""
+        """Null directions by name, in the order of ``null_rows``."""
         named = (zip(self.labels, row.tolist(), strict=True) for row in self.null_rows)
         return tuple(
             NullDirection({label: round(x, 9) for label, x in pairs if abs(x) > _ROUNDING})
@@ -125,56 +102,21 @@ class LocalInformation(LocalUnits):
     @property
     def information(self) -> Array:
         """Fisher information ``(d, d)`` in those units; exactly nothing along null directions."""
-        told = self.directions.told
-        return np.asarray(told.T @ told)
+        rows = self.directions.identified
+        return np.asarray(rows.T @ rows)
 
     def data_sd_of(self, gradient: Array, *, gauge_free: bool = False) -> float:
-        """Give the sd that the data alone would leave of a function of the parameters.
-
-        Parameters
-        ----------
-        gradient
-            ``(d,)`` by the parameters, each in its own unit.
-        gauge_free
-            Whether theory says that no scaling of leg and alpha changes the function: then what
-            rounding leaves along it is taken off the gradient first.
-
-        Returns
-        -------
-        float
-            In the function's unit; infinite where it changes along a null direction.
-        """
+        """Give the sd from the data alone of a function of gradient ``(d,)``."""
         if gauge_free:
             gradient = self.directions.off_known(gradient)
         return self.directions.sd(gradient)
 
 
 def local_information(target: Target, parameters: Array) -> LocalInformation:
-    """Look at the likelihood near one vector of sampled parameters.
+    """Compute the Fisher information at sampled parameters ``(d,)``.
 
-    Parameters
-    ----------
-    target
-        Its likelihood and the noise are looked at, its priors only for the unit of what is next to
-        zero.
-    parameters
-        ``(d,)``, noise scales last, which are taken as known.
-
-    Returns
-    -------
-    LocalInformation
-        Fisher information and null directions, in logarithms of the parameters. The scalings of
-        section 4.2 of the paper are null exactly, others where the singular value is rounding.
-
-    Raises
-    ------
-    BadInput
-        If a simulation fails beside these parameters.
-
-    Notes
-    -----
-    For load losses the logarithm is that of ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 = 1/(1 -
-    mu_2)``, in which leg and gearbox scale along one straight line.
+    For load-dependent friction the logarithm is that of ``alpha_1 = 1/(1 + mu_1)`` and ``alpha_2 =
+    1/(1 - mu_2)``, in which leg and gearbox scale along a straight line.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     at = units_of(target, parameters)
@@ -189,18 +131,18 @@ def local_information(target: Target, parameters: Array) -> LocalInformation:
             'use method = "input-error", or priors that keep parameters off their bounds',
         )
     tolerance = NULL if target.likelihood.method == "input-error" else _NULL_SIMULATED
-    found = directions(jacobian, np.ones(units.size), tolerance, known_null=scalings)
-    # the Jacobian was taken in these units already
-    found = replace(found, units=units)
-    rows = _null_basis(found.rows[found.null], scalings)
+    decomposed = directions(jacobian, np.ones(units.size), tolerance, known_null=scalings)
+    # the Jacobian is in these units already
+    decomposed = replace(decomposed, units=units)
+    rows = _null_basis(decomposed.rows[decomposed.null], scalings)
     unknown = np.full(units.size, np.nan)
-    local = LocalInformation(**vars(at), data_sd=unknown, null_rows=rows, directions=found)
-    sds = np.array([local.data_sd_of(one) for one in np.eye(units.size)])
+    local = LocalInformation(**vars(at), data_sd=unknown, null_rows=rows, directions=decomposed)
+    sds = np.array([local.data_sd_of(gradient) for gradient in np.eye(units.size)])
     return replace(local, data_sd=sds, from_theory=len(scalings))
 
 
 def fixed_in(target: Target, values: Array) -> Knowledge:
-    """Give what is known of a chain: what of ``values`` ``(n_parameters,)`` is not free."""
+    """Give the values ``(n_parameters,)`` that are not free as knowledge."""
     named = zip(target.likelihood.chain.names, values.tolist(), strict=True)
     return Knowledge({name: value for name, value in named if name not in target.free})
 
@@ -208,24 +150,11 @@ def fixed_in(target: Target, values: Array) -> Knowledge:
 def in_natural_units(
     target: Target, parameters: Array, local: LocalInformation
 ) -> LocalInformation:
-    """Measure a value that is small beside its sd from the data by what the torque shows.
+    """Use units of torque for values that are small next to their sd from the data.
 
-    Of a value that may as well be zero, the logarithm says nothing. Where the sd from the data is
-    finite and so large beside the value that its logarithm would be weak, a change that makes a
-    tenth of the measured torque counts as one instead (or the prior's sd, if that is less). Null
-    directions do not touch such parameters, and load losses keep their logarithm of alpha.
-
-    Parameters
-    ----------
-    target, parameters
-        As of :func:`local_information`.
-    local
-        Its result.
-
-    Returns
-    -------
-    LocalInformation
-        The same in other units.
+    The logarithm of a value that may be zero means nothing. Where its sd from the data is finite
+    and its logarithm would be weak, the unit change is the one that makes a tenth of the measured
+    torque (or the prior's sd, if less). Load-dependent friction keeps its logarithm of alpha.
     """
     likelihood = target.likelihood
     values = target.chain_values(parameters[None])[0]
@@ -235,37 +164,25 @@ def in_natural_units(
     k = len(local.names)
     sds = np.array([p.sd() for p in target.priors[:k]])
     with np.errstate(divide="ignore"):
-        floor = np.fmin(_FELT * np.linalg.norm(measured) / effect, sds)
+        floor = np.fmin(_UNIT_TORQUE * np.linalg.norm(measured) / effect, sds)
     size = np.abs(parameters[:k])
     small = np.isfinite(local.data_sd) & (WEAK * size < local.data_sd) & (size < floor)
     small &= local.ways == 0
     units = np.where(small, floor, local.units)
     d = local.directions
-    found = directions(d.told * (units / local.units), np.ones(k), d.tolerance)
+    decomposed = directions(d.identified * (units / local.units), np.ones(k), d.tolerance)
     return replace(
-        local, units=units, shifted=local.shifted | small, directions=replace(found, units=units)
+        local,
+        units=units,
+        shifted=local.shifted | small,
+        directions=replace(decomposed, units=units),
     )
 
 
 def torque_changes(
     chain: Joint, observations: Sequence[Observation], values: Array, at: LocalUnits
 ) -> Array:
-    """Differentiate the filtered torque by the free parameters, each in its own unit.
-
-    Parameters
-    ----------
-    chain, observations
-        The joint, and recordings that need not be the target's.
-    values
-        ``(n_parameters,)`` of the chain.
-    at
-        Names of the free parameters, and units that the steps are a share of.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, d)``, N m or N per unit.
-    """
+    """Differentiate the filtered torque by the free parameters: ``(n_outputs, d)``."""
     columns = [chain.names.index(name) for name in at.names]
     steps = np.zeros(values.size)
     steps[columns] = _STEP * np.abs(at.units)
@@ -273,14 +190,7 @@ def torque_changes(
 
 
 def joined(*rows: Array) -> Directions:
-    """Take the information of several Jacobians together.
-
-    Parameters
-    ----------
-    rows
-        ``(n, d)`` each, over their noise, in one set of units. Null directions are out of them, so
-        only rounding is left out.
-    """
+    """Decompose several Jacobians ``(n, d)`` together."""
     return directions(np.concatenate(rows), np.ones(rows[0].shape[1]), _JOINED)
 
 
@@ -291,55 +201,22 @@ def prior_rows(target: Target, local: LocalInformation) -> Array:
     return np.diag(np.where(np.isfinite(ratio), ratio, 0.0))
 
 
-def derived_beside(
+def derived_gradients(
     target: Target, parameters: Array, local: LocalInformation
 ) -> Iterator[tuple[Derived, float, Array]]:
-    """Give each derived quantity at sampled parameters, with its gradient.
-
-    Parameters
-    ----------
-    target, parameters
-        Posterior, and ``(d,)``, noise scales last.
-
-    Yields
-    ------
-    quantity : Derived
-    value : float
-        At the parameters.
-    gradient : ndarray
-        ``(d,)`` by changes of one in the local units, from central differences, which are exact up
-        to rounding for what is next to linear. It is not finite where the quantity is undefined.
-    """
+    """Give each derived quantity at sampled parameters, with its gradient in local units."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    steps = _BESIDE * np.abs(local.units)
-    beside = np.eye(steps.size, parameters.size) * steps[:, None]
-    vectors = target.chain_values(parameters + np.concatenate([beside, -beside, 0.0 * beside[:1]]))
+    steps = _DERIVED_STEP * np.abs(local.units)
+    shifts = np.eye(steps.size, parameters.size) * steps[:, None]
+    vectors = target.chain_values(parameters + np.concatenate([shifts, -shifts, 0.0 * shifts[:1]]))
     for q in derive(chain, vectors, typical_load(chain, observations, vectors[-1])):
         up, down = q.values[:-1].reshape(2, -1)
         yield q, float(q.values[-1]), (up - down) / (2.0 * steps) * local.units
 
 
 def verdict(posterior_sd: float, prior_sd: float, data_sd: float) -> Determined:
-    """Say whether data or prior determined a parameter.
-
-    Parameters
-    ----------
-    posterior_sd, prior_sd
-        An infinite or undefined prior sd counts as very wide.
-    data_sd
-        What the data alone would leave, from :func:`local_information`.
-
-    Returns
-    -------
-    str
-        ``data``: the posterior is about as wide as the data alone would leave it and at most half
-        as wide as the prior. ``prior``: the data alone would leave it more than twice as wide as
-        the posterior is, and more than half as wide as the prior or five times as wide as the
-        posterior; or they left the prior as it was. ``weak``: in between, as where bounds of others
-        help, or the posterior is much wider than the local picture says, as where it is curved or
-        has several peaks.
-    """
-    if not data_sd > 0.0 or not posterior_sd > 0.0:  # also where it is no number
+    """Whether data, prior or both determined a parameter."""
+    if not data_sd > 0.0 or not posterior_sd > 0.0:  # or nan
         return "prior"
     width = prior_sd if np.isfinite(prior_sd) and prior_sd > 0 else np.inf
     left, share = posterior_sd / width, posterior_sd / data_sd
@@ -356,97 +233,65 @@ def given_by(
     prior_sd: float,
     own: int | None = None,
 ) -> list[str]:
-    """Name the priors, not default ones, that settle a number which the data leave open.
+    """Name the informative priors that determine a number which the data leave open.
 
-    Where a factor common to several numbers changes no torque, the data leave each of them open. A
-    prior on one, such as a weight that was put on scales, settles the factor, and with it all
-    others.
-
-    Parameters
-    ----------
-    local
-        What the data tell near the posterior's median.
-    priors
-        Those of the free parameters first, in the order of ``local.names``.
-    gradient
-        ``(d,)`` of the number, by the parameters.
-    sd, prior_sd
-        What came out for it, and what its prior, or that of what it is made of, says.
-    own
-        Its place where it is a parameter: its own prior is not what gives it.
-
-    Returns
-    -------
-    list of str
-        Names of parameters, one alone where one does it; empty where the data, or default priors,
-        settle it.
+    Where a common factor changes no torque, the data leave each number in it open, and a prior on
+    one, such as a weight on scales, determines all.
     """
     if (np.isfinite(prior_sd) and sd >= WIDE * prior_sd) or not np.isfinite(gradient).all():
         return []
-    few = priors[: len(local.names)]
+    free_priors = priors[: len(local.names)]
     with np.errstate(divide="ignore"):
-        weights = np.abs(local.units) / np.array([prior.sd() for prior in few])
+        weights = np.abs(local.units) / np.array([prior.sd() for prior in free_priors])
     weights = np.nan_to_num(weights, nan=0.0, posinf=0.0)
     if own is not None:
         weights[own] = 0.0
-    default = np.array([prior.default for prior in few])
-    told = [int(i) for i in np.flatnonzero(~default & (weights > 0.0))]
+    default = np.array([prior.default for prior in free_priors])
+    informative = [int(i) for i in np.flatnonzero(~default & (weights > 0.0))]
 
-    def left(some: Collection[int]) -> float:
-        kept = default | np.isin(np.arange(weights.size), list(some))
-        rows = np.diag(np.where(kept, weights, 0.0))
-        return joined(local.directions.told, rows).sd(gradient * local.units)
+    def sd_with(chosen: Collection[int]) -> float:
+        counted = default | np.isin(np.arange(weights.size), list(chosen))
+        rows = np.diag(np.where(counted, weights, 0.0))
+        return joined(local.directions.identified, rows).sd(gradient * local.units)
 
-    every = left(told)
-    # bounds, or a prior of its own, make what comes out narrower still
-    if not every < _WIDER * sd or left(()) < _BETTER * every:
+    with_all = sd_with(informative)
+    # bounds, or its own prior, narrow the number further
+    if not with_all < _WIDER * sd or sd_with(()) < _BETTER * with_all:
         return []
-    best = min(told, key=lambda i: left((i,)))
-    if left((best,)) < _WIDER * every:
+    best = min(informative, key=lambda i: sd_with((i,)))
+    if sd_with((best,)) < _WIDER * with_all:
         return [local.names[best]]
-    needed = [i for i in told if left([j for j in told if j != i]) > _WIDER * every]
-    return [local.names[i] for i in needed or told]
+    needed = [
+        i for i in informative if sd_with([j for j in informative if j != i]) > _WIDER * with_all
+    ]
+    return [local.names[i] for i in needed or informative]
 
 
 def jacobian_of(target: Target, parameters: Array, units: Array) -> Array:
-    """Differentiate the modelled outputs over their noise, per unit.
+    """Differentiate the modelled outputs over their noise, ``(n_outputs, d)`` per unit.
 
-    The torque is linear in nearly every parameter, so central differences are exact up to rounding
-    except where a step changes the direction of power. On a bound of the support they are
-    one-sided.
-
-    Parameters
-    ----------
-    target, parameters
-        Posterior, and sampled parameters, noise scales last.
-    units
-        ``(d,)`` what counts as a change of one, of each free parameter.
-
-    Returns
-    -------
-    ndarray
-        ``(n_outputs, d)``.
+    Central differences, one-sided on a bound of the support.
     """
     k = units.size
     support = {p.name: (p.lower, p.upper) for p in target.likelihood.chain.parameters}
     low, high = np.array([support[name] for name in target.free]).T
     point, steps = parameters[:k], _STEP * units
-    both = np.tile(parameters, (2 * k, 1))
+    points = np.tile(parameters, (2 * k, 1))
     index = np.arange(k)
-    # on a bound one side alone: nothing can be simulated beyond it
-    both[index, index] = np.clip(point + steps, low, high)
-    both[k + index, index] = np.clip(point - steps, low, high)
-    widths = (both[index, index] - both[k + index, index]) / units
+    # one-sided on a bound: nothing can be simulated beyond it
+    points[index, index] = np.clip(point + steps, low, high)
+    points[k + index, index] = np.clip(point - steps, low, high)
+    widths = (points[index, index] - points[k + index, index]) / units
     scales = target.noise.scales(parameters[None, k:])[0]
-    outputs = target.likelihood.standardised(target.chain_values(both), scales)
+    outputs = target.likelihood.standardised(target.chain_values(points), scales)
     return np.concatenate([(o[:k] - o[k:]) / widths[:, None] for o in outputs], axis=1).T
 
 
 def _null_basis(rows: Array, theory: Array) -> Array:
-    """Basis of the null space with many zeros, what theory names first, ``(n_null, d)``.
+    """Give a sparse basis ``(n_null, d)`` of the null space, scalings first.
 
-    The others are only given up to what theory names: one entry of each of those is
-    eliminated, the one that leaves fewest entries.
+    The others are determined up to scalings: one entry for each of those is eliminated, so that
+    fewest remain.
     """
     named = [row / row[int(np.argmax(np.abs(row)))] for row in theory if row.any()]
     rest = rows
@@ -463,7 +308,7 @@ def _null_basis(rows: Array, theory: Array) -> Array:
 
 
 def _sparse(rows: Array) -> Array:
-    """Turn a basis of the null space so that it has many zeros (reduced row echelon)."""
+    """Bring a basis of the null space to reduced row echelon form."""
     basis = rows.copy()
     for i in range(basis.shape[0]):
         pivot = int(np.argmax(np.abs(basis[i])))
@@ -472,3 +317,75 @@ def _sparse(rows: Array) -> Array:
             if j != i:
                 basis[j] -= basis[j, pivot] * basis[i]
     return np.array([row / row[int(np.argmax(np.abs(row)))] for row in basis]).reshape(rows.shape)
+
+
+def estimate_point(target: Target, estimate: Mapping[str, float]) -> Array:
+    """Complete a point estimate to sampled parameters ``(d,)`` by the most likely noise.
+
+    For a likelihood of the torque, partial autocorrelations are Burg's and the scale is the root
+    mean square of the innovations; noise of torque and position are searched on a grid.
+    """
+    values = np.array(
+        [
+            np.clip(prior.turned(np.array(estimate[name])), prior.lower, prior.upper)
+            for name, prior in zip(target.free, target.priors, strict=False)
+        ]
+    )
+    return np.concatenate([values, _likely_scales(target, values)])
+
+
+def _likely_scales(target: Target, values: Array) -> Array:
+    """Estimate the noise scales at which the measurements are about most likely."""
+    likelihood, size = target.likelihood, len(target.noise.names)
+    chain = target.chain_values(np.concatenate([values, np.ones(size)])[None])
+    if isinstance(likelihood, TorqueLikelihood):
+        return _noise_of_residuals(target, likelihood, chain)
+    return _finest_scales(target, chain)
+
+
+def _noise_of_residuals(target: Target, likelihood: TorqueLikelihood, chain: Array) -> Array:
+    """Estimate autocorrelation by Burg's method, and scales from the innovations."""
+    noise, order = target.noise, likelihood.noise.order
+    predicted = likelihood.predict(chain)
+    residuals = [o.measured - p[0] for o, p in zip(likelihood.outputs, predicted, strict=True)]
+    scales = np.tile(likelihood.noise.starts(1.0)[0], (len(residuals), 1))
+    if order:
+        sizes = [float(np.sqrt(np.mean(r**2))) or 1.0 for r in residuals]
+        unit = [r / size for r, size in zip(residuals, sizes, strict=True)]
+        scales[:, 1:] = burg(unit, [o.follows for o in likelihood.outputs], order)
+    scales[:, 0] = 1.0
+    innovations = likelihood.innovations(residuals, scales)
+    scales[:, 0] = [np.sqrt(np.mean(x**2)) for x in innovations]
+    if len(set(noise.places[:, 0].tolist())) == 1:
+        scales[:, 0] = np.sqrt(np.average(scales[:, 0] ** 2, weights=likelihood.sizes))
+    values = np.empty(len(noise.names))
+    values[noise.places] = scales
+    low, high = np.array([(p.lower, p.upper) for p in noise.priors]).T
+    return np.asarray(np.clip(values, np.nextafter(low, np.inf), np.nextafter(high, -np.inf)))
+
+
+def _finest_scales(target: Target, chain: Array) -> Array:
+    """Search noise scales of torque and position on a grid in logarithms, refined seven times."""
+    noise = target.noise
+    kinds = len(dict.fromkeys(noise.quantities))
+    sets = len(noise.names) // kinds
+    tiny = np.finfo(np.float64).tiny
+    low = np.log(np.maximum([p.lower for p in noise.priors[:kinds]], tiny))
+    high = np.log(np.minimum([p.upper for p in noise.priors[:kinds]], 1e12))
+    low = np.maximum(low, high - np.log(1e9))
+    lows, highs = np.tile(low, (sets, 1)), np.tile(high, (sets, 1))
+    index = np.indices((_GRID,) * kinds).reshape(kinds, -1).T
+    best = lows
+    for _ in range(_REFINEMENTS):
+        axes = np.linspace(lows, highs, _GRID)  # (grid, sets, kinds)
+        grid = axes[index[:, None, :], np.arange(sets)[:, None], np.arange(kinds)]
+        scales = np.broadcast_to(np.exp(grid), (len(grid), len(noise.places), kinds))
+        terms = target.likelihood.pointwise(np.tile(chain, (len(grid), 1)), scales)
+        sums = np.stack([t.sum(axis=1) for t in terms], axis=1)  # (grid, recordings)
+        sums = sums.sum(axis=1, keepdims=True) if sets == 1 else sums
+        highest = np.argmax(np.nan_to_num(sums, nan=-np.inf), axis=0)
+        best = grid[highest, np.arange(sets)]
+        # the best and its neighbours, inside the priors
+        reach = (highs - lows) / (_GRID - 1)
+        lows, highs = np.maximum(best - reach, low), np.minimum(best + reach, high)
+    return np.asarray(np.exp(best).reshape(-1))

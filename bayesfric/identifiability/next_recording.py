@@ -13,9 +13,9 @@ References
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -23,120 +23,338 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import open_directions
-from bayesfric.estimates.information import Directions, directions
+from bayesfric.estimates.information import directions
 from bayesfric.identifiability.advice_options import AdviceOptions
-from bayesfric.identifiability.coverage import back_driven
+from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import (
     LocalInformation,
-    derived_beside,
+    derived_gradients,
     fixed_in,
     joined,
     prior_rows,
 )
-from bayesfric.identifiability.proposals import (
-    Candidate,
-    Limits,
-    candidates,
-    fastest,
-    limits_of,
-    longest,
-    try_out,
+from bayesfric.identifiability.simulated_recording import (
+    HEAVIEST,
+    LINES,
+    known_mass,
+    longest_stretch,
+    of_load,
+    sample_period,
+    scaled_jacobian,
+    simulate_recording,
+    sines,
+    square_with_sines,
+    torque_noise,
 )
-from bayesfric.identifiability.virtual_recording import TorqueNoise, scaled_jacobian, torque_noise
 from bayesfric.inference.target import Target
+from bayesfric.mechanism import excitation
+from bayesfric.mechanism.forward import RunsAway
+from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import TURN
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.measurement import Inputs, steady
 from bayesfric.recordings.observation import Observation
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Anything that a candidate leaves of the sd above this share is not worth the effort.
+CandidateKind = Literal["excitation", "known mass", "longer"]
+
+# A candidate that leaves a larger share of the sd is not worth the effort.
 WORTH = 0.95
-# What all standard deviations here take for granted.
 ASSUMPTION = (
     "All sds here hold only if the model is right. Where it misses something, the ± of "
     "'bayesfric fit' is larger: see first what 'bayesfric explain' would add."
 )
-# Share of what counts as a change of one that is next to zero, but is not.
+# Least value of a shape parameter in a simulation, as a share of its unit.
 _OFF_ZERO = 1e-3
+# Default speed limit, over the fastest recorded speed.
+_SPEED_MARGIN = 1.2
+# Longest default recording, s and samples.
+_LONGEST = 30.0
+_LONGEST_SAMPLES = 60_000
+# Frequencies, as multiples of the pace at which the joint oscillated.
+_PACES = (0.5, 1.0, 2.0)
+_CHIRPS = ((0.25, 2.0), (0.5, 5.0))
+_LINES = {"slow multisine": np.array([0.13, 0.29, 0.53, 0.97, 1.9]), "multisine": LINES}
+# Factor on a torque that violates a limit, and how often it is applied.
+_REDUCTION, _TRIES = 0.85, 12
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the next recording."""
+
+    torque: float  # largest command, N m or N
+    speed: float  # of the joint, rad/s or m/s
+    angles: tuple[float, float] | None  # lowest and highest position, rad or m; None for no limit
+    duration: float  # s
+    lag: float  # time constant of the current loop, s
+    masses: tuple[Inputs, ...]  # known masses to bolt on, no mass among them
+    start: float  # initial position: the equilibrium, else that of the longest recording, rad or m
+    recorded_angles: tuple[float, float]  # lowest and highest of the recordings, rad or m
+    held: bool = False  # whether a controller held the joint: only its motion can be repeated
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A command for the motor, and the mass on the load."""
+
+    kind: CandidateKind
+    form: str  # name of the signal, without the amplitude
+    amplitude: float  # largest command, N m or N
+    command: Array  # (N,) N m or N
+    period: float  # of its samples, s
+    lag: float  # time constant of the current loop, s
+    inputs: Inputs  # mass and temperature
+    q0: float  # position and speed at the first sample, rad or m and s
+    qd0: float
+    # the recording where it needs no simulation: the longest again, or its motion with another mass
+    made: Observation | None = None
+    lowered: float = 1.0  # factor on the torque that keeps the limits
+    because_of: str | None = None  # the limit that required it
+
+    @property
+    def duration(self) -> float:
+        """Duration, s."""
+        return self.period * self.command.size
+
+    @property
+    def rows(self) -> Array:
+        """Time (s) and command (N m or N), ``(N, 2)``."""
+        return np.stack([self.period * np.arange(self.command.size), self.command], axis=1)
+
+
+def limits_of(
+    options: AdviceOptions, chain: Joint, observations: Sequence[Observation], values: Array
+) -> Limits:
+    """Complete the configured limits from the recordings."""
+    rotary = chain.load.motion == "rotary"
+    positions = np.concatenate([o.q for o in observations])
+    recorded = float(positions.min()), float(positions.max())
+    carried = [replace(o.inputs, recording="") for o in observations if o.inputs.added_mass]
+    on_hand = [Inputs(m.mass, m.radius) for m in options.masses or ()]
+    for number, mass in enumerate(on_hand, start=1):
+        if rotary and not mass.radius:
+            where = f"advice.masses.{number}.radius"
+            raise BadInput(where, "is missing", 'add radius, such as "0.35 m"')
+    if options.masses is None and not carried:
+        # propose a mass only where none was recorded, and not one too heavy to bolt on
+        guess = known_mass(chain, values)
+        on_hand = [guess] if guess.added_mass < HEAVIEST else []
+    base = longest(observations)
+    # at the temperature of the recording
+    temperature = base.inputs.temperature
+    mean_temperature = None if temperature is None else steady(float(np.mean(temperature.values)))
+    period = sample_period(base)
+    stretch = longest_stretch(base, None)
+    stretch_duration = (stretch.stop - stretch.start) * period
+    duration = options.duration or min(stretch_duration, _LONGEST, _LONGEST_SAMPLES * period)
+    recorded_start = float(base.q[stretch.start])
+    start = _equilibrium(chain, values, recorded_start)
+    # a joint that never reached its equilibrium was held by a controller
+    held = not recorded[0] <= start <= recorded[1]
+    held = held or any("feedback" in o.settings for o in observations)
+    # a joint that made a whole turn has no stops; others may have them beyond the recorded range
+    revolved = rotary and recorded[1] - recorded[0] >= TURN
+    angles = options.angle_limits or (recorded if held or not revolved else None)
+    low, high = angles or (-np.inf, np.inf)
+    if not low <= start <= high:
+        start = recorded_start
+    if not low <= start <= high:
+        unit = "rad" if rotary else "m"
+        raise BadInput(
+            "advice.angle_limits",
+            f"[{low:g}, {high:g}] leaves out {recorded_start:.3g} {unit}, where the joint was when "
+            f"recording {base.name!r} began",
+            "give limits in the recordings' own angle",
+        )
+    masses = dict.fromkeys([Inputs(), *on_hand, *carried])
+    return Limits(
+        options.torque_limit or max(float(np.abs(o.measured).max()) for o in observations),
+        options.speed_limit or _SPEED_MARGIN * max(fastest(o) for o in observations),
+        angles,
+        duration,
+        options.lag,
+        tuple(replace(mass, temperature=mean_temperature) for mass in masses),
+        start,
+        recorded,
+        held,
+    )
+
+
+def longest(observations: Sequence[Observation]) -> Observation:
+    """Find the recording with most outputs, whose rate, filter and noise candidates have."""
+    return max(observations, key=lambda o: o.filter.n_outputs)
+
+
+def fastest(recording: Observation) -> float:
+    """Find the highest speed in the used samples of a recording, rad/s or m/s."""
+    filter_ = recording.filter
+    used = np.zeros(recording.qd.size, dtype=np.bool_)
+    for first in filter_.starts.tolist():
+        used[first : first + len(filter_.taps)] = True
+    return float(np.abs(recording.qd[used]).max())
+
+
+def candidates(
+    chain: Joint, values: Array, observations: Sequence[Observation], limits: Limits
+) -> Iterator[Candidate]:
+    """List the candidates; for a joint that was held, its recorded motion alone.
+
+    First the recorded motion and torque again, as they were and with other known masses. Then
+    square waves, sines, chirps and multisines about the pace at which the joint oscillated.
+    """
+    base = longest(observations)
+    period, hertz, stretch = sample_period(base), base.pace, longest_stretch(base, None)
+    peak = float(np.abs(base.measured).max())
+    # clip noise of the measurement
+    command = np.clip(base.torque[stretch], -peak, peak)
+    command[-1] = 0.0
+    state = float(base.q[stretch.start]), float(base.qd[stretch.start])
+    present = replace(base.inputs, recording="")
+    # measured torque has passed the current loop
+    signal = peak, command, period, 0.0
+    form = f"another recording just like {base.name!r}"
+    yield Candidate("longer", form, *signal, present, *state, base)
+    for bolted in limits.masses:
+        if (bolted.added_mass, bolted.radius) == (present.added_mass, present.radius):
+            continue
+        carrying = _carrying(chain, values, base, bolted)
+        moved = float(np.abs(carrying.measured).max()), carrying.torque[stretch], period, 0.0
+        form = f"the motion of {base.name!r} again"
+        yield Candidate("known mass", form, *moved, bolted, *state, carrying)
+        if not limits.held and peak <= limits.torque:
+            form = f"the torque of {base.name!r} again"
+            yield Candidate("known mass", form, *signal, bolted, *state)
+    if limits.held:
+        return
+    time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
+    unloaded = not any(o.inputs.added_mass for o in observations)
+    for bolted in limits.masses:
+        kind: CandidateKind = "known mass" if bolted.added_mass or not unloaded else "excitation"
+        for form, shape in _shapes(time, hertz):
+            # end without a torque
+            shape[-1] = 0.0
+            signal = limits.torque, limits.torque * shape, period, limits.lag
+            yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
+
+
+def _carrying(chain: Joint, values: Array, base: Observation, bolted: Inputs) -> Observation:
+    """Repeat the motion of a recording with another known mass."""
+    warm = replace(bolted, temperature=base.inputs.temperature)
+    torque = inverse_torque(chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps)
+    return replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
+
+
+def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
+    """Make signals of peak one."""
+    for pace in _PACES:
+        f = pace * hertz
+        yield f"square wave at {f:.3g} Hz", excitation.square(time, 1.0, f)
+        yield f"sine at {f:.3g} Hz", excitation.sine(time, 1.0, f)
+    for low, high in _CHIRPS:
+        first, last = low * hertz, high * hertz
+        form = f"chirp from {first:.3g} to {last:.3g} Hz"
+        yield form, excitation.chirp(time, 1.0, first, last)
+    for name, multiples in _LINES.items():
+        lines = hertz * multiples
+        span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
+        yield f"{name} {span}", sines(time, lines)
+        for pace in _PACES[:2]:
+            f = pace * hertz
+            form = f"square wave at {f:.3g} Hz with a {name} {span}"
+            yield form, square_with_sines(time, f, lines)
+
+
+def try_out(
+    chain: Joint, values: Array, base: Observation, candidate: Candidate, limits: Limits
+) -> tuple[Candidate, Observation] | str:
+    """Simulate a candidate with its torque lowered until it keeps the limits, or say why not."""
+    if candidate.made is not None:  # repeated as it was
+        if candidate.amplitude > limits.torque:
+            return "the torque limit"
+        violated = _violated(candidate.made, fastest(candidate.made), limits)
+        return violated or (candidate, candidate.made)
+    violated_limit = None
+    for factor in (_REDUCTION ** np.arange(_TRIES)).tolist():
+        trial = replace(
+            candidate,
+            amplitude=candidate.amplitude * factor,
+            command=candidate.command * factor,
+            lowered=factor,
+            because_of=violated_limit,
+        )
+        torque = excitation.current_loop(trial.command, trial.period, trial.lag)
+        try:
+            recording = simulate_recording(
+                chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0)
+            )
+            violated_limit = _violated(recording, float(np.abs(recording.qd).max()), limits)
+        except RunsAway:
+            violated_limit = "the joint runs away"
+        except ValueError as error:
+            return str(error)
+        if not violated_limit:
+            return trial, recording
+    return f"{violated_limit}, even with {100.0 * factor:.0f} % of the torque"
+
+
+def _violated(recording: Observation, speed: float, limits: Limits) -> str | None:
+    if speed > limits.speed:
+        return "the speed limit"
+    low, high = limits.angles or (-np.inf, np.inf)
+    inside = low <= float(recording.q.min()) and float(recording.q.max()) <= high
+    return None if inside else "the limits of position"
+
+
+def _equilibrium(chain: Joint, values: Array, near: float) -> float:
+    """Position at which the load hangs, rad; ``near`` without gravity."""
+    load = of_load(chain, values)
+    if "first_moment" not in load:
+        return near
+    angle = load.get("gravity_angle", 0.0) + (np.pi if chain.load.gravity < 0.0 else 0.0)
+    return float(-angle + TURN * np.round((near + angle) / TURN))
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """How well the quantity is known.
+    """How well the quantity is known."""
 
-    Attributes
-    ----------
-    sd
-        Of recordings and prior together, in the quantity's unit; infinite where neither confines
-        it.
-    relative_sd
-        The same as a share of the value, if recordings determine that.
-    data_sd
-        Of the recordings alone; infinite where they leave it open.
-    """
-
-    sd: float
-    relative_sd: float | None
-    data_sd: float
+    sd: float  # from recordings and prior, in the quantity's unit
+    relative_sd: float | None  # as a share of the value, if recordings determine that
+    data_sd: float  # from the recordings alone; infinite where they leave it open
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One recording that could be made next, and what it would do.
-
-    Attributes
-    ----------
-    candidate
-        What to play, with the torque that keeps the limits.
-    after
-        How well the quantity would be known then.
-    load_drives
-        By element with a load loss, share of the moving outputs in which the load drives it.
-    peak_speed, angles
-        Fastest that the joint becomes, rad/s or m/s; lowest and highest position, rad or m.
-    """
+    """A candidate within the limits, and its effect."""
 
     candidate: Candidate
-    after: Uncertainty
-    load_drives: dict[str, float]
-    peak_speed: float
-    angles: tuple[float, float]
+    after: Uncertainty  # with this recording
+    load_drives: dict[str, float]  # share of moving outputs in which the load drives each element
+    peak_speed: float  # rad/s or m/s
+    angles: tuple[float, float]  # lowest and highest position, rad or m
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Candidates by the sd that they would leave of one quantity, the best first.
-
-    Attributes
-    ----------
-    quantity, unit, meaning
-        What is to be known.
-    value
-        At the estimate; it means nothing where ``now.data_sd`` is infinite.
-    now
-        How well it is known at present.
-    advices
-        Candidates that keep the limits, the best first.
-    dropped
-        Candidates that are no use, and why.
-    limits
-        What they had to keep.
-    """
+    """Candidates by the sd that they would leave of one quantity, the best first."""
 
     quantity: str
     unit: str
     meaning: str
-    value: float
+    value: float  # at the estimate; arbitrary where now.data_sd is infinite
     now: Uncertainty
     advices: tuple[Advice, ...]
-    dropped: tuple[tuple[Candidate, str], ...]
+    dropped: tuple[tuple[Candidate, str], ...]  # candidates that cannot be played, and why
     limits: Limits
 
     @property
     def determined(self) -> bool:
-        """Whether the recordings, there and to come, would determine it without the prior."""
-        return any(np.isfinite(one.after.data_sd) for one in self.advices)
+        """Whether present recordings and a candidate would determine it without the prior."""
+        return any(np.isfinite(advice.after.data_sd) for advice in self.advices)
 
     @property
     def worth(self) -> bool:
@@ -148,19 +366,19 @@ class Ranking:
 
     @property
     def verdict(self) -> str:
-        """Whether any candidate is worth making, in a sentence."""
+        """Whether a candidate is worth the effort, in a sentence."""
         if not self.advices:
-            return "Nothing that was tried can be played within the limits."
+            return "None of the candidates can be played within the limits."
         if not self.determined:
             mass = "; a known mass (masses in [advice]) may"
             return (
-                f"No recording that was tried determines {self.quantity}: whatever is recorded, it "
-                f"rests on the priors{mass * (len(self.limits.masses) < 2)}."
+                f"None of the candidates determines {self.quantity}: with any of them, it "
+                f"depends on the priors{mass * (len(self.limits.masses) < 2)}."
             )
         share = self.advices[0].after.sd / self.now.sd
         if not self.worth:
             return (
-                "Nothing that was tried is worth the effort: the best leaves "
+                "None of the candidates is worth the effort: the best leaves "
                 f"{100.0 * share:.0f} % of the sd there is."
             )
         if not np.isfinite(self.advices[0].after.data_sd):
@@ -173,25 +391,28 @@ class Ranking:
 
     @property
     def left_out(self) -> Counter[str]:
-        """Reasons why candidates are no use, with how many there are of each."""
+        """Count the reasons why candidates cannot be played."""
         return Counter(why for _, why in self.dropped)
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``identify --advise --json`` prints; what is infinite is ``None``."""
         rows = [
-            _described(one.candidate)
-            | {"rank": rank, "after": one.after, "load_drives": one.load_drives}
-            | {"peak_speed": one.peak_speed, "angles": one.angles}
-            | {"torque_lowered_to": one.candidate.lowered, "because_of": one.candidate.because_of}
-            for rank, one in enumerate(self.advices, start=1)
+            _described(advice.candidate)
+            | {"rank": rank, "after": advice.after, "load_drives": advice.load_drives}
+            | {"peak_speed": advice.peak_speed, "angles": advice.angles}
+            | {
+                "torque_lowered_to": advice.candidate.lowered,
+                "because_of": advice.candidate.because_of,
+            }
+            for rank, advice in enumerate(self.advices, start=1)
         ]
         masses = [(m.added_mass, m.radius) for m in self.limits.masses if m.added_mass]
-        found = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
-        found |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
-        found |= {"limits": {**vars(self.limits), "masses": masses}}
-        found |= {"assumption": ASSUMPTION, "verdict": self.verdict, "candidates": rows}
-        found["dropped"] = [_described(one) | {"reason": why} for one, why in self.dropped]
-        return dict(jsonable(found))
+        fields = {name: getattr(self, name) for name in ("quantity", "unit", "meaning", "value")}
+        fields |= {"determined": bool(np.isfinite(self.now.data_sd)), "now": self.now}
+        fields |= {"limits": {**vars(self.limits), "masses": masses}}
+        fields |= {"assumption": ASSUMPTION, "verdict": self.verdict, "candidates": rows}
+        fields["dropped"] = [_described(advice) | {"reason": why} for advice, why in self.dropped]
+        return dict(jsonable(fields))
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -204,10 +425,10 @@ class Ranking:
         return self.frame.to_string(float_format="{:.4g}".format)
 
 
-def _described(one: Candidate) -> dict[str, Any]:
-    found = {"kind": one.kind, "form": one.form, "peak_torque": one.amplitude}
-    found |= {"duration": one.duration, "added_mass": one.inputs.added_mass}
-    return found | {"radius": one.inputs.radius, "start": one.q0}
+def _described(candidate: Candidate) -> dict[str, Any]:
+    fields = {"kind": candidate.kind, "form": candidate.form, "peak_torque": candidate.amplitude}
+    fields |= {"duration": candidate.duration, "added_mass": candidate.inputs.added_mass}
+    return fields | {"radius": candidate.inputs.radius, "start": candidate.q0}
 
 
 def ranking(
@@ -219,110 +440,88 @@ def ranking(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Ranking:
-    """Rank candidates for the next recording by what they would leave of one quantity.
+    """Rank candidates for the next recording by the sd they would leave of one quantity.
 
     With the output error, a candidate still adds the information of its torque, at the noise of a
     torque sample.
 
-    Parameters
-    ----------
-    target
-        Posterior of the recordings that there are.
-    point
-        ``(d,)`` sampled parameters at the estimate, noise scales last.
-    local
-        What the recordings tell there, from
-        :func:`bayesfric.identifiability.local.local_information`.
-    options
-        What may be proposed.
-    name
-        A free parameter or a derived quantity.
-    progress
-        Called with each stage before it begins.
-
-    Returns
-    -------
-    Ranking
-        Candidates by the sd that they would leave of ``name``, the best first, in its own unit.
-
-    Raises
-    ------
-    BadInput
-        If there is no such quantity, if it is fixed, or if a limit cannot be.
-
-    Notes
-    -----
     With J the Jacobians over the noise, of present recordings (0) and candidate (1), P the priors'
     variances and g the gradient, ``sd² = g' (J0'J0 + J1'J1 + P^-1)^-1 g``, c-optimality's.
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
-    unit, meaning, value, gradient = _asked(target, point, local, name)
-    limits = limits_of(options, chain, observations, target.chain_values(point[None])[0])
-    values = _movable(target, point, local)
+    unit, meaning, value, gradient = _quantity(target, point, local, name)
+    at_estimate = target.chain_values(point[None])[0]
+    limits = limits_of(options, chain, observations, at_estimate)
+    values = _simulable(target, point, local)
     base, priors = longest(observations), prior_rows(target, local)
     noise = torque_noise(target, point, next(i for i, o in enumerate(observations) if o is base))
 
-    def known(*added: Observation) -> Uncertainty:
-        told = _told(target, values, local, noise, added)
-        if told is None:
+    def uncertainty_with(*added: Observation) -> Uncertainty:
+        rows = [scaled_jacobian(target, o, values, local, noise) for o in added]
+        jacobian, scalings = np.concatenate([local.directions.identified, *rows]), None
+        if (
+            added
+        ):  # project out what all recordings together leave open: rounding makes no finite sd
+            fixed, recordings = fixed_in(target, values), [*observations, *added]
+            scalings = open_directions(chain, fixed, recordings, values) / local.units
+        if not np.isfinite(jacobian).all():
             return Uncertainty(float("inf"), None, float("inf"))
-        sd = joined(told.told, priors).sd(gradient)
-        data_sd = told.sd(gradient)
-        # a share of a value that is not determined would mean nothing
+        unit_steps, tolerance = np.ones(jacobian.shape[1]), local.directions.tolerance
+        informed = directions(jacobian, unit_steps, tolerance, known_null=scalings)
+        sd = joined(informed.identified, priors).sd(gradient)
+        data_sd = informed.sd(gradient)
+        # a share of an undetermined value has no meaning
         share = sd / abs(value) if np.isfinite(data_sd) and value != 0.0 else None
         return Uncertainty(sd, share, data_sd)
 
     advices, dropped = [], []
-    at_estimate = target.chain_values(point[None])[0]
     for candidate in candidates(chain, at_estimate, observations, limits):
         progress(f"simulating {candidate.form}")
-        tried = try_out(chain, values, base, candidate, limits)
-        if isinstance(tried, str):
-            dropped.append((candidate, tried))
+        result = try_out(chain, values, base, candidate, limits)
+        if isinstance(result, str):
+            dropped.append((candidate, result))
             continue
-        made, o = tried
-        shares = back_driven(chain, [o], values[None])
+        played, o = result
+        shares = back_driving_shares(chain, [o], values[None])
         drives = {element: float(share[0]) for element, share in shares.items()}
-        peak = fastest(o) if made.made is not None else float(np.abs(o.qd).max())
+        peak = fastest(o) if played.made is not None else float(np.abs(o.qd).max())
         ends = float(o.q.min()), float(o.q.max())
-        advices.append(Advice(made, known(o), drives, peak, ends))
-    advices.sort(key=lambda one: (one.after.sd, one.after.data_sd))
-    return Ranking(name, unit, meaning, value, known(), tuple(advices), tuple(dropped), limits)
+        advices.append(Advice(played, uncertainty_with(o), drives, peak, ends))
+    advices.sort(key=lambda advice: (advice.after.sd, advice.after.data_sd))
+    return Ranking(
+        name, unit, meaning, value, uncertainty_with(), tuple(advices), tuple(dropped), limits
+    )
 
 
-def _asked(
+def _quantity(
     target: Target, point: Array, local: LocalInformation, name: str
 ) -> tuple[str, str, float, Array]:
-    """Give unit, meaning, value and gradient of what is asked.
-
-    The gradient ``(d,)`` is by changes of one in the local units. Raises :class:`BadInput` for what
-    is no name, is fixed, or is not defined at the estimate.
-    """
+    """Give unit, meaning, value and gradient ``(d,)``, in local units, of a quantity."""
     chain, where = target.likelihood.chain, f"--advise {name}"
     parameters = {p.name: p for p in chain.parameters}
     if name in target.free:
         j, p = target.free.index(name), parameters[name]
         return p.unit, p.meaning, float(point[j]), np.eye(local.units.size)[j] * local.units
     if name in parameters:
-        fixed = target.chain_values(point[None])[0, chain.names.index(name)]
-        what = f"is fixed at {fixed:.6g} by its prior"
-        raise BadInput(where, what, f"give priors.{name} a width, or ask for another quantity")
-    derived = {q.name: (q, value, x) for q, value, x in derived_beside(target, point, local)}
+        value = target.chain_values(point[None])[0, chain.names.index(name)]
+        problem = f"is fixed at {value:.6g} by its prior"
+        raise BadInput(where, problem, f"give priors.{name} a width, or choose another quantity")
+    derived = {q.name: (q, value, x) for q, value, x in derived_gradients(target, point, local)}
     if name not in derived:
-        known = nearest(name, [*parameters, *derived])
-        raise BadInput(where, "no parameter or derived quantity has that name", known)
+        hint = nearest(name, [*parameters, *derived])
+        raise BadInput(where, "no parameter or derived quantity has that name", hint)
     q, value, gradient = derived[name]
     if not np.isfinite(gradient).all() or not gradient.any():
-        what = "is not defined at the estimate, or made of fixed values only"
-        raise BadInput(where, what, "give these priors with a width, or ask for another quantity")
+        problem = "is not defined at the estimate, or made of fixed values only"
+        raise BadInput(where, problem, "give these priors a width, or choose another quantity")
     return q.unit, q.meaning, value, gradient
 
 
-def _movable(target: Target, parameters: Array, local: LocalInformation) -> Array:
-    """Values of the chain ``(n_parameters,)`` that can be simulated, at sampled ones ``(d,)``.
+def _simulable(target: Target, parameters: Array, local: LocalInformation) -> Array:
+    """Give values of the chain ``(n_parameters,)`` that can be simulated.
 
-    What shapes others and is zero, as a Stribeck velocity on its bound, gives a term no one value
-    at rest: so little more that no sample shows it does.
+    A shape of zero, as a Stribeck velocity on its bound, leaves a term undefined at standstill: it
+    is moved off zero by less than any sample shows.
     """
     chain, moved = target.likelihood.chain, parameters.copy()
     for k, name in enumerate(target.free):
@@ -330,27 +529,3 @@ def _movable(target: Target, parameters: Array, local: LocalInformation) -> Arra
         if row.role == "form" and row.lower == 0.0 < row.default:
             moved[k] = max(moved[k], _OFF_ZERO * abs(float(local.units[k])))
     return np.asarray(target.chain_values(moved[None])[0])
-
-
-def _told(
-    target: Target,
-    values: Array,
-    local: LocalInformation,
-    noise: TorqueNoise,
-    added: Sequence[Observation],
-) -> Directions | None:
-    """Take what recordings tell, in the local units, with more of them; ``None`` if one cannot be.
-
-    What theory says that no torque tells is taken out first: rounding never makes a finite sd.
-    """
-    rows, known = local.directions.told, None
-    if added:
-        more = [scaled_jacobian(target, o, values, local, noise) for o in added]
-        rows = np.concatenate([rows, *more])
-        # which scalings are open depends on the masses in all recordings together
-        together = [*target.likelihood.observations, *added]
-        open_ = open_directions(target.likelihood.chain, fixed_in(target, values), together, values)
-        known = open_ / local.units
-    if not np.isfinite(rows).all():
-        return None
-    return directions(rows, np.ones(rows.shape[1]), local.directions.tolerance, known_null=known)

@@ -1,8 +1,7 @@
-"""Directions in which the data leave parameters open: which, why, and what would lift them.
+"""Open directions of the parameters: which, why, and what would close them.
 
-Remedies are tried, not guessed: a value that is known is taken out of the Fisher information, and
-a further recording, with a known mass or another excitation, is simulated and its information
-added.
+Remedies are evaluated: a known value is removed from the Fisher information; a further recording,
+with a known mass or another excitation, is simulated and its information added.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ import numpy as np
 from bayesfric.base.templates import factor, percent
 from bayesfric.identifiability.coverage import Coverage
 from bayesfric.identifiability.local import WEAK, LocalInformation, meaning_of
-from bayesfric.identifiability.virtual_recording import (
+from bayesfric.identifiability.simulated_recording import (
     LAG,
     LINES,
     known_mass,
     longest_stretch,
-    played,
     sample_period,
     scaled_jacobian,
+    simulate_recording,
     square_with_sines,
     torque_noise,
 )
@@ -35,11 +34,11 @@ from bayesfric.recordings.measurement import Inputs
 
 RemedyKind = Literal["known value", "known mass", "excitation"]
 
-# The load drives an element in fewer of the moving samples than this: hardly ever.
+# Share of moving samples below which the load hardly ever drives an element.
 HARDLY = 0.01
-# A remedy has to do more than one more recording of the same kind, which gives 0.71.
-_WORTH = 0.5
-# Of the parameters in a direction, those that change at least this share of the most changed.
+# Factor on the sd of a useful remedy; one more recording of the same kind gives 0.71.
+_USEFUL = 0.5
+# Least change of a parameter in a direction, relative to the largest, to be a remedy for it.
 _MEMBER = 0.3
 # Entries of a null direction smaller than this are rounding.
 _ROUNDING = 1e-5
@@ -49,60 +48,32 @@ _NAMED = 0.2
 
 @dataclass(frozen=True)
 class Remedy:
-    """Something to do about an open direction, and what it was found to do.
-
-    Attributes
-    ----------
-    kind, text
-        A ``known value``, a ``known mass`` or another ``excitation``, and what to do.
-    parameters
-        For a known value: any one of these.
-    log_sd_after
-        Standard deviation of the logarithm along the direction once it is done; ``None`` for a
-        known value.
-    open_after
-        Directions, null or weak, that are then still open; of known values the one that leaves
-        fewest.
-    """
+    """A remedy for an open direction, and its effect."""
 
     kind: RemedyKind
-    text: str
-    parameters: tuple[str, ...]
-    log_sd_after: float | None
-    open_after: int
+    text: str  # what to do
+    parameters: tuple[str, ...]  # for a known value: any single one of these
+    log_sd_after: float | None  # sd of the logarithm along the direction; None for a known value
+    open_after: int  # directions that remain open, with the best of the known values
 
 
 @dataclass(frozen=True)
 class OpenDirection:
-    """Parameters that can change together, and the data say little or nothing.
-
-    Attributes
-    ----------
-    kind
-        ``null`` where nothing changes at all, else ``weak``.
-    exponents
-        By parameter or alpha its power of one factor; of those ``in_units`` the change in their
-        unit that goes with the factor e.
-    in_units
-        Units of parameters next to zero, of which no logarithm is taken.
-    log_sd
-        Standard deviation that the data leave of the factor's logarithm; infinite for a null
-        direction.
-    meaning, reasons, remedies
-        What can change, why it does not show, and what lifts it.
-    """
+    """Parameters that can change together with little or no effect on the data."""
 
     kind: Literal["null", "weak"]
+    # by parameter or alpha its power of a common factor; of those in_units the change in their unit
+    # for a factor of e
     exponents: dict[str, float]
-    in_units: dict[str, str]
-    log_sd: float
+    in_units: dict[str, str]  # units of parameters next to zero, which have no logarithm
+    log_sd: float  # sd of the factor's logarithm; infinite for a null direction
     meaning: str
     reasons: tuple[str, ...]
     remedies: tuple[Remedy, ...]
 
     @property
     def null(self) -> bool:
-        """Whether it changes no output at all."""
+        """Whether no output changes along it."""
         return self.kind == "null"
 
 
@@ -111,29 +82,10 @@ def open_directions(
     free: Sequence[Parameter],
     coverage: Sequence[Coverage],
     back: Mapping[str, float],
-    tried: Sequence[Trial],
-    told: Collection[str],
+    simulated: Sequence[Trial],
+    known: Collection[str],
 ) -> Iterator[OpenDirection]:
-    """List null directions first, then weak ones, the weakest first.
-
-    Parameters
-    ----------
-    local
-        The picture by ``free`` parameters.
-    free
-        Those, in the order of ``local.names``.
-    coverage, back
-        What the recordings went through, and how often the load drives an element.
-    tried
-        Recordings that could help.
-    told
-        Names of parameters whose prior tells them already.
-
-    Yields
-    ------
-    OpenDirection
-        With its reasons and remedies.
-    """
+    """List null directions first, then weak ones, the weakest first."""
     for number, (row, null) in enumerate(open_rows(local)):
         named = np.flatnonzero(np.abs(row) > (_ROUNDING if null else _NAMED)).tolist()
         in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
@@ -144,75 +96,66 @@ def open_directions(
             for j in named
         }
         log_sd = np.inf if null else left_along(local.information, row)
-        more = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
+        rest = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
         theory = number < local.from_theory
         yield OpenDirection(
             "null" if null else "weak",
             exponents,
             in_units,
             log_sd,
-            meaning_of(exponents, in_units) if null else _weak(exponents, in_units, log_sd, more),
+            meaning_of(exponents, in_units) if null else _weak(exponents, in_units, log_sd, rest),
             tuple(_scaling(coverage) if theory else _reasons(free, row, null, coverage, back)),
-            remedies(local, row, tried, told),
+            remedies(local, row, simulated, known),
         )
 
 
 def _weak(
-    exponents: Mapping[str, float], in_units: Mapping[str, str], log_sd: float, more: bool
+    exponents: Mapping[str, float], in_units: Mapping[str, str], log_sd: float, rest: bool
 ) -> str:
-    """Say what one sd along a weak direction is; ``more`` than what is named changes a little."""
+    """Describe one sd along a weak direction; with ``rest`` further parameters change a little."""
     changes = ", ".join(
         f"{name} {x * log_sd:+.2g} {in_units[name]}".strip()
         if name in in_units
         else f"{name} times {factor(x * log_sd)}"
         for name, x in exponents.items()
     )
-    beside = ", with smaller changes of others" if more else ""
-    both = "all " if len(exponents) > 1 else ""
-    return f"{changes}{beside}, or the other way round: {both}within one sd of the data"
+    others = ", with smaller changes of others" if rest else ""
+    all_ = "all " if len(exponents) > 1 else ""
+    return f"{changes}{others}, or the other way round: {all_}within one sd of the data"
 
 
 def open_rows(local: LocalInformation) -> Iterator[tuple[Array, bool]]:
-    """Give null and weak directions in the local units, the largest entry of each one.
-
-    Yields
-    ------
-    row : ndarray
-        ``(d,)``; null ones first, then weak ones, the weakest first, with many zeros.
-    null : bool
-        Whether it changes no output at all. Else one sd along it changes some logarithm by more
-        than :data:`~bayesfric.identifiability.local.WEAK`.
-    """
+    """Give null and weak directions in the local units, the largest entry of each being one."""
     for row in local.null_rows:
         yield row, True
     d = local.directions
-    told = zip(d.singular_values[~d.null], d.rows[~d.null], strict=True)
-    for value, row in reversed(list(told)):
+    identified = zip(d.singular_values[~d.null], d.rows[~d.null], strict=True)
+    for value, row in reversed(list(identified)):
         if np.abs(row).max() > WEAK * value:
-            sparse = _without(row, local.null_rows)
+            sparse = _sparse_row(row, local.null_rows)
             yield sparse / sparse[int(np.argmax(np.abs(sparse)))], False
 
 
-def _without(row: Array, null: Array) -> Array:
-    """Take null directions off a direction, which changes no output, to make it short.
+def _sparse_row(row: Array, null: Array) -> Array:
+    """Subtract null directions to make a direction sparse.
 
-    The sum of absolute entries is least where one of them is zero, so those are tried.
+    The sum of absolute entries is least where an entry is zero, so those are candidates.
     """
     for other in null:
-        hits = np.flatnonzero(np.abs(other) > 1e-6)
-        choices = [row] + [row - row[c] / other[c] * other for c in hits]
-        row = min(choices, key=lambda one: float(np.abs(one).sum()))
+        entries = np.flatnonzero(np.abs(other) > 1e-6)
+        choices = [row] + [row - row[c] / other[c] * other for c in entries]
+        row = min(choices, key=lambda candidate: float(np.abs(candidate).sum()))
     return row
 
 
 def _scaling(coverage: Sequence[Coverage]) -> Iterator[str]:
-    """Say why leg and gearbox scale together (section 4.2 of the paper)."""
+    """Explain why leg and gearbox scale together (section 4.2 of the paper)."""
     mass = ", and every recording carries the same known mass, which counts as load"
     yield (
         "the torque at the motor holds only products of these (section 4.2 of the paper): a load "
-        "twice as heavy behind a gearbox that passes on twice as much feels the same"
+        "twice as heavy behind a gearbox that passes on twice as much makes the same torque"
         + mass
-        * all(one.added_mass for one in coverage)
+        * all(recording.added_mass for recording in coverage)
     )
 
 
@@ -223,23 +166,26 @@ def _reasons(
     coverage: Sequence[Coverage],
     back: Mapping[str, float],
 ) -> Iterator[str]:
-    """Say why a direction is open where theory does not.
+    """Explain a direction that is open although it is not a scaling.
 
-    The load never drives, the joint turns too little or hardly accelerates; else effects look
-    alike.
+    The load never drives, the joint turns too little or hardly accelerates; else effects are
+    collinear.
     """
     members = [p for p, x in zip(free, row, strict=True) if abs(x) > _NAMED]
-    # what they shape: the terms that they fill, or turn
+    # the terms that they fill
     shaped = {kind for p in members for kind, _ in p.row.fills}
-    rare = [element for element, share in back.items() if share < HARDLY]
-    for element in rare:
+    undriven = [element for element, share in back.items() if share < HARDLY]
+    for element in undriven:
         yield (
             f"the load {'hardly ever' if back[element] else 'never'} drives {element}: in "
             f"{percent(back[element])} % of the moving outputs at the estimate"
         )
-    if rare and len(members) > 1:
-        yield f"while the motor always drives, what lies on either side of {rare[0]} acts alike"
-    turn, steady = max(one.turn for one in coverage), min(one.steady for one in coverage)
+    if undriven and len(members) > 1:
+        yield f"while the motor always drives, effects on both sides of {undriven[0]} are collinear"
+    turn, steady = (
+        max(r.turn for r in coverage),
+        min(r.steady for r in coverage),
+    )
     small = ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0
     slow = "inertia" in shaped and steady > 0.8
     if small:
@@ -249,48 +195,27 @@ def _reasons(
             f"the joint hardly accelerates: in {100.0 * steady:.0f} % of the outputs inertia takes "
             "less than a twentieth of the torque"
         )
-    if rare or small or slow:
+    if undriven or small or slow:
         return
     if len(members) > 1:
         yield "their effects on the output have nearly the same shape in these recordings"
     elif null:
         yield f"no output changes with {members[0].name} in these recordings"
     else:
-        yield "its effect on the output is small beside the noise"
+        yield "its effect on the output is small compared with the noise"
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One more recording, simulated at the estimate with the recordings' noise.
-
-    Attributes
-    ----------
-    kind, text
-        As of the :class:`Remedy` that it may become.
-    information
-        ``(d, d)`` that its torque would add, in the local units.
-    """
+    """One more recording, simulated at the estimate with the recordings' noise."""
 
     kind: RemedyKind
     text: str
-    information: Array
+    information: Array  # (d, d) that its torque would add, in the local units
 
 
 def open_counts(information: Array) -> tuple[int, int]:
-    """Count the open directions of a Fisher information.
-
-    Parameters
-    ----------
-    information
-        ``(d, d)``, in the local units.
-
-    Returns
-    -------
-    null : int
-        Eigenvalues that are rounding.
-    open : int
-        Those, and weak ones.
-    """
+    """Count null, and all open, directions of a Fisher information ``(d, d)``."""
     if not information.size:
         return 0, 0
     values, vectors = np.linalg.eigh(information)
@@ -300,29 +225,9 @@ def open_counts(information: Array) -> tuple[int, int]:
 
 
 def trials(
-    target: Target,
-    parameters: Array,
-    local: LocalInformation,
-    *,
-    rare: bool,
+    target: Target, parameters: Array, local: LocalInformation, *, rare: bool
 ) -> list[Trial]:
-    """Simulate the recordings that could help here.
-
-    Parameters
-    ----------
-    target
-        Posterior of the recordings; the longest one's filter and noise are taken.
-    parameters
-        The estimate ``(d,)``, noise scales last.
-    rare
-        Whether the load hardly drove the motor: then a square wave is tried, too.
-
-    Returns
-    -------
-    list of Trial
-        A known mass under the torque of the longest recording, where all carry the same; and a
-        square wave with a multisine. What cannot be simulated, or stands still, is left out.
-    """
+    """Simulate recordings that may be remedies."""
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
     longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
@@ -334,101 +239,73 @@ def trials(
     peak = float(np.quantile(np.abs(measured), 0.99))
     unit = "N m" if chain.motor_motion == "rotary" else "N"
 
-    wanted: list[tuple[RemedyKind, str, Array, Inputs]] = []
+    experiments: list[tuple[RemedyKind, str, Array, Inputs]] = []
 
     def excite(form: str, shape: Array) -> None:
         torque = excitation.current_loop(peak * shape, period, LAG)
         text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
-        wanted.append(("excitation", text, torque, base.inputs))
+        experiments.append(("excitation", text, torque, base.inputs))
 
     if len({replace(o.inputs, recording="") for o in observations}) == 1:
-        mass, another = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
-        text = f"another recording with {another} known added mass (added_mass, radius), such as "
+        mass, article = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
+        text = f"another recording with {article} known added mass (added_mass, radius), such as "
         text += f"{mass.added_mass:g} kg" + (f" at {mass.radius:g} m" if rotary else "")
-        wanted.append(("known mass", text, measured, mass))
+        experiments.append(("known mass", text, measured, mass))
     if rare:
         wave = excitation.square(time, 1.0, hertz)
         excite("in which the load drives the motor, such as a square wave", wave)
     shape = square_with_sines(time, hertz, hertz * LINES)
     excite("of many frequencies, such as a square wave plus a multisine", shape)
-    found = []
-    for kind, text, torque, bolted in wanted:
+    simulated = []
+    for kind, text, torque, bolted in experiments:
         try:
-            recording = played(chain, values, base, torque, bolted)
+            recording = simulate_recording(chain, values, base, torque, bolted)
         except ValueError:
-            continue  # the joint cannot be simulated, or would stand still: nothing to propose
+            continue  # it cannot be simulated, or stays at standstill
         rows = scaled_jacobian(target, recording, values, local, noise)
-        gained = rows.T @ rows
-        if np.isfinite(gained).all():
-            found.append(Trial(kind, text, gained))
-    return found
+        information = rows.T @ rows
+        if np.isfinite(information).all():
+            simulated.append(Trial(kind, text, information))
+    return simulated
 
 
 def remedies(
-    local: LocalInformation, row: Array, tried: Sequence[Trial], told: Collection[str]
+    local: LocalInformation, row: Array, simulated: Sequence[Trial], known: Collection[str]
 ) -> tuple[Remedy, ...]:
-    """Find what lifts one direction, known values first.
-
-    Parameters
-    ----------
-    row
-        ``(d,)`` the direction in its units.
-    tried
-        Recordings that could help.
-    told
-        Parameters that have a narrow prior already: it is no step to give them one.
-
-    Returns
-    -------
-    tuple of Remedy
-        Known values only where fewer directions are open, or null, then; a recording only if it
-        leaves less than :data:`~bayesfric.identifiability.local.WEAK` along the direction and half
-        of what was left before.
-    """
+    """List the remedies for a direction ``(d,)``, known values first."""
     information = local.information
     before = left_along(information, row)
     nulls, opens = open_counts(information)
     null = not np.isfinite(before)
-    found = []
+    useful = []
     members = np.flatnonzero(np.abs(row) >= _MEMBER * np.abs(row).max())
     helping = {}
     for j in members:
-        rest = np.delete(np.delete(information, j, axis=0), j, axis=1)
-        left = open_counts(rest)
-        if local.names[j] not in told and (left[1] < opens or (null and left[0] < nulls)):
-            helping[int(j)] = left[1]
+        others = np.delete(np.delete(information, j, axis=0), j, axis=1)
+        counts = open_counts(others)
+        if local.names[j] not in known and (counts[1] < opens or (null and counts[0] < nulls)):
+            helping[int(j)] = counts[1]
     if helping:
         names = tuple(local.names[j] for j in helping)
         ways = "fix {}, or give it a prior from a data sheet or CAD"
         if len(names) > 1:
             ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
         text = ways.format(", ".join(names))
-        found.append(Remedy("known value", text, names, None, min(helping.values())))
-    for trial in tried:
+        useful.append(Remedy("known value", text, names, None, min(helping.values())))
+    for trial in simulated:
         along = left_along(information + trial.information, row)
-        if along < WEAK and along < _WORTH * before:
+        if along < WEAK and along < _USEFUL * before:
             count = open_counts(information + trial.information)[1]
-            found.append(Remedy(trial.kind, trial.text, (), along, count))
-    return tuple(found)
+            useful.append(Remedy(trial.kind, trial.text, (), along, count))
+    return tuple(useful)
 
 
 def left_along(information: Array, row: Array) -> float:
-    """Sd of the logarithm of the most changed parameter, moving along one direction alone.
-
-    Parameters
-    ----------
-    information
-        ``(d, d)`` in the local units.
-    row
-        ``(d,)`` the direction r.
-
-    Returns
-    -------
-    float
-        ``max(abs(r)) / sqrt(r' I r)``; infinite where the information is rounding.
-    """
+    """Give the sd of the logarithm of the most changed parameter along a direction ``(d,)``."""
     size = float(np.abs(row).max())
-    told = float(row @ information @ row)
-    # what squaring leaves of a null direction is rounding
+    information_along = float(row @ information @ row)
+    # of a null direction squaring leaves rounding
     rounding = 1e-14 * float(np.trace(information)) * float(row @ row)
-    return size / float(np.sqrt(told)) if told > rounding else float("inf")
+    return (
+        size / float(np.sqrt(information_along)) if information_along > rounding else float("inf")
+    )

@@ -18,7 +18,7 @@ from bayesfric.base.progress import Progress, Shown, silent
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.sizes import measured_scales
+from bayesfric.estimates.sizes import typical_sizes
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -198,7 +198,7 @@ def read_priors(
             raise BadInput(
                 f"priors.{name}", "the mechanism has no such parameter", nearest(name, known)
             )
-    scales = measured_scales(chain, observations)
+    scales = typical_sizes(chain, observations)
     priors = {
         p.name: read_prior(p.name, texts[p.name], lower=p.lower, upper=p.upper, circular=p.circular)
         if p.name in texts

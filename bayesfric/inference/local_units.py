@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.assemble import alpha_way
+from bayesfric.estimates.assemble import alpha_sign
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array, Flags
 
@@ -89,7 +89,7 @@ def units_of(target: Target, parameters: Array) -> LocalUnits:
     """
     chain, values = target.likelihood.chain, parameters[: len(target.free)]
     free = [chain.parameters[chain.names.index(name)] for name in target.free]
-    ways = np.array([alpha_way(p) for p in free], dtype=np.int_)
+    ways = np.array([alpha_sign(p) for p in free], dtype=np.int_)
     labels = tuple(
         f"{p.owner}.{p.quantity.replace('load', 'alpha')}" if way else p.name
         for p, way in zip(free, ways, strict=True)

@@ -1,13 +1,10 @@
-r"""A population with outliers among it: its mean and spread without them, and who they are.
+r"""A population with outliers: its mean and spread without them, and each run's probability.
 
-Runs' true values are ``theta_r ~ (1 - e) N(mu, tau^2) + e Out``. The outliers' distribution is
-wide whatever they are: normals about ``mu`` of 3, 10 and 30 times ``sqrt(tau^2 + s^2)``, one third
-each, with ``s`` the median of the runs' own sds. A run enters as in
-:mod:`bayesfric.population.population`, as a mixture of normals, so that its integrals are closed.
-The posterior is on a grid of ``mu``, ``tau`` and ``e``: ``mu`` flat, ``tau`` with that reference
-prior, the share ``e`` Beta(1, 19), one in twenty before anything was seen. What is told of a run is
-the posterior probability that it is of the second kind. Far outliers then widen neither the spread
-nor its interval, as they would those of one normal population.
+Runs' true values are ``theta_r ~ (1 - e) N(mu, tau^2) + e Out``. Outliers have normals about ``mu``
+of 3, 10 and 30 times ``sqrt(tau^2 + s^2)``, one third each, with ``s`` the median of the runs' sds.
+Runs' likelihoods are those of :mod:`bayesfric.population.population`. The posterior is on a grid of
+``mu``, ``tau`` and ``e``: ``mu`` flat, ``tau`` with that reference prior, the share ``e`` Beta(1,
+19), a priori one in twenty. Far outliers then widen neither the spread nor its interval.
 """
 
 from __future__ import annotations
@@ -21,23 +18,23 @@ from bayesfric.population.population import Interval, Likelihood, interval, log_
 from bayesfric.recordings.arrays import Array
 
 # Widths of the outliers' distribution.
-_WIDER = np.array([3.0, 10.0, 30.0])
-# A priori one in twenty; grid of the share.
+_WIDTHS = np.array([3.0, 10.0, 30.0])
+# Prior of the share, Beta(1, 19), and its grid.
 _BETA = 19.0
 _SHARES = np.geomspace(1e-4, 0.4, 14)
-# Spreads that are tried first, in the smallest sd and the largest distance; steps of the two grids.
+# Range of spreads, in the smallest sd and the largest distance; steps of a coarse and a fine grid.
 _NARROWEST, _WIDEST, _COARSE, _FINE = 0.01, 30.0, 60, 36
 _MEANS, _REACH = 25, 5.0
-# What is less likely by so much is left out of the finer grid.
-_FAR = 12.0
+# Difference of the log posterior that is left out of the finer grid.
+_NEGLIGIBLE = 12.0
 _DRAWS, _POINTS = 8000, 64
-# Runs at a time: an array of the grid's fits into the cache.
+# Runs at a time, for the cache.
 _AT_ONCE = 500
 
 
 @dataclass(frozen=True)
 class WithOutliers:
-    """A population, and which runs are none of it."""
+    """A population, and the probability of each run to be an outlier."""
 
     mean: Interval
     spread: Interval  # sd of true values from run to run, outliers apart
@@ -60,10 +57,10 @@ class _Runs:
     def densities(self, mean: Array, spread: float) -> tuple[Array, Array]:
         """Integrals of the runs' likelihoods over both kinds, ``(m, n)`` each."""
         away = (mean[:, None, None] - self.centres) ** 2
-        wide = _WIDER**2 * (spread**2 + self.typical**2)
+        wide = _WIDTHS**2 * (spread**2 + self.typical**2)
         inside, *outside = (
             (self.weights * np.exp(-0.5 * away / v)).sum(axis=2) / np.sqrt(v[:, 0])
-            for v in (self.width**2 + one for one in (spread**2, *wide))
+            for v in (self.width**2 + spread2 for spread2 in (spread**2, *wide))
         )
         return inside, np.mean(outside, axis=0)
 
@@ -78,17 +75,17 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
     means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
     middle, scale = float(np.median(means)), float(np.median(sds))
     means, sds = (means - middle) / scale, sds / scale
-    most = max(r.centres.size for r in runs)
-    centres, weights = np.zeros((2, len(runs), most))
+    count = max(r.centres.size for r in runs)
+    centres, weights = np.zeros((2, len(runs), count))
     for k, run in enumerate(runs):
         centres[k, : run.centres.size] = (run.centres - middle) / scale
         weights[k, : run.centres.size] = run.weights
     width = np.array([[run.width / scale] for run in runs])
-    told = _Runs(centres, weights, width, 1.0)
+    all_runs = _Runs(centres, weights, width, 1.0)
     steps = np.linspace(*_range(means, sds), _FINE)
     centre, error = np.array([_mean(means, sds, tau) for tau in np.exp(steps)]).T
     z = np.linspace(-_REACH, _REACH, _MEANS)
-    parts = told.parts()
+    parts = all_runs.parts()
     log = np.zeros((_FINE, _MEANS, _SHARES.size))
     for i, tau in enumerate(np.exp(steps)):
         for part in parts:
@@ -99,9 +96,9 @@ def with_outliers(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0)
     log += (log_prior(sds, steps) + np.log(error))[:, None, None]
     # of the share: steps are even in its logarithm
     log += (_BETA - 1.0) * np.log1p(-_SHARES) + np.log(_SHARES)
-    chance = np.exp(log - log.max()).ravel()
+    probability = np.exp(log - log.max()).ravel()
     rng = np.random.default_rng(seed)
-    picked = rng.choice(chance.size, _DRAWS, p=chance / chance.sum())
+    picked = rng.choice(probability.size, _DRAWS, p=probability / probability.sum())
     row, column, share = np.unravel_index(picked, log.shape)
 
     def between(size: float) -> Array:
@@ -132,26 +129,26 @@ def _mean(means: Array, sds: Array, tau: float) -> tuple[float, float]:
     variance = sds**2 + tau**2
     mean = float(np.median(means))
     for _ in range(20):
-        kept = _kept(means, variance, mean, tau)
-        mean = float((kept / variance) @ means / (kept / variance).sum())
-    return mean, float(1.0 / np.sqrt((kept / variance).sum()))
+        inliers = _inlier_probability(means, variance, mean, tau)
+        mean = float((inliers / variance) @ means / (inliers / variance).sum())
+    return mean, float(1.0 / np.sqrt((inliers / variance).sum()))
 
 
-def _kept(means: Array, variance: Array, mean: float, tau: float) -> Array:
-    """Give the probability of runs to be none of the outliers, one in fifty being one."""
+def _inlier_probability(means: Array, variance: Array, mean: float, tau: float) -> Array:
+    """Give the probability of runs to be inliers, with one outlier in fifty."""
     inside, outside = _normals(means, variance, mean, tau)
     return np.asarray(0.98 * inside / (0.98 * inside + 0.02 * outside + 1e-300)) + 1e-6
 
 
 def _normals(means: Array, variance: Array, mean: float, tau: float) -> tuple[Array, Array]:
     away = (means - mean) ** 2
-    wide = variance[:, None] + _WIDER**2 * (tau**2 + 1.0)
+    wide = variance[:, None] + _WIDTHS**2 * (tau**2 + 1.0)
     inside = np.exp(-0.5 * away / variance) / np.sqrt(variance)
     return inside, (np.exp(-0.5 * away[:, None] / wide) / np.sqrt(wide)).mean(axis=1)
 
 
 def _range(means: Array, sds: Array) -> tuple[float, float]:
-    """Find the logarithms of the spreads that are worth a finer look."""
+    """Find the range of the spread's logarithm for the finer grid."""
     low, high = _NARROWEST * float(sds.min()), _WIDEST * (float(np.ptp(means)) + float(sds.max()))
     steps = np.linspace(np.log(low), np.log(high), _COARSE)
     log = np.empty(_COARSE)
@@ -161,5 +158,5 @@ def _range(means: Array, sds: Array) -> tuple[float, float]:
         each = np.log(np.maximum(0.98 * inside + 0.02 * outside, 1e-300))
         log[k] = each.sum() + np.log(error)
     log += log_prior(sds, steps)
-    near = np.flatnonzero(log > log.max() - _FAR)
+    near = np.flatnonzero(log > log.max() - _NEGLIGIBLE)
     return steps[max(near[0] - 2, 0)], steps[min(near[-1] + 2, _COARSE - 1)]

@@ -1,14 +1,12 @@
-r"""The population that runs are drawn from, from what each finished run says by itself.
+r"""The population that runs are drawn from, from the posterior of each run alone.
 
-A quantity differs from run to run, ``theta_r ~ N(mu, tau^2)``. Each run's posterior, divided by
-its prior, is its likelihood; the integral of that over ``theta_r`` is what it says of ``mu`` and
-``tau``. So nothing is sampled again: runs' draws are weighted anew. A run enters as a mixture of
-normals, a smooth histogram of its draws, for which the integral is closed.
+A quantity differs from run to run, ``theta_r ~ N(mu, tau^2)``. Each run's posterior divided by its
+prior is its likelihood, here a mixture of normals (a smooth histogram of its draws), whose integral
+over ``theta_r`` is the likelihood of ``mu`` and ``tau`` in closed form.
 
 ``mu`` has a flat prior and ``tau`` the reference prior of the random-effects model [1]_,
-``sqrt(sum tau^2/(s_r^2 + tau^2)^2)``: far above the runs' own sds it is ``1/tau``, and intervals
-are Student's and chi square's; near zero it vanishes, for runs that agree say no more than that
-``tau`` is small. It is proper from two runs on.
+``sqrt(sum tau^2/(s_r^2 + tau^2)^2)``: far above the runs' sds it is ``1/tau``, and intervals are
+Student's and chi square's; near zero it vanishes. It is proper from two runs on.
 
 References
 ----------
@@ -27,24 +25,24 @@ from scipy import stats
 
 from bayesfric.recordings.arrays import Array
 
-# Normals that a run's likelihood is made of, and the width of each in the run's sd.
+# Normals in a run's likelihood, and the width of each in the run's sd.
 _NORMALS, _WIDTH = 32, 0.35
-# Share of the draws beyond the outermost, to either side.
-_FAR = 1e-3
-# How many times likelier by its prior one place in a posterior may count than another.
-_MOST = 100.0
-# Grid of the spread (from a share of the smallest sd to so many times all there is) and of the
+# Share of the draws beyond the outermost normal, on either side.
+_TAIL = 1e-3
+# Largest ratio of prior weights within a posterior.
+_LARGEST_RATIO = 100.0
+# Grid of the spread (from a share of the smallest sd to a multiple of the whole range) and of the
 # mean, in its sds given the spread.
 _SPREADS, _NARROWEST, _WIDEST = 90, 0.01, 300.0
 _MEANS, _REACH = 49, 6.0
 _DRAWS = 8000
-# Runs disagree where runs of one truth would differ as much more seldom than this.
-_SELDOM = 0.05
+# p value of one common truth below which runs disagree.
+_P_VALUE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """What one run says of a quantity: a mixture of normals."""
+    """One run's likelihood of a quantity: a mixture of normals."""
 
     centres: Array  # (k,)
     weights: Array  # (k,), sum one
@@ -52,33 +50,18 @@ class Likelihood:
 
     @property
     def mean(self) -> float:
-        """Of the mixture."""
+        """Mean of the mixture."""
         return float(self.weights @ self.centres)
 
     @property
     def sd(self) -> float:
-        """Of the mixture."""
+        """Standard deviation of the mixture."""
         apart = float(self.weights @ (self.centres - self.mean) ** 2)
         return float(np.sqrt(apart + self.width**2))
 
 
 def likelihood(draws: Array, sd: float | None = None, prior: Array | None = None) -> Likelihood:
-    """Make a run's likelihood from draws of its posterior ``(n,)``.
-
-    Parameters
-    ----------
-    draws
-        Those that are no numbers are left out.
-    sd
-        The draws are widened about their median to it: room for the model's error.
-    prior
-        Draws of its prior ``(m,)``, by which the posterior is divided; flat if left out.
-
-    Raises
-    ------
-    ValueError
-        If the draws do not differ.
-    """
+    """Make a run's likelihood from draws of its posterior ``(n,)``."""
     x = draws[np.isfinite(draws)]
     spread = float(x.std())
     if not spread > 0.0:
@@ -87,24 +70,24 @@ def likelihood(draws: Array, sd: float | None = None, prior: Array | None = None
     if sd is not None:
         x = middle + (x - middle) * (sd / spread)
         spread = sd
-    counts, edges = np.histogram(x, _NORMALS, range=tuple(np.quantile(x, [_FAR, 1.0 - _FAR])))
+    counts, edges = np.histogram(x, _NORMALS, range=tuple(np.quantile(x, [_TAIL, 1.0 - _TAIL])))
     points, weights = 0.5 * (edges[1:] + edges[:-1]), counts / counts.sum()
     width = _WIDTH * spread
-    # with the normals' own width the mixture is as wide as the draws
+    # narrower, so that with the normals' width the mixture is as wide as the draws
     mean = float(x.mean())
-    own = weights @ points
-    narrower = np.sqrt((spread**2 - width**2) / (weights @ (points - own) ** 2))
-    points = mean + (points - own) * narrower
+    centre = weights @ points
+    narrower = np.sqrt((spread**2 - width**2) / (weights @ (points - centre) ** 2))
+    points = mean + (points - centre) * narrower
     if prior is not None:
-        more = 1.0 / _density(prior, points)
-        weights = weights * np.clip(more, None, _MOST * more.min())
+        ratios = 1.0 / _density(prior, points)
+        weights = weights * np.clip(ratios, None, _LARGEST_RATIO * ratios.min())
         weights /= weights.sum()
-    kept = weights > 0.0
-    return Likelihood(points[kept], weights[kept], width)
+    positive = weights > 0.0
+    return Likelihood(points[positive], weights[positive], width)
 
 
 def normal(mean: float, sd: float) -> Likelihood:
-    """Give the likelihood of a run that is told by a mean and a sd alone."""
+    """Give the likelihood of a run known by a mean and an sd."""
     return Likelihood(np.array([mean]), np.ones(1), sd)
 
 
@@ -127,26 +110,26 @@ class Interval:
 
 @dataclass(frozen=True)
 class Varying:
-    """What is known of a quantity that differs between runs."""
+    """A quantity that differs between runs."""
 
     mean: Interval  # of the population
-    spread: Interval  # its standard deviation: how much true values differ between runs
+    spread: Interval  # its standard deviation
     following: Interval  # the true value in the next recording
-    runs: tuple[Interval, ...]  # each run's true value, with what the others say
+    runs: tuple[Interval, ...]  # each run's true value, given all runs
 
 
 @dataclass(frozen=True)
 class Population(Varying):
     """The same from runs fitted alone, and whether they agree."""
 
-    # Cochran's Q of one common truth, and how often chance alone gives as much
+    # Cochran's Q of one common truth, and its p value
     q: float
     p_value: float
 
     @property
     def agree(self) -> bool:
-        """Whether runs differ by no more than their intervals let expect."""
-        return self.p_value >= _SELDOM
+        """Whether runs differ by no more than chance."""
+        return self.p_value >= _P_VALUE
 
 
 def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) -> Population:
@@ -157,7 +140,7 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
     if len(runs) < 2:
         raise ValueError("a population takes two runs or more")
     means, sds = np.array([r.mean for r in runs]), np.array([r.sd for r in runs])
-    # of order one, so that the grid is as fine for 1e-5 as for 10
+    # scaled to order one
     middle, scale = float(np.median(means)), float(sds.min())
     means, sds = (means - middle) / scale, sds / scale
     widest = _WIDEST * (float(np.ptp(means)) + float(sds.max()))
@@ -173,12 +156,14 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
     # the prior, steps even in log tau, and those of the mean as wide as it
     log = log + log_prior(sds, steps)[:, None]
     log = log - 0.5 * np.log(total)[:, None]
-    chance = np.exp(log - log.max()).ravel()
+    probability = np.exp(log - log.max()).ravel()
     rng = np.random.default_rng(seed)
-    row, column = np.divmod(rng.choice(chance.size, _DRAWS, p=chance / chance.sum()), _MEANS)
+    row, column = np.divmod(
+        rng.choice(probability.size, _DRAWS, p=probability / probability.sum()), _MEANS
+    )
     tau = np.exp(steps[row] + (rng.random(_DRAWS) - 0.5) * (steps[1] - steps[0]))
-    own = z[column] + (rng.random(_DRAWS) - 0.5) * (z[1] - z[0])
-    mu = centre[row] + own / np.sqrt(total[row])
+    z_drawn = z[column] + (rng.random(_DRAWS) - 0.5) * (z[1] - z[0])
+    mu = centre[row] + z_drawn / np.sqrt(total[row])
     following = mu + tau * rng.standard_normal(_DRAWS)
     weights = 1.0 / sds**2
     q = float(weights @ (means - weights @ means / weights.sum()) ** 2)
@@ -188,7 +173,7 @@ def population(runs: Sequence[Likelihood], level: float = 0.9, seed: int = 0) ->
         mean=own_unit(mu),
         spread=interval(tau, level, unit=scale),
         following=own_unit(following),
-        runs=tuple(own_unit(_shrunk(part, mu, tau, rng)) for part in parts),
+        runs=tuple(own_unit(_draw_run(part, mu, tau, rng)) for part in parts),
         q=q,
         p_value=float(stats.chi2.sf(q, len(runs) - 1)),
     )
@@ -221,11 +206,11 @@ def _log_likelihood(part: _Part, mean: Array, spread: Array) -> Array:
     scale = -0.5 / variance
     for centre, weight in zip(centres.tolist(), weights.tolist(), strict=True):
         total += weight * np.exp(scale * (mean - centre) ** 2)
-    # where all vanish no other run's likelihood can make up for it
+    # no other run's likelihood can compensate where all vanish
     return np.asarray(np.log(np.maximum(total, 1e-300)) - 0.5 * np.log(variance))
 
 
-def _shrunk(part: _Part, mean: Array, spread: Array, rng: np.random.Generator) -> Array:
+def _draw_run(part: _Part, mean: Array, spread: Array, rng: np.random.Generator) -> Array:
     """Draw a run's true value given draws of the population ``(n,)``."""
     centres, weights, width = part
     variance = width**2 + spread**2

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.attenuation import Attenuated, attenuations
-from bayesfric.estimates.delay import own_delay
-from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.delay import estimate_delay
 from bayesfric.estimates.fine_motion import fine_motion, with_fine_motion
-from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.knowledge import Estimation, Knowledge
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
@@ -80,8 +79,8 @@ def prepare(
         if chain.delay:
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
-            given = Given(chain, observations, known, tables.estimation, lambda: ())
-            late = prior.value if prior.fixed else own_delay(given, divided.recordings)
+            given = EstimationInputs(chain, observations, known, tables.estimation, lambda: ())
+            late = prior.value if prior.fixed else estimate_delay(given, divided.recordings)
             if not prior.fixed and abs(late) > min(
                 longest_delay(o, r.period)
                 for r, o in zip(divided.recordings, divided.observations, strict=True)

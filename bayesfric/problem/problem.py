@@ -19,9 +19,9 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.larger_model import Candidate, better
+from bayesfric.estimates.larger_model import FittedModel, predicts_better
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
+from bayesfric.estimates.methods import ESTIMATORS, EstimationInputs, estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
@@ -156,9 +156,9 @@ class Problem:
         return as_knowledge(self.chain, self.priors)
 
     @property
-    def evidence(self) -> Given:
+    def evidence(self) -> EstimationInputs:
         """What point estimates are made from."""
-        return Given(
+        return EstimationInputs(
             self.chain,
             self.observations,
             self._knowledge,
@@ -221,8 +221,8 @@ class Problem:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
         A term stays where the model with it tells more of what it has not seen, see
-        :func:`bayesfric.estimates.larger_model.better`; else there is room for it. A delay changes
-        other parameters by much, and goes in only where no other kind explains as much.
+        :func:`bayesfric.estimates.larger_model.predicts_better`; else there is room for it. A delay
+        changes other parameters by much, and goes in only where no other kind explains as much.
 
         That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
 
@@ -251,15 +251,15 @@ class Problem:
             for one in wanted[: MOST - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue
-                if better(made := trial._candidate(progress), found):
+                if predicts_better(made := trial._candidate(progress), found):
                     model, found = trial, made
                     taken.append(one)
                     break
             else:
                 return model, tuple(taken), left
 
-    def _candidate(self, progress: Shown) -> Candidate:
-        return Candidate(self.evidence, self.estimates(["input-error"], progress=progress)[0])
+    def _candidate(self, progress: Shown) -> FittedModel:
+        return FittedModel(self.evidence, self.estimates(["input-error"], progress=progress)[0])
 
     def _with(self, one: Finding) -> Self | None:
         """Put in a finding; nothing where the configuration names what it would replace."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bayesfric.identifiability.back_emf import SpeedTerm
+from bayesfric.identifiability.identification import SpeedTerm
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.doubts import references_off

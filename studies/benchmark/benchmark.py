@@ -27,9 +27,8 @@ import problem
 from run_rivals import disagreement, run_rivals
 
 from bayesfric.base.progress import Progress
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.inference.fitting import fit, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood

@@ -24,9 +24,8 @@ if __name__ == "__main__":
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import METHODS, Estimate

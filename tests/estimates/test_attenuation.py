@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 import bayesfric as bf
-from bayesfric.estimates.attenuation import _seen
+from bayesfric.estimates.attenuation import _fit_band
 from bayesfric.mechanism.forward import simulate
 from tests.axis import AXIS, VALUES
 
@@ -72,7 +72,7 @@ def test_what_a_band_shows_is_least_squares_beside_what_a_delay_would_leave():
     recording = swinging(0.0, 3)
     model = bf.Model(AXIS, recording, processing={"decimate": 5, "lowpass": "30 Hz"})
     (o,) = model.observations
-    (found,) = (_seen(AXIS, r, o) for r in model.recordings)
+    (found,) = (_fit_band(AXIS, r, o) for r in model.recordings)
     rate = np.gradient(o.torque, 1.0 / RATE)
     by = {
         "motor.inertia": o.qdd, "motor.viscous": o.qd, "motor.coulomb": np.sign(o.qd),
@@ -89,6 +89,6 @@ def test_what_a_band_shows_is_least_squares_beside_what_a_delay_would_leave():
     assert found.band == pytest.approx(0.5 / o.period)
     assert found.left == pytest.approx(squares / free / found.band, rel=0.02)
     few = bf.Model(AXIS, recording, processing={"decimate": 40, "lowpass": "2.5 Hz"})
-    assert _seen(AXIS, few.recordings[0], few.observations[0]) is None
+    assert _fit_band(AXIS, few.recordings[0], few.observations[0]) is None
     massless = bf.Joint([bf.Element("motor", coulomb="symmetric", viscous=True)])
-    assert _seen(massless, model.recordings[0], o) is None
+    assert _fit_band(massless, model.recordings[0], o) is None

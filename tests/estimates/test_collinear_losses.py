@@ -6,7 +6,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.collinear_losses import collinear_losses
+from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 
 TWO = bf.Joint(

@@ -8,7 +8,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.delay import found_delay
+from bayesfric.estimates.delay import settled_delay
 from bayesfric.estimates.least_squares import least_squares
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
@@ -42,7 +42,7 @@ def bench(late, seed, duration=10.0):
 def by_totals(model):
     chain = replace(model.chain, delay=True)
     pairs = list(zip(model.recordings, model.observations, strict=True))
-    return found_delay(pairs, lambda there: least_squares(chain, there), chain)
+    return settled_delay(pairs, lambda there: least_squares(chain, there), chain)
 
 
 @pytest.mark.parametrize("late", [0.3, 2.0, -1.0])

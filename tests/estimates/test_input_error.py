@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.descent import Terms, TorqueProblem, descend
-from bayesfric.estimates.estimation import Estimation
+from bayesfric.estimates.descent import Terms, TorqueProblem, minimise
 from bayesfric.estimates.input_error import contradicted, input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
@@ -110,7 +109,7 @@ def test_a_prior_is_contradicted_by_so_many_sds_of_both(make_observation, kind):
         if kind == "normal":
             sd = 2.0 * free.larger_sd
             mean = free.value - times * np.hypot(sd, free.larger_sd)
-            knowledge = Knowledge(told={"motor.viscous": (mean, sd)})
+            knowledge = Knowledge(priors={"motor.viscous": (mean, sd)})
         else:
             knowledge = Knowledge(
                 bounds={"motor.viscous": (0.0, free.value - times * free.larger_sd)}
@@ -194,7 +193,7 @@ def test_sds_are_those_of_repeated_noise(knee):
     found = np.empty((repeats, truth.size))
     for i in range(repeats):
         problem = TorqueProblem(chain, [noisy()], Knowledge())
-        found[i] = descend(problem, Terms(np.ones(o.measured.size)), truth).x
+        found[i] = minimise(problem, Terms(np.ones(o.measured.size)), truth).x
     spread = {name: found[:, i].std(ddof=1) for i, name in enumerate(chain.names)}
     spread |= {d.name: d.values.std(ddof=1) for d in derive(chain, found, load)}
     # the sd of each sd: 1/sqrt(2(m-1)) from m repeats, 1/sqrt(2(n-d)) in the claimed one
@@ -209,7 +208,7 @@ def test_a_told_value_sets_the_scale_with_its_own_sd(knee):
     chain = KNEE.chain()
     o = knee(sigma=2e-3)
     free = input_error(chain, [o], Knowledge(), FEW)
-    told = Knowledge(told={"load.first_moment": (0.41, 0.02)})
+    told = Knowledge(priors={"load.first_moment": (0.41, 0.02)})
     estimate = input_error(chain, [o], told, FEW)
     # nothing else knows of the scale
     assert estimate["load.first_moment"].value == pytest.approx(0.41, rel=1e-6)
@@ -234,7 +233,7 @@ def test_told_values_set_the_scale_by_their_variances(knee):
         "load.inertia": (0.23, 0.02),
         "joint.viscous": (3.0, 1),
     }
-    found = input_error(chain, [o], Knowledge(told=told), FEW)
+    found = input_error(chain, [o], Knowledge(priors=told), FEW)
     true = np.array([KNEE.values[name] for name in told])
     mean, sd = np.array(list(told.values())).T
     factor = np.sum(true * mean / sd**2) / np.sum((true / sd) ** 2)
@@ -251,7 +250,7 @@ def test_a_told_motor_value_is_weighed_against_the_data(make_observation):
     o = make_observation(chain, AXIS.values, sigma=0.02)
     alone = input_error(chain, [o], Knowledge(), FEW)["motor.inertia"]
     mean, sd = alone.value + 2.0 * alone.sd, alone.sd
-    both = input_error(chain, [o], Knowledge(told={"motor.inertia": (mean, sd)}), FEW)
+    both = input_error(chain, [o], Knowledge(priors={"motor.inertia": (mean, sd)}), FEW)
     assert both["motor.inertia"].value == pytest.approx((alone.value + mean) / 2, rel=1e-6)
     # sigma is taken anew from residuals that the told value has made a little larger
     assert both["motor.inertia"].sd == pytest.approx(sd / np.sqrt(2), rel=5e-3)

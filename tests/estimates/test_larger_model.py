@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.larger_model import Candidate, better
-from bayesfric.estimates.methods import Given
+from bayesfric.estimates.knowledge import Estimation, Knowledge
+from bayesfric.estimates.larger_model import FittedModel, predicts_better
+from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.element import Element
@@ -24,8 +23,8 @@ TRUE = {"motor.inertia": 0.05, "motor.viscous": 0.1, "motor.coulomb": 0.3, "moto
 
 def candidate(joint, observation):
     options = Estimation(starts=1)
-    given = Given(joint, [observation], Knowledge(), options, lambda: [])
-    return Candidate(given, input_error(joint, [observation], Knowledge(), options))
+    inputs = EstimationInputs(joint, [observation], Knowledge(), options, lambda: [])
+    return FittedModel(inputs, input_error(joint, [observation], Knowledge(), options))
 
 
 @pytest.fixture
@@ -64,7 +63,7 @@ def test_each_quarter_is_foretold_by_the_others(recorded):
 def test_a_term_has_to_help_with_what_it_has_not_seen(recorded, quarters, worth):
     o = recorded(quarters, 0.02)
     larger, smaller = candidate(LARGE, o), candidate(SMALL, o)
-    assert better(larger, smaller) == worth
+    assert predicts_better(larger, smaller) == worth
     # by the residuals of all it would be worth it, see the Bayesian information criterion
     gain = smaller.estimate.residual_rms / larger.estimate.residual_rms
     assert 2.0 * o.measured.size * math.log(gain) > math.log(o.measured.size)
@@ -76,7 +75,7 @@ def stated(rms, **values):
         EstimatedValue(f"motor.{name}", "", "", "", value, sd, kind="parameter")
         for name, (value, sd) in values.items()
     )
-    one = Candidate(None, Estimate("input-error", found, rms, 400, ""))
+    one = FittedModel(None, Estimate("input-error", found, rms, 400, ""))
     one.__dict__["left_out_rms"] = rms
     return one
 
@@ -94,7 +93,7 @@ KNOWN = {"inertia": (0.1, 0.01), "coulomb": (0.3, 0.01), "offset": (0.05, 0.01)}
     ],
 )
 def test_a_term_has_to_be_known(new, worth):
-    assert better(stated(0.5, **KNOWN, **new), stated(1.0, **KNOWN)) == worth
+    assert predicts_better(stated(0.5, **KNOWN, **new), stated(1.0, **KNOWN)) == worth
 
 
 # 3 s at 100 Hz, of which 0.1 s are cut off either end: delays up to 0.3 s are searched
@@ -116,8 +115,8 @@ SHORT = SimpleNamespace(
 def test_a_delay_is_determined_and_stays_so(before, after, worth):
     known = {"quadratic": (0.02, 0.001), "delay": after}
     smaller = stated(1.0, **KNOWN, **({} if before is None else {"delay": before}))
-    larger = replace(stated(0.5, **KNOWN, **known), given=SimpleNamespace(observations=[SHORT]))
+    larger = replace(stated(0.5, **KNOWN, **known), inputs=SimpleNamespace(observations=[SHORT]))
     larger.__dict__["left_out_rms"] = 0.5
-    smaller = replace(smaller, given=larger.given)
+    smaller = replace(smaller, inputs=larger.inputs)
     smaller.__dict__["left_out_rms"] = 1.0
-    assert better(larger, smaller) == worth
+    assert predicts_better(larger, smaller) == worth

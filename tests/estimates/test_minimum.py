@@ -10,15 +10,14 @@ from scipy.optimize import least_squares as scipy_least_squares
 from bayesfric.estimates.descent import (
     Terms,
     TorqueProblem,
-    bounded_step,
-    descend,
     few_threads,
+    minimise,
 )
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares, totals_regressors
+from bayesfric.estimates.shooting_fit import bounded_step
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import inverse_torque
@@ -85,7 +84,7 @@ CASES = {
     ),
     "knee, told": (
         KNEE, knee,
-        Knowledge(told={"load.first_moment": (0.4, 0.01), "motor.inertia": (3.5e-4, 1e-6)}),
+        Knowledge(priors={"load.first_moment": (0.4, 0.01), "motor.inertia": (3.5e-4, 1e-6)}),
     ),
     "servo": (SERVO, servo, Knowledge()),
 }  # fmt: skip
@@ -107,15 +106,15 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
         values = chain.vector(dict(zip(names, x, strict=True)) | knowledge.fixed)
         torque = inverse_torque(chain, values[None], o.q, o.qd, o.qdd)[0]
         left = weights * (o.measured - o.filter.apply(torque))
-        told = [4e-3 * (m - x[names == name][0]) / sd for name, (m, sd) in knowledge.told.items()]
+        told = [4e-3 * (m - x[names == name][0]) / sd for name, (m, sd) in knowledge.priors.items()]
         return np.concatenate([left, told])
 
     begin = problem.inside(1.1 * chain.vector(preset.values))
     np.testing.assert_allclose(
         terms.residual(problem, begin)[: weights.size], squares(begin)[: weights.size], atol=1e-12
     )
-    found = descend(problem, terms, begin)
-    assert found.height == pytest.approx(np.sum(squares(found.x) ** 2), rel=1e-9)
+    found = minimise(problem, terms, begin)
+    assert found.squares == pytest.approx(np.sum(squares(found.x) ** 2), rel=1e-9)
     size = np.maximum(np.abs(found.x), 1e-3)
     low, high = (np.where(np.isfinite(x), x, s * 1e9 * size) for x, s in (
         (problem.lower, -1.0), (problem.upper, 1.0)))  # fmt: skip
@@ -123,32 +122,32 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
         lambda u: squares(u * size), np.clip(begin / size, low / size + 1e-9, high / size - 1e-9),
         bounds=(low / size, high / size), xtol=1e-12, ftol=1e-12, gtol=1e-12,
     )  # fmt: skip
-    assert found.height <= 2.0 * theirs.cost * (1.0 + 1e-9)
+    assert found.squares <= 2.0 * theirs.cost * (1.0 + 1e-9)
     for width in (1e-1, 1e-3, 1e-5):
         near = found.x + width * size * rng.standard_normal((60, size.size))
         heights = [np.sum(squares(x) ** 2) for x in np.clip(near, problem.lower, problem.upper)]
-        assert min(heights) >= found.height * (1.0 - 1e-9)
+        assert min(heights) >= found.squares * (1.0 - 1e-9)
     slope = terms.jacobian(problem, found.x).T @ terms.residual(problem, found.x) * size
     below, above = found.x == problem.lower, found.x == problem.upper
     assert below.sum() + above.sum() == (2 if "bounds" in case else 0)
-    scale = np.linalg.norm(terms.jacobian(problem, found.x) * size, axis=0) * found.height**0.5
+    scale = np.linalg.norm(terms.jacobian(problem, found.x) * size, axis=0) * found.squares**0.5
     assert (np.abs(slope / scale)[~below & ~above] < 1e-4).all()
     assert (slope[below] < 0.0).all()
     assert (slope[above] > 0.0).all()
 
 
 def test_a_search_within_a_linear_torque_takes_few_derivatives(make_observation, monkeypatch):
-    """Every step but the first, damped, is Gauss and Newton's, which is exact there."""
+    """From five times the truth SciPy's trust region takes a few Gauss-Newton steps."""
     o = make_observation(AXIS, VALUES, sigma=0.1)
     problem = TorqueProblem(AXIS, [o], Knowledge())
-    asked = []
+    calls = []
     jacobian = problem.jacobian
-    monkeypatch.setattr(problem, "jacobian", lambda x: asked.append(1) or jacobian(x))
-    found = descend(problem, Terms(np.ones(o.measured.size)), 5.0 * AXIS.vector(VALUES))
+    monkeypatch.setattr(problem, "jacobian", lambda x: calls.append(1) or jacobian(x))
+    found = minimise(problem, Terms(np.ones(o.measured.size)), 5.0 * AXIS.vector(VALUES))
     names, regressors = totals_regressors(AXIS, [o])
     least = np.linalg.lstsq(regressors, o.measured, rcond=None)[1][0]
-    assert found.height == pytest.approx(least, rel=1e-9)
-    assert len(asked) <= 5
+    assert found.squares == pytest.approx(least, rel=1e-9)
+    assert len(calls) <= 10
     assert len(names) == len(AXIS.names)
 
 
@@ -188,7 +187,7 @@ def stated(estimate, chain, observations, knowledge, weights):
     singular = np.linalg.svd(jacobian * unit, compute_uv=False)
     freedom = residual.size - np.count_nonzero(singular > 1e-6 * singular[0])
     variance = residual @ residual / freedom
-    rows = np.array([[float(n == f) / sd for f in free] for n, (_, sd) in knowledge.told.items()])
+    rows = np.array([[float(n == f) / sd for f in free] for n, (_, sd) in knowledge.priors.items()])
     rows = rows.reshape(-1, len(free))
     whole = (jacobian.T @ jacobian + variance * rows.T @ rows) * np.outer(unit, unit)
     inverse = np.linalg.inv(whole) * np.outer(unit, unit)
@@ -258,7 +257,7 @@ def test_recordings_and_told_values_are_weighed_by_their_variances(make_observat
         for i, (n, s) in enumerate(((400, 0.02), (150, 0.2), (250, 0.05)))
     ]
     told = {"motor.viscous": (0.1, 0.002), "offset": (0.06, 0.01)}
-    found = input_error(AXIS, observations, Knowledge(told=told), FEW)
+    found = input_error(AXIS, observations, Knowledge(priors=told), FEW)
     order = [AXIS.names.index(n) for n in told]
     xs = [
         np.stack(

@@ -7,8 +7,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import least_squares as scipy_least_squares
 
 from bayesfric.estimates.descent import few_threads
-from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.output_error import OutputError, output_error
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.estimates.shooting import Shooting
@@ -83,7 +82,7 @@ CASES = {
     "free": Knowledge(),
     "fixed": Knowledge(fixed={"load.first_moment": 0.05}),
     "one": Knowledge(fixed={"load.first_moment": 0.05, "motor.inertia": 0.02}),
-    "told": Knowledge(told={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
+    "told": Knowledge(priors={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
     "bound": Knowledge(bounds={"motor.viscous": (0.0, 0.09)}),
 }
 
@@ -110,7 +109,7 @@ def test_the_nearest_motion_is_scipy_s(case):
         left = shooting.measured - shooting.positions(whole[None], states)[0]
         told = [
             np.sqrt(variance) * (mean - whole[NAMES.index(n)]) / sd
-            for n, (mean, sd) in knowledge.told.items()
+            for n, (mean, sd) in knowledge.priors.items()
         ]
         return np.concatenate([left, told])
 
@@ -127,7 +126,7 @@ def test_the_nearest_motion_is_scipy_s(case):
     by = by - states @ np.linalg.lstsq(states, by, rcond=None)[0]
     sigma2 = left @ left / freedom
     information = by.T @ by / sigma2
-    for name, (_, sd) in knowledge.told.items():
+    for name, (_, sd) in knowledge.priors.items():
         information[free.index(NAMES.index(name)), free.index(NAMES.index(name))] += sd**-2
     spread = np.sqrt(np.diag(np.linalg.inv(information)))
     values = fit.solution.values[free]

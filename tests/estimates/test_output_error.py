@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.estimation import Estimation
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.element import Element, Load
@@ -141,7 +140,7 @@ def test_a_told_value_settles_what_the_scaling_leaves_open():
     chain, values, torque, q = simulated("rabbit-knee")
     rng = np.random.default_rng(1)
     parts = [prepare(q + 1e-5 * rng.standard_normal(q.size), torque)]
-    told = Knowledge(told={"load.first_moment": (0.42, 0.021)})
+    told = Knowledge(priors={"load.first_moment": (0.42, 0.021)})
     found = fitted(chain, start(chain, values, 0.02), parts, told, substeps=1, segment=0.2)
     assert found["load.first_moment"].value == pytest.approx(0.42, rel=1e-4)
     # nothing but the told value knows the scale

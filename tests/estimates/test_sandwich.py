@@ -125,7 +125,7 @@ def test_what_theory_says_is_open_is_open_whatever_differences_say():
     assert not directions(blurred, units).null.any()
     # the told rows make the same information as what is seen off that direction
     seen = (blurred * units) @ off @ off.T
-    np.testing.assert_allclose(found.told.T @ found.told, seen.T @ seen, atol=1e-9)
+    np.testing.assert_allclose(found.identified.T @ found.identified, seen.T @ seen, atol=1e-9)
     gradient = np.array([1.0, 3e3, 2e-3, 1.0])
     left = found.off_known(gradient)
     assert left @ along == pytest.approx(0.0, abs=1e-12)

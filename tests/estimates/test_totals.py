@@ -13,9 +13,9 @@ from bayesfric.estimates.least_squares import (
     total_label,
     totals_regressors,
 )
-from bayesfric.estimates.sizes import measured_scales, sizes_at
-from bayesfric.estimates.torque import places, torque_jacobian, weighed_torque
-from bayesfric.estimates.torque_form import shortest, torque_form
+from bayesfric.estimates.sizes import sizes_at, typical_sizes
+from bayesfric.estimates.torque import places, torque_jacobian, weighted_torque
+from bayesfric.estimates.torque_form import minimum_norm, torque_form
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
@@ -230,7 +230,7 @@ def test_the_map_to_totals_is_the_same_before_the_filter_and_by_other_names():
     np.testing.assert_allclose(total, found, rtol=1e-9)
     vectors = RICH.vector(v) * np.array([[1.0], [1.1]])
     weighed = sum(
-        weighed_torque(RICH, o, w, vectors) for w, o in zip(weights, observations, strict=True)
+        weighted_torque(RICH, o, w, vectors) for w, o in zip(weights, observations, strict=True)
     )
     exact = least_squares(RICH, observed(RICH, v))
     np.testing.assert_allclose(weighed[:, 0], [x.value for x in exact.values], rtol=1e-9)
@@ -259,7 +259,7 @@ def test_sizes_are_what_is_seen_where_outputs_are():
     q[off] = 1e6
     observations[0] = replace(o, q=q, position_step=0.01)
     observations[1] = replace(observations[1], position_step=0.002)
-    scales = measured_scales(RICH, observations)
+    scales = typical_sizes(RICH, observations)
     at = [o.filter.centres for o in observations]
 
     def joined(name):
@@ -291,10 +291,10 @@ def test_sizes_are_what_is_seen_where_outputs_are():
     assert scales.exchanged == pytest.approx(max(least))
     small = [replace(o, q=0.1 * o.q) for o in observed(PER_RUN, values_of(PER_RUN))]
     leans = [np.abs(np.sin(o.q[o.filter.centres])).max() for o in small]
-    assert measured_scales(PER_RUN, small).lean == pytest.approx(max(leans))
+    assert typical_sizes(PER_RUN, small).lean == pytest.approx(max(leans))
     steady = [replace(o, qd=np.ones_like(o.qd), qdd=0.0 * o.qd) for o in observations]
     outputs = sum(o.measured.size * o.period for o in steady)
-    assert measured_scales(RICH, steady).acceleration == pytest.approx(1.0 / outputs)
+    assert typical_sizes(RICH, steady).acceleration == pytest.approx(1.0 / outputs)
     # speeds go with the ratio, torque against it
     for owner, before, behind in (("motor", 1.0, 10.0), ("joint", 4.0, 2.5), ("load", 10.0, 1.0)):
         here = sizes_at(RICH, owner, scales)
@@ -346,7 +346,7 @@ def test_columns_that_others_can_stand_for_are_those_of_a_null_direction():
     rng = np.random.default_rng(5)
     x, target = rng.standard_normal((60, 5)) * [1.0, 1e-3, 5.0, 1.0, 40.0], rng.standard_normal(60)
     x[:, 3] = x[:, 0] - 700.0 * x[:, 1]
-    size, shared, solution, basis = shortest(x)
+    size, shared, solution, basis = minimum_norm(x)
     np.testing.assert_array_equal(shared, [True, True, False, True, False])
     np.testing.assert_allclose(size * (solution @ target), np.linalg.pinv(x / size) @ target)
     np.testing.assert_allclose(basis @ basis.T, x @ np.linalg.pinv(x), atol=1e-12)

@@ -12,15 +12,15 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.identifiability.local import local_information
-from bayesfric.identifiability.next_recording import ranking
-from bayesfric.identifiability.proposals import (
+from bayesfric.identifiability.next_recording import (
     candidates,
     fastest,
     limits_of,
     longest,
+    ranking,
     try_out,
 )
-from bayesfric.identifiability.virtual_recording import HEAVIEST, known_mass, played
+from bayesfric.identifiability.simulated_recording import HEAVIEST, known_mass, simulate_recording
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.element import Load
 from bayesfric.mechanism.forward import simulate
@@ -199,7 +199,7 @@ def test_the_mass_that_is_there_already_is_no_news():
 
 def test_a_played_recording_is_prepared_like_a_real_one(square):
     """Play the same torque: the virtual recording is the recording, up to its last digits."""
-    again = played(CHAIN, VALUES, square, square.torque, Inputs(), (0.0, 0.0))
+    again = simulate_recording(CHAIN, VALUES, square, square.torque, Inputs(), (0.0, 0.0))
     np.testing.assert_array_equal(again.filter.starts, square.filter.starts)
     np.testing.assert_allclose(again.qdd, square.qdd, atol=1e-9 * np.abs(square.qdd).max())
     np.testing.assert_array_equal(again.measured, square.measured)

@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.identifiability.at_estimate import estimate_point
-from bayesfric.identifiability.back_emf import speed_term
 from bayesfric.identifiability.coverage import coverage_of
-from bayesfric.identifiability.identification import identify
-from bayesfric.identifiability.local import WEAK, joined, local_information, prior_rows
+from bayesfric.identifiability.identification import identify, speed_term
+from bayesfric.identifiability.local import (
+    WEAK,
+    estimate_point,
+    joined,
+    local_information,
+    prior_rows,
+)
 from bayesfric.identifiability.open_directions import left_along, open_counts
-from bayesfric.identifiability.virtual_recording import played
+from bayesfric.identifiability.simulated_recording import simulate_recording
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.filters import lay_windows, parallel_taps
@@ -144,7 +148,7 @@ def test_what_is_proposed_does_it(lagged):
     for name in fixed.parameters:
         known = look(plain, texts={name: KNEE.values[name]})
         assert not any(one.null for one in known.directions)
-    loaded = played(CHAIN, VALUES, plain, plain.torque, Inputs(2.0, 0.35))
+    loaded = simulate_recording(CHAIN, VALUES, plain, plain.torque, Inputs(2.0, 0.35))
     both = look(plain, loaded)
     assert not any(one.null for one in both.directions)
     assert all(np.isfinite(one.data_sd) for one in both.parameters)
@@ -174,13 +178,13 @@ def test_the_same_mass_everywhere_counts_as_load():
 
 def test_a_back_emf_has_the_shape_of_viscous_loss():
     target, parameters = problem(recorded(LAGGED))
-    played = made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up")
+    simulate_recording = made_recording(TIME, 0.0 * TIME, LAGGED, PERIOD, name="made-up")
     law = Law(LAGGED, np.ones(N), back_emf=0.3)
-    found = speed_term(target, parameters, [replace(played, law=law, ratio=10.0)])
+    found = speed_term(target, parameters, [replace(simulate_recording, law=law, ratio=10.0)])
     assert found.same_as_back_emf == ("motor.viscous",)
     assert found.nominal == pytest.approx(0.03)
     assert found.explained == pytest.approx(1.0, abs=1e-9)
-    assert speed_term(target, parameters, [played]) is None
+    assert speed_term(target, parameters, [simulate_recording]) is None
 
 
 def test_sds_are_those_of_a_linear_model_with_normal_priors(make_observation):
@@ -208,7 +212,7 @@ def test_a_flat_improper_scale_is_infinite_not_large(lagged):
     flat = SimpleNamespace(sd=lambda: np.inf)
     wide = SimpleNamespace(free=target.free, priors=(flat,) * len(target.priors))
     local = local_information(target, parameters)
-    both = joined(local.directions.told, prior_rows(wide, local))
+    both = joined(local.directions.identified, prior_rows(wide, local))
     named = np.array([label in SCALED for label in lagged.local.labels])
     sds = np.array([both.sd(one) for one in np.eye(named.size)])
     assert np.isinf(sds[named]).all()

@@ -11,7 +11,7 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.sizes import Scales, measured_scales
+from bayesfric.estimates.sizes import TypicalSizes, typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.prior.as_knowledge import as_knowledge
@@ -112,7 +112,7 @@ def test_a_part_of_a_turn_stays_where_it_is_and_a_distribution_is_cut_round_its_
 @pytest.mark.parametrize("preset", PRESETS)
 def test_default_priors_hold_the_presets_own_values(preset):
     chain = PRESETS[preset].chain()
-    scales = Scales(torque=1.0, speed=2.0, acceleration=30.0)
+    scales = TypicalSizes(torque=1.0, speed=2.0, acceleration=30.0)
     for p in chain.parameters:
         prior = default_prior(chain, p, scales)
         assert prior.default
@@ -135,7 +135,7 @@ def test_what_a_swing_stores_may_take_more_than_the_motor_gives():
     true = {"motor.inertia": inertia, "motor.viscous": 0.02, "load.first_moment": moment}
     torque = joint.torque(true, swing, qd, qdd)
     recording = bf.Recording.from_arrays(time=t, position=swing, torque=torque)
-    scales = measured_scales(joint, bf.Model(joint, recording).observations)
+    scales = typical_sizes(joint, bf.Model(joint, recording).observations)
     assert scales.torque < 0.4 * 9.81 * moment * math.sin(0.3)
     sds = {p.name: default_prior(joint, p, scales).sd() for p in joint.parameters}
     assert sds["load.first_moment"] > 0.25 * moment
@@ -148,7 +148,7 @@ def test_what_a_swing_stores_may_take_more_than_the_motor_gives():
 def test_default_scales_follow_the_shaft():
     """A joint loss may be N times the motor's, a joint viscosity N² times."""
     chain = PRESETS["rabbit-knee"].chain()
-    scales = Scales(torque=1.0, speed=2.0, acceleration=40.0)
+    scales = TypicalSizes(torque=1.0, speed=2.0, acceleration=40.0)
     sd = {
         p.name: float(p_prior.distribution.kwds["scale"])
         for p in chain.parameters
@@ -166,7 +166,9 @@ def test_default_scales_follow_the_shaft():
 def test_noise_of_a_position_may_be_as_small_as_what_the_encoder_resolves():
     """2^20 counts at a motor behind a ratio of 50: a step is 4e-9 of the joint's range."""
     step = 2.0 * np.pi / 2**20 / 50.0
-    sizes = Scales(torque=1.0, speed=2.0, acceleration=40.0, position=30.0, position_step=step)
+    sizes = TypicalSizes(
+        torque=1.0, speed=2.0, acceleration=40.0, position=30.0, position_step=step
+    )
     prior = SCALES["position"].read_prior({}, sizes)
     rounding = step / math.sqrt(12.0)
     assert 0.2 * rounding < prior.lower < 0.5 * rounding
@@ -209,6 +211,6 @@ def test_a_point_estimate_takes_what_is_fixed_ranged_and_told(make_observation):
     assert found.fixed == {"motor.inertia": 0.01}
     assert found.bounds["motor.viscous"] == (0.01, 0.2)
     # ten sds above its bound: the cut does not show
-    assert found.told == {"motor.coulomb": pytest.approx((0.2, 0.02))}
+    assert found.priors == {"motor.coulomb": pytest.approx((0.2, 0.02))}
     # a default prior is a guess of ours, not knowledge
     assert found.bounds["offset"] == (-math.inf, math.inf)

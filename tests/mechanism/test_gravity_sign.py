@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bayesfric.estimates.estimation import Estimation
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.identifiability.proposals import _hanging
+from bayesfric.identifiability.next_recording import _equilibrium
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.gearbox_coordinates import choose_coordinates
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
@@ -66,7 +65,7 @@ def test_inverse_and_forward_are_those_half_a_turn_on(case):
 def test_it_hangs_where_gravity_pulls_it_back(case):
     _, turned, values = case
     x = turned.vector(values)
-    rest = _hanging(turned, x, 0.4)
+    rest = _equilibrium(turned, x, 0.4)
     torque = inverse_torque(turned, x, [rest - 0.1, rest, rest + 0.1], np.zeros(3), np.zeros(3))
     assert torque[0] < 0.0 < torque[2]
     assert torque[1] == pytest.approx(0.0, abs=1e-12)

@@ -230,8 +230,8 @@ def test_every_other_form_takes_it(case):
 def test_every_power_of_speed_has_a_total():
     # what does not grow with a power of speed is a total of its own
     own = [q for q in QUANTITIES.values() if q.role == "own" and q.power is not None]
-    filled = {kind for q in own for kind, _ in q.fills}
-    assert filled - set(TOTALS) == {"spring", "spring_cubic"}  # not of the motor's motion
+    filled_columns = {kind for q in own for kind, _ in q.fills}
+    assert filled_columns - set(TOTALS) == {"spring", "spring_cubic"}  # not of the motor's motion
 
 
 def test_every_option_has_a_meaning_and_every_choice_brings_something():

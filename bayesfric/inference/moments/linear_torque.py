@@ -25,7 +25,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bayesfric.estimates.torque_form import Term, columns, filled, torque_form
+from bayesfric.estimates.torque_form import Term, columns, filled_columns, torque_form
 from bayesfric.inference.moments.shape_nodes import ShapeNodes
 from bayesfric.mechanism.chain import slots_of
 from bayesfric.mechanism.joint import Joint
@@ -224,7 +224,9 @@ class LinearTorque:
             ]
             only = np.zeros((len(self.chain.names), 1))
             only[rows] = 1.0
-            kinds = {k for i in rows for k, _ in filled(self.chain, self.chain.parameters[i])}
+            kinds = {
+                k for i in rows for k, _ in filled_columns(self.chain, self.chain.parameters[i])
+            }
             used = tuple(self._names.index(k) for k in self._names if k in kinds)
             yield _Group(along, weights, front * only, behind * only, used)
 

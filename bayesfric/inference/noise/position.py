@@ -6,7 +6,7 @@ deviations have when nothing is said of them?
 
 from __future__ import annotations
 
-from bayesfric.estimates.sizes import Scales
+from bayesfric.estimates.sizes import TypicalSizes
 from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
 from bayesfric.inference.prior.priors import PriorText
 
@@ -17,7 +17,7 @@ _OF_STEP = 0.1
 _OF_RANGE = 1e-10
 
 
-def _position(sizes: Scales) -> PriorText:
+def _position(sizes: TypicalSizes) -> PriorText:
     """Spread the prior of the position's noise from below what the encoder resolves."""
     least = max(_OF_STEP * sizes.position_step, _OF_RANGE * sizes.position)
     return up_to(sizes.position, least)

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.sizes import Scales
+from bayesfric.estimates.sizes import TypicalSizes
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.recordings.arrays import Array
 
@@ -48,14 +48,14 @@ class Scale:
     name: str
     symbol: str
     meaning: str
-    prior: Callable[[Scales], PriorText]
+    prior: Callable[[TypicalSizes], PriorText]
     lower: float = 0.0
     upper: float = np.inf
     unit: Literal["torque", "position", ""] = "torque"
     shared: bool = False
     chosen: bool = False
 
-    def read_prior(self, texts: Mapping[str, PriorText], sizes: Scales) -> Prior:
+    def read_prior(self, texts: Mapping[str, PriorText], sizes: TypicalSizes) -> Prior:
         """Take the prior that a configuration gives, or the default.
 
         Parameters

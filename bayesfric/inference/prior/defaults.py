@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bayesfric.estimates.sizes import Scales, sizes_at
+from bayesfric.estimates.sizes import TypicalSizes, sizes_at
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import TURN, Parameter
 from bayesfric.mechanism.quantities import State
 
 
-def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
+def default_prior(chain: Joint, p: Parameter, scales: TypicalSizes) -> Prior:
     """Choose the default prior of one parameter.
 
     Parameters
@@ -30,7 +30,7 @@ def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
     p
         One of its parameters.
     scales
-        Sizes of what was measured, as :func:`bayesfric.estimates.sizes.measured_scales` gives.
+        Sizes of what was measured, as :func:`bayesfric.estimates.sizes.typical_sizes` gives.
 
     Returns
     -------
@@ -49,7 +49,7 @@ def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
 
 
-def _text(chain: Joint, p: Parameter, scales: Scales) -> PriorText:
+def _text(chain: Joint, p: Parameter, scales: TypicalSizes) -> PriorText:
     """Word the default prior that the row of a quantity asks for, in the sizes at its own shaft."""
     row = p.row
     if row.prior == "uniform":

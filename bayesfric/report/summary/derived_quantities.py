@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.torque import typical_load, weighed_torque
+from bayesfric.estimates.torque import typical_load, weighted_torque
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import bound_of
@@ -183,7 +183,7 @@ def _totals(fit: Fit) -> Group:
 
     def every(parameters: Array) -> Array:
         pairs = zip(observations, maps, strict=True)
-        parts = [weighed_torque(fit.chain, o, one, parameters) for o, one in pairs]
+        parts = [weighted_torque(fit.chain, o, one, parameters) for o, one in pairs]
         return np.asarray(np.sum(parts, axis=0))
 
     drawn = every(fit.chain_draws(most)) if wanted else np.empty((len(names), 1))

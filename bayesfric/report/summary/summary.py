@@ -10,7 +10,7 @@ import numpy as np
 from bayesfric.base import __version__
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.identifiability.coverage import back_driven
+from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import LocalInformation, given_by, local_information, verdict
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import Choice
@@ -146,7 +146,7 @@ def _with_mirrored(summary: Summary, fit: Fit) -> Summary:
     """Mark what is said of a way of driving that hardly occurred: one load loss stands for both."""
     values = fit.target.chain_values(fit.posterior.median[None])
     changes: dict[str, dict[str, Any]] = {}
-    for name, back in back_driven(fit.chain, fit.observations, values).items():
+    for name, back in back_driving_shares(fit.chain, fit.observations, values).items():
         for side, share in (("back", float(back[0])), ("drive", 1.0 - float(back[0]))):
             if f"{name}.load" in fit.chain.names and share < _SELDOM:
                 for one in (f"{name}.alpha_{side}", f"{name}.efficiency_{side}"):
