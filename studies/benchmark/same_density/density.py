@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from math import erfc, exp, expm1, log, log1p, sqrt
+from math import erfc, exp, expm1, log, sqrt
 from typing import Any
 
 import numpy as np
@@ -36,18 +36,14 @@ FRONT = ("motor.viscous", "motor.coulomb_positive", "motor.coulomb_negative", "m
 LEG = ("joint.viscous", "joint.coulomb_positive", "joint.coulomb_negative", "load.inertia")
 
 
-_HALF = 0.6931471805599453  # log 2
-
-
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The knee's posterior as plain arrays; ``(12,)`` coordinates are laid out as in ``split``."""
+    """The knee's posterior as plain arrays; ``(12,)`` coordinates as in ``GearboxCoordinates``."""
 
     pairs: Array  # (4, 2) indices of FRONT and LEG in the parameter vector
     worth: Array  # (4, 2) motor torque per unit of each
     moment: tuple[int, float]  # the same of load.first_moment
     losses: tuple[int, int]
-    noise_width: float  # of the noise scale's coordinate
     prior: Array  # (12, 2) mean and sd of the logarithms
     front: Array  # (11, 5) and behind: coefficients of psi1 a unit of each parameter
     behind: Array
@@ -99,7 +95,6 @@ class Reduced:
             ),
             moment=(moment_index, float(u[0, 8] / (a * draws[0, moment_index]))),
             losses=(index["gearbox.load_drive"], index["gearbox.load_back"]),
-            noise_width=float(draws[0, 11] / _half_normal(u[0, 11])),
             prior=np.stack([np.log(medians), np.full(medians.size, prior_sd)], axis=1),
             front=-units.all[:, 1 : 1 + size] - units.leg,
             behind=units.leg,
@@ -119,7 +114,7 @@ class Reduced:
     def arrays(self) -> tuple[Any, ...]:
         """Arguments of the compiled function after the coordinates."""
         return (
-            self.pairs, self.worth, *self.moment, *self.losses, self.noise_width, self.prior,
+            self.pairs, self.worth, *self.moment, *self.losses, self.prior,
             self.front, self.behind, self.centre, self.whiten, self.to_columns, self.matrix,
             self.ratios, self.signs, self.jumps, self.weights, self.slopes, self.samples,
         )  # fmt: skip
@@ -133,20 +128,10 @@ class Reduced:
     def in_jax(self) -> Callable[[Any], Any]:
         """Return the log density of a vector ``(12,)`` up to a constant, as a JAX function."""
         import jax.numpy as jnp
-        from jax.lax import stop_gradient
-        from jax.scipy.special import log_ndtr
         from jax.scipy.stats import norm
 
-        def half_normal(u: Any) -> Any:
-            aim, h = log_ndtr(-u) - _HALF, jnp.maximum(u, 0.1) + _HALF / jnp.maximum(u, 1.0)
-            for _ in range(12):  # Newton's steps; the last one has the gradient
-                h = stop_gradient(h)
-                tail = log_ndtr(-h)
-                h = jnp.maximum(h + (tail - aim) * jnp.exp(tail - norm.logpdf(h)), 1e-300)
-            return h
-
         def log_density(u: Any) -> Any:
-            totals, shares, moment, loss, v, noise = u[:4], u[4:8], u[8], u[9], u[10], u[11]
+            totals, shares, moment, loss, v, sigma = u[:4], u[4:8], u[8], u[9], u[10], u[11]
             log_t = norm.logcdf(-loss)
             t = jnp.exp(log_t)
             log_a = -log_t * norm.cdf(v)
@@ -157,14 +142,11 @@ class Reduced:
             x = x.at[self.moment[0]].set(moment / (a * self.moment[1]))
             x = x.at[self.losses[0]].set(jnp.expm1(log_a))
             x = x.at[self.losses[1]].set(-jnp.expm1(log_a + log_t))
-            soft = half_normal(noise)
-            sigma = self.noise_width * soft
             # outside the support logarithms and gradients are not finite
-            possible = jnp.all(x > 0.0) & jnp.all(totals > 0.0)
-            x = jnp.where(x > 0.0, x, 1.0)
+            possible = jnp.all(x > 0.0) & jnp.all(totals > 0.0) & (sigma > 0.0)
+            x, sigma = jnp.where(x > 0.0, x, 1.0), jnp.where(sigma > 0.0, sigma, 1.0)
             density = jnp.log(jnp.where(totals > 0.0, totals, 1.0)).sum() - 3.0 * log_a
             density += jnp.log(-log_t) - 0.5 * (shares @ shares + loss**2 + v**2)
-            density += 0.5 * (soft**2 - noise**2)
             logs = jnp.log(jnp.append(x, sigma))
             normal = (logs - self.prior[:, 0]) / self.prior[:, 1]
             density -= logs.sum() + 0.5 * (normal**2).sum()
@@ -216,32 +198,6 @@ def _ndtr(x: float) -> float:
 
 
 @njit(cache=True)
-def _log_tail(x: float) -> float:
-    """Return the log probability that a standard normal exceeds ``x``."""
-    if x < 25.0:
-        return log(0.5 * erfc(x * 0.7071067811865476))
-    y = 1.0 / (x * x)
-    left = log1p(-y * (1.0 - 3.0 * y * (1.0 - 5.0 * y * (1.0 - 7.0 * y))))
-    return left - 0.5 * x * x - log(x * 2.5066282746310002)
-
-
-@njit(cache=True)
-def _half_normal(u: float) -> float:
-    """See :func:`bayesfric.inference.coordinates.half_normal`; by Newton's steps."""
-    if u < -4.0:
-        below = _ndtr(u)
-        return 1.2533141373155001 * (below + 0.2617993877991494 * below**3)
-    aim, h = _log_tail(u) - _HALF, max(u, 0.1) + _HALF / max(u, 1.0)
-    for _ in range(50):
-        tail = _log_tail(h)
-        step = (tail - aim) * exp(tail + 0.5 * h * h) * 2.5066282746310002
-        h = max(h + step, 1e-300)
-        if abs(step) <= 1e-15 * h:
-            break
-    return h
-
-
-@njit(cache=True)
 def _with_gradient(
     u: Array,
     gradient: Array,
@@ -251,7 +207,6 @@ def _with_gradient(
     first_worth: float,
     drive: int,
     back: int,
-    noise_width: float,
     prior: Array,
     front: Array,
     behind: Array,
@@ -268,9 +223,9 @@ def _with_gradient(
 ) -> float:
     n_pairs, n = pairs.shape[0], behind.shape[1]
     gradient[:] = 0.0
-    loss, v, noise = u[9], u[10], u[11]
+    loss, v, sigma = u[9], u[10], u[11]
     t, share = _ndtr(-loss), _ndtr(v)
-    if not (0.0 < t < 1.0) or noise < -700.0:
+    if not 0.0 < t < 1.0:
         return -np.inf
     log_t = log(t)
     log_a = -log_t * share
@@ -286,10 +241,6 @@ def _with_gradient(
         density += log(total) - 0.5 * load_share * load_share
     x[first] = u[8] / (a * first_worth)
     x[drive], x[back] = expm1(log_a), -expm1(log_a + log_t)
-    soft = _half_normal(noise)
-    sigma = noise_width * soft
-    by_noise = 0.5 * (soft * soft - noise * noise)  # its logarithm has twice this slope
-    density += by_noise
     for j in range(12):
         value = x[j] if j < 11 else sigma
         if not value > 0.0:
@@ -382,6 +333,5 @@ def _with_gradient(
     gt -= ga * a * share / t
     gradient[9] = -loss - gt * _phi(loss)
     gradient[10] = -v - ga * a * log_t * _phi(v)
-    slope = 0.5 * exp(by_noise)
-    gradient[11] = gx[11] * noise_width * slope + soft * slope - noise
+    gradient[11] = gx[11]
     return density
