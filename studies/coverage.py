@@ -1,6 +1,6 @@
-"""Run every study that quotes how often intervals or bands hold, one after the other.
+"""Run all coverage studies, one after the other.
 
-``python studies/coverage.py`` takes hours of two cores; each writes its result beside itself,
+``python studies/coverage.py`` takes hours of two cores; each study writes its result to its folder
 and prints the table of its README. ``--only whole_path pooled`` runs some, ``--list`` none.
 """
 
@@ -12,8 +12,8 @@ import sys
 import time
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-# Script, and what is asked of it.
+FOLDER = Path(__file__).resolve().parent
+# Scripts and their options.
 STUDIES: dict[str, list[str]] = {
     "calibration/calibrate.py": [],
     "calibration/whole_path.py": [],
@@ -31,20 +31,20 @@ STUDIES: dict[str, list[str]] = {
 
 
 def main() -> None:
-    """Run them; stop at the first that fails."""
+    """Run the studies; stop at the first failure."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="*", default=[Path(one).stem for one in STUDIES])
+    parser.add_argument("--only", nargs="*", default=[Path(script).stem for script in STUDIES])
     parser.add_argument("--list", action="store_true")
-    asked = parser.parse_args()
-    if unknown := set(asked.only) - {Path(one).stem for one in STUDIES}:
+    options = parser.parse_args()
+    if unknown := set(options.only) - {Path(script).stem for script in STUDIES}:
         parser.error(f"no study {', '.join(sorted(unknown))}; --list names them")
     for script, words in STUDIES.items():
-        if Path(script).stem not in asked.only:
+        if Path(script).stem not in options.only:
             continue
         print(f"# {script} {' '.join(words)}", flush=True)
-        if not asked.list:
+        if not options.list:
             began = time.monotonic()
-            subprocess.run([sys.executable, HERE / script, *words], check=True)
+            subprocess.run([sys.executable, FOLDER / script, *words], check=True)
             print(f"{(time.monotonic() - began) / 60.0:.0f} minutes", flush=True)
 
 

@@ -1,8 +1,8 @@
-"""The figures of ``figures/`` that a fit makes: of the SIMULATED demo and of MEASURED recordings.
+"""Draw the figures of ``figures/`` that a fit makes: SIMULATED demo and MEASURED recordings.
 
-``python studies/pictures.py`` fits each configuration anew and keeps its figures as PDF and PNG,
-three CPU minutes; ``python studies/pictures.py emps`` some. Needs ``../shared/data`` but for the
-demo. Those of one study alone are made by its own script.
+``python studies/pictures.py`` fits each configuration and saves its figures as PDF and PNG (three
+CPU minutes); ``python studies/pictures.py emps`` some. Needs ``../shared/data`` except for the
+demo. Figures of a single study come from its script.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-HERE = Path(__file__).resolve().parent
-FIGURES = HERE.parent / "figures"
-# folder: configuration, and which of its figures
-WANTED = {
+FOLDER = Path(__file__).resolve().parent
+FIGURES = FOLDER.parent / "figures"
+# folder: configuration and its figures
+FIGURES_OF = {
     "demo": ("", ("corner", "methods", "prediction", "friction", "ridge")),
     "emps": ("emps/emps-white.toml", ("corner", "methods", "prediction", "friction")),
     "ur10e": ("ur10e/ur10e-joint2.toml", ("corner", "methods", "prediction", "friction")),
@@ -25,17 +25,17 @@ WANTED = {
 
 
 def main() -> None:
-    """Fit, and put the figures in their place."""
-    for name in sys.argv[1:] or WANTED:
-        config, stems = WANTED[name]
+    """Fit, and copy the figures."""
+    for name in sys.argv[1:] or FIGURES_OF:
+        config, stems = FIGURES_OF[name]
         with TemporaryDirectory() as folder:
             run = Path(folder, name)
-            words = ("fit", HERE / config) if config else ("demo",)
+            arguments = ("fit", FOLDER / config) if config else ("demo",)
             command = [sys.executable, "-m", "bayesfric"]
-            # 3: sampled, and something to know; the figures are made
-            done = subprocess.run([*command, *words, "-o", run], check=False)
-            if done.returncode not in (0, 3):
-                sys.exit(done.returncode)
+            # exit code 3: sampled, with warnings; figures exist
+            completed = subprocess.run([*command, *arguments, "-o", run], check=False)
+            if completed.returncode not in (0, 3):
+                sys.exit(completed.returncode)
             subprocess.run([*command, "report", run, "--paper"], check=True)
             target = FIGURES / name
             shutil.rmtree(target, ignore_errors=True)

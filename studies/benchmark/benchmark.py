@@ -1,9 +1,9 @@
-"""How fast is the posterior, against what else could sample it? On a SIMULATED knee.
+"""Compare sampling speed with other samplers on a SIMULATED knee.
 
 ``python studies/benchmark/benchmark.py [--rivals PYTHON] [--budget full|quick]`` measures
-``bayesfric`` at 10^4 and 10^6 samples, with white and AR(2) noise, and its preparation; then, if
-an environment with the rivals is given (``pip install -r studies/benchmark/requirements.txt``),
-every rival on the same posterior in the same run. One core for everyone. Writes ``result.json``.
+``bayesfric`` at 10^4 and 10^6 samples, with white and AR(2) noise, and its preparation; then, with
+an environment of the rivals (``pip install -r studies/benchmark/requirements.txt``),
+every rival on the same posterior in the same run. One core for each. Writes ``result.json``.
 """
 
 from __future__ import annotations
@@ -38,18 +38,20 @@ from bayesfric.inference.prior.priors import read_prior
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 
-# any first moment: it sets the scale that no torque tells, and where the search begins
+# any first moment: it fixes the scale that no torque determines, and starts the search
 KNOWLEDGE = Knowledge(fixed={"load.first_moment": problem.PRIOR_MEDIANS["load.first_moment"]})
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 
 
 def target(n: int, order: int) -> Target:
-    """Make the benchmark's posterior with noise of this order."""
+    """Build the benchmark's posterior with noise of this order."""
     white = problem.target(n)
     if order == 0:
         return white
-    known = white.likelihood
-    likelihood = TorqueLikelihood(known.chain, known.observations, Autoregressive(order))
+    white_likelihood = white.likelihood
+    likelihood = TorqueLikelihood(
+        white_likelihood.chain, white_likelihood.observations, Autoregressive(order)
+    )
     priors = dict(problem.priors())
     for k in range(1, order + 1):
         priors[f"noise.pacf_{k}"] = read_prior(
@@ -59,13 +61,13 @@ def target(n: int, order: int) -> Target:
 
 
 def ours(n: int, order: int, ess: float) -> dict[str, Any]:
-    """Sample once, warm and from nothing, and say what it cost."""
+    """Sample once, after compilation and including estimation, and return rates."""
     posterior = target(n, order)
     likelihood = posterior.likelihood
     begin = time.perf_counter()
-    # as the command does, from point estimates; of the first samples, which cost nothing
-    few = [problem.observation(10_000)]
-    start = input_error(likelihood.chain, few, KNOWLEDGE, Estimation(starts=2, seed=1))
+    # from point estimates, as the command does, here of the first samples at negligible cost
+    first_samples = [problem.observation(10_000)]
+    start = input_error(likelihood.chain, first_samples, KNOWLEDGE, Estimation(starts=2, seed=1))
     estimates = (least_squares(likelihood.chain, likelihood.observations), start)
     marks: dict[str, float] = {}
 
@@ -73,32 +75,32 @@ def ours(n: int, order: int, ess: float) -> dict[str, Any]:
         marks[progress.phase] = time.perf_counter()
 
     settings = Sampling(seed=1, min_ess=ess, walkers=512, max_rhat=1.005)
-    found = fit(posterior, settings, estimates=estimates, progress=mark)
+    result = fit(posterior, settings, estimates=estimates, progress=mark)
     end = time.perf_counter()
-    d = found.posterior.diagnostics
+    diagnostics = result.posterior.diagnostics
     sampling = marks["sampling"] - marks["warm-up"]
-    drawn = d.ensembles * d.walkers * d.steps
-    flat = found.posterior.flat()
+    drawn = diagnostics.ensembles * diagnostics.walkers * diagnostics.steps
+    flat = result.posterior.flat()
     return {
         "samples": n,
         "noise": f"AR({order})" if order else "white",
-        "status": d.status,
-        "ess": float(d.ess.min()),
-        "tau": float(d.tau.max()),
-        "acceptance": float(d.acceptance.mean()),
-        "rhat": float(d.rhat.max()),
+        "status": diagnostics.status,
+        "ess": float(diagnostics.ess.min()),
+        "tau": float(diagnostics.tau.max()),
+        "acceptance": float(diagnostics.acceptance.mean()),
+        "rhat": float(diagnostics.rhat.max()),
         "seconds": end - begin,
         "sampling_seconds": sampling,
-        "ess_per_second": float(d.ess.min()) / sampling,
-        "ess_per_second_with_everything": float(d.ess.min()) / (end - begin),
+        "ess_per_second": float(diagnostics.ess.min()) / sampling,
+        "ess_per_second_with_everything": float(diagnostics.ess.min()) / (end - begin),
         "microseconds_a_draw": 1e6 * sampling / drawn,
-        "mean": dict(zip(found.posterior.names, flat.mean(axis=0).tolist(), strict=True)),
-        "sd": dict(zip(found.posterior.names, flat.std(axis=0).tolist(), strict=True)),
+        "mean": dict(zip(result.posterior.names, flat.mean(axis=0).tolist(), strict=True)),
+        "sd": dict(zip(result.posterior.names, flat.std(axis=0).tolist(), strict=True)),
     }
 
 
 def preparation(n: int, order: int) -> float:
-    """Raw samples reduced to moments in a second, everything compiled."""
+    """Return the number of samples reduced to moments per second, after compilation."""
     posterior = target(n, order)
     true = np.array([problem.truth()[name] for name in posterior.likelihood.chain.names])
     rng = np.random.default_rng(1)
@@ -111,6 +113,7 @@ def preparation(n: int, order: int) -> float:
 
 
 def main() -> None:
+    """Run all samplers and save the result."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--rivals", type=Path, default=None)
     parser.add_argument("--budget", choices=("full", "quick"), default="full")
@@ -137,13 +140,13 @@ def main() -> None:
             path = Path(folder) / "problem.npz"
             problem.write(path)
             result["rivals"] = run_rivals(path, options.rivals, options.budget)
-        known = rows["1e+04 0"]
-        reference = {n: (known["mean"][n], known["sd"][n]) for n in known["mean"]}
+        white = rows["1e+04 0"]
+        reference = {n: (white["mean"][n], white["sd"][n]) for n in white["mean"]}
         for name, rival in result["rivals"].items():
             if "failed" not in rival:
                 rival["disagreement"] = disagreement(rival, reference)
             print(name, {k: v for k, v in rival.items() if k != "parameters"}, flush=True)
-    (HERE / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

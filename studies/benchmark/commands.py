@@ -1,10 +1,10 @@
-"""How long commands take, beside what importing the libraries takes in the same minute.
+"""Time commands, relative to importing the libraries.
 
-``python studies/benchmark/commands.py [--source OLDER-TREE] [--runs 7]`` runs each command so often
-as a process of its own, in turn with the imports, on the packaged (SIMULATED) knee, and prints
-medians: seconds by the clock until the first line of the answer and until the end, CPU seconds, and
-ratios to the imports. ``--source`` is another checkout of this repository to be timed in place of
-this one. Writes ``commands.json`` (``commands-before.json`` with ``--source``).
+``python studies/benchmark/commands.py [--source OLDER-TREE] [--runs 7]`` runs each command in a
+separate process, alternating with the imports, on the packaged (SIMULATED) knee, and prints
+medians: wall seconds until the first line and until the end, CPU seconds, and
+ratios to the imports. ``--source`` is another checkout to time. Writes ``commands.json``
+(``commands-before.json`` with ``--source``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 IMPORTS = "import numpy, scipy.stats, emcee, arviz, matplotlib"
 BAYESFRIC = ["-m", "bayesfric"]
 COMMANDS: dict[str, list[str]] = {
@@ -37,7 +37,7 @@ COMMANDS: dict[str, list[str]] = {
 
 
 def timed(words: list[str], source: Path, folder: Path) -> tuple[float, float, float]:
-    """Run once; give seconds to the first line, to the end, and of the processors."""
+    """Run once; return wall seconds to the first line and to the end, and CPU seconds."""
     run = folder / "RUN"
     shutil.rmtree(run, ignore_errors=True)
     before, began = os.times(), time.monotonic()
@@ -60,43 +60,44 @@ def timed(words: list[str], source: Path, folder: Path) -> tuple[float, float, f
 
 
 def main() -> None:
+    """Time all commands and print medians."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--source", type=Path, help="another checkout to time")
     parser.add_argument("--runs", type=int, default=7)
-    given = parser.parse_args()
-    source = (given.source or HERE.parents[1]).absolute()
+    options = parser.parse_args()
+    source = (options.source or FOLDER.parents[1]).absolute()
     words = dict(COMMANDS)
-    if given.source:
-        words.pop("demo --paper")  # it was no option
-    took: dict[str, list[tuple[float, float, float]]] = {name: [] for name in words}
+    if options.source:
+        words.pop("demo --paper")  # older versions lack the option
+    times: dict[str, list[tuple[float, float, float]]] = {name: [] for name in words}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for file in ("knee.toml", "knee.csv"):
             shutil.copy(source / "bayesfric" / "examples" / file, folder)
         for command in words.values():
-            timed(command, source, folder)  # compiles, and fills the disk's cache
-        for _ in range(given.runs):
+            timed(command, source, folder)  # compiles, and fills the disk cache
+        for _ in range(options.runs):
             for command, line in words.items():
-                took[command].append(timed(line, source, folder))
-    base = median(end for _, end, _ in took["the libraries' imports"])
-    told: dict[str, Any] = {
+                times[command].append(timed(line, source, folder))
+    base = median(end for _, end, _ in times["the libraries' imports"])
+    result: dict[str, Any] = {
         "machine": f"{os.cpu_count()} cores, Python {platform.python_version()}",
-        "runs": given.runs,
+        "runs": options.runs,
         "commands": {
             name: {
-                "first_line": median(one[0] for one in runs),
-                "seconds": median(one[1] for one in runs),
-                "cpu_seconds": median(one[2] for one in runs),
-                "first_line_over_imports": median(one[0] for one in runs) / base,
-                "over_imports": median(one[1] for one in runs) / base,
+                "first_line": median(run[0] for run in runs),
+                "seconds": median(run[1] for run in runs),
+                "cpu_seconds": median(run[2] for run in runs),
+                "first_line_over_imports": median(run[0] for run in runs) / base,
+                "over_imports": median(run[1] for run in runs) / base,
             }
-            for name, runs in took.items()
+            for name, runs in times.items()
         },
     }
-    for name, row in told["commands"].items():
+    for name, row in result["commands"].items():
         print(f"{name:24}" + "".join(f"{value:9.2f}" for value in row.values()))
-    path = HERE / ("commands-before.json" if given.source else "commands.json")
-    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    path = FOLDER / ("commands-before.json" if options.source else "commands.json")
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

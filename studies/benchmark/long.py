@@ -1,4 +1,4 @@
-"""What a long recording costs: CPU seconds, memory, bytes. SIMULATED.
+"""Measure CPU time, memory and file size of fits of long SIMULATED recordings.
 
 ``python studies/benchmark/long.py [--samples 10000 100000 1000000]`` makes the demo's recording so
 long, fits it in a process of its own, and prints CPU seconds over those of importing the libraries,
@@ -17,37 +17,37 @@ from pathlib import Path
 
 from commands import BAYESFRIC, IMPORTS, timed
 
-HERE = Path(__file__).resolve().parent
-SOURCE = HERE.parents[1]
+FOLDER = Path(__file__).resolve().parent
+SOURCE = FOLDER.parents[1]
 
 
 def once(samples: int, folder: Path) -> None:
-    """Simulate and fit, and print what it took; nothing else is a child of this process."""
+    """Simulate and fit, and print time, peak memory of child processes and file size."""
     from bayesfric.commands.fit import demo_config
 
     text = demo_config().text.replace("duration = 10.0", f"duration = {samples / 1e3}")
     (folder / "knee.toml").write_text(text, encoding="utf-8")
     timed([*BAYESFRIC, "simulate", "knee.toml", "-o", "knee.csv"], SOURCE, folder)
-    timed(["-c", IMPORTS], SOURCE, folder)  # fills the disk's cache
+    timed(["-c", IMPORTS], SOURCE, folder)  # fills the disk cache
     base = timed(["-c", IMPORTS], SOURCE, folder)[2]
     cpu = timed([*BAYESFRIC, "fit", "knee.toml", "-o", "run"], SOURCE, folder)[2]
-    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     size = (folder / "run" / "posterior.nc").stat().st_size / 1e6
     row = {"samples": samples, "cpu": cpu, "over_imports": cpu / base}
-    print(json.dumps(row | {"memory_mb": most, "posterior_mb": size}))
+    print(json.dumps(row | {"memory_mb": peak, "posterior_mb": size}))
 
 
 def main() -> None:
-    """Make them one after the other, each in a process that starts all others of its own."""
+    """Run each length in a separate parent process, one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, nargs="*", default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--once", help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.once:
-        once(asked.samples[0], Path(asked.once))
+    options = parser.parse_args()
+    if options.once:
+        once(options.samples[0], Path(options.once))
         return
     result = []
-    for samples in asked.samples:
+    for samples in options.samples:
         with tempfile.TemporaryDirectory() as folder:
             words = [sys.executable, __file__, "--once", folder, "--samples", str(samples)]
             row = json.loads(subprocess.run(words, stdout=subprocess.PIPE, check=True).stdout)
@@ -57,7 +57,7 @@ def main() -> None:
             f"{row['memory_mb']:6.0f} MB  posterior.nc {row['posterior_mb']:5.1f} MB",
             flush=True,
         )
-    (HERE / "long.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "long.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

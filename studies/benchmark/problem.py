@@ -1,19 +1,18 @@
-"""The one posterior that every sampler of the benchmark draws from.
+"""The posterior of the benchmark, common to all samplers.
 
 A **simulated** knee of Rabbit, Table 3 of the 2005 IFAC paper: 1 Hz square torque of 0.8 N m plus
 a multisine, behind a 5 ms current loop, 1 kHz. (With the square alone emcee accepted 1.4 % of its
-steps in a trial, with the multisine 6 %: this was chosen for the rivals.) Position, speed and
-acceleration are the simulation's own, and the measured torque is the true one plus white normal
-noise of 0.02 N m. So the likelihood is exactly right: this measures samplers, not filters. Samples
-at which the joint stands still are left out, because no inverse model knows what static friction
-takes.
+steps in a trial, with the multisine 6 %: this favours the rivals.) Position, speed and
+acceleration are those of the simulation, and the measured torque is the true one plus white normal
+noise of 0.02 N m. So the likelihood is exact: this measures samplers, not filters. Samples
+at standstill are left out, because no inverse model predicts static friction.
 
 Eleven parameters of the joint and the noise scale are free. Each has a log-normal prior, sd 1 of
 its logarithm, around a value that is off Table 3 by up to 50 %; ``gearbox.load_back`` stays below
 1, as in a gearbox that the leg can turn. In the logarithms, in which the rivals sample, these
-priors are normal with sd 1: as kind to them as a prior can be.
+priors are normal with sd 1, the simplest case.
 
-``python studies/benchmark/problem.py problem.npz`` writes what the rivals read.
+``python studies/benchmark/problem.py problem.npz`` writes the rivals' input.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ RATE = 1000.0  # Hz
 TORQUE_NOISE = 0.02  # N m
 SEED = 2005
 PRIOR_SD = 1.0  # of the natural logarithm
-# Set by hand, each beside its value in Table 3 (for the noise: 0.02 N m), not on it.
+# Chosen close to, but different from, Table 3 (noise: 0.02 N m).
 PRIOR_MEDIANS = {
     "motor.inertia": 2.6e-4,
     "motor.viscous": 5.0e-3,
@@ -58,7 +57,7 @@ PRIOR_MEDIANS = {
     "load.first_moment": 0.55,
     "noise.sigma": 0.03,
 }
-# A gearbox that the leg can turn loses less than what it is handed: mu_2 < 1.
+# In a gearbox that the leg can turn, mu_2 < 1.
 PRIOR_UPPER = {"gearbox.load_back": 1.0}
 N_STARTS = 1024
 N_REFERENCES = 12
@@ -70,12 +69,12 @@ def knee() -> Joint:
 
 
 def truth() -> dict[str, float]:
-    """Give the true values, noise scale included."""
+    """Return the true values, including the noise scale."""
     return {**PRESETS["rabbit-knee"].values, "noise.sigma": TORQUE_NOISE}
 
 
 def priors() -> dict[str, Prior]:
-    """Read the priors of all twelve."""
+    """Return the priors of all twelve parameters."""
     return {
         name: read_prior(
             name,
@@ -128,20 +127,12 @@ def observation(n_samples: int = SAMPLES, seed: int = SEED) -> Observation:
 
 
 def target(n_samples: int = SAMPLES, seed: int = SEED) -> Target:
-    """Make the posterior as ``bayesfric`` samples it.
-
-    Parameters
-    ----------
-    n_samples
-        Of the recording.
-    seed
-        Of its noise.
-    """
+    """Build the posterior as ``bayesfric`` samples it; ``seed`` is that of the noise."""
     return make_target(knee(), [observation(n_samples, seed)], priors(), "shared")
 
 
 def log_density_of_logarithms(target: Target, logarithms: Array) -> Array:
-    """Log posterior density of the logarithms of all parameters, ``(n, 12)`` to ``(n,)``."""
+    """Return the log density of the parameters' logarithms, ``(n, 12)`` to ``(n,)``."""
     parameters = np.exp(logarithms)
     density = target.log_prior(parameters) + target.log_likelihood(parameters)
     return density + logarithms.sum(axis=1)
@@ -150,8 +141,8 @@ def log_density_of_logarithms(target: Target, logarithms: Array) -> Array:
 def starts(target: Target, n: int, rng: np.random.Generator) -> Array:
     """Draw starts close to the posterior, as logarithms ``(n, 12)``.
 
-    From a Laplace approximation in the coordinates of ``bayesfric``. Rivals start there, so none
-    of them has to find the posterior first.
+    From a Laplace approximation in the coordinates of ``bayesfric``. Rivals start there and need
+    no search.
     """
     true = np.array([[truth()[name] for name in target.names]])
     mode = climb(target, target.from_parameters(true), climbs=1)
@@ -162,7 +153,7 @@ def starts(target: Target, n: int, rng: np.random.Generator) -> Array:
 
 
 def write(path: Path, n_samples: int = SAMPLES, seed: int = SEED) -> Target:
-    """Write the problem for the rivals, and give the target it was made from.
+    """Write the problem for the rivals, and return its target.
 
     The file holds, for names in the order of ``names``:
 
@@ -175,8 +166,8 @@ def write(path: Path, n_samples: int = SAMPLES, seed: int = SEED) -> Target:
     ``starts``
         ``(1024, 12)`` logarithms close to the posterior.
     ``reference_logarithms, reference_log_density``
-        ``(12, 12)`` and ``(12,)``: what ``bayesfric`` computes, half of them close to the
-        posterior and half far out. A constant may be added.
+        ``(12, 12)`` and ``(12,)``: values of ``bayesfric`` up to a constant, half of them close
+        to the posterior and half far out.
     """
     posterior = target(n_samples, seed)
     chain, recording = posterior.likelihood.chain, posterior.likelihood.observations[0]

@@ -20,18 +20,10 @@ RIVALS = Path(__file__).resolve().parent / "rivals"
 
 @dataclass(frozen=True)
 class Budget:
-    """What one rival may spend.
+    """Time limit of a rival."""
 
-    Attributes
-    ----------
-    seconds
-        Of sampling. dynesty and nutpie get it for everything they do.
-    warm_up
-        Seconds for emcee, draws for the two NUTS, live points for dynesty.
-    """
-
-    seconds: float
-    warm_up: float
+    seconds: float  # of sampling; of everything for dynesty and nutpie
+    warm_up: float  # seconds for emcee, draws for the two NUTS, live points for dynesty
 
 
 BUDGETS: Mapping[str, Mapping[str, Budget]] = {
@@ -43,7 +35,7 @@ BUDGETS: Mapping[str, Mapping[str, Budget]] = {
         "dynesty_nested": Budget(240.0, 300),
         "pymc_nutpie": Budget(180.0, 500),
     },
-    # about two and a half minutes: shows that everything runs, no rate of it is to be quoted
+    # about 2.5 minutes: a smoke test, its rates are not meaningful
     "quick": {
         "emcee_plain": Budget(12.0, 3.0),
         "emcee_vectorised": Budget(12.0, 3.0),
@@ -60,72 +52,44 @@ def run_rivals(
     budget: Literal["full", "quick"] | Mapping[str, Budget],
     seed: int = 1,
 ) -> dict[str, dict[str, Any]]:
-    """Let rivals sample the problem.
+    """Run the rivals; return their results by script name, ``{"failed": message}`` for an error.
 
-    Parameters
-    ----------
-    problem_path
-        What ``problem.write`` wrote.
-    python
-        Interpreter of the rivals' environment.
-    budget
-        ``full``, ``quick``, or budgets by script name; a script left out is not run.
-    seed
-        Of every rival.
-
-    Returns
-    -------
-    dict
-        By script name what ``rivals/result.py`` writes; ``{"failed": ...}`` with the last line
-        of its complaint for a rival that did not get there.
+    ``budget`` is ``full``, ``quick`` or budgets by script name; other scripts are not run.
     """
     budgets = BUDGETS[budget] if isinstance(budget, str) else budget
-    found: dict[str, dict[str, Any]] = {}
+    results: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for name, spend in budgets.items():
-            out = Path(folder) / f"{name}.json"
-            done = subprocess.run(
+        for name, allowance in budgets.items():
+            path = Path(folder) / f"{name}.json"
+            completed = subprocess.run(
                 [
                     str(python),
                     str(RIVALS / f"{name}.py"),
                     str(problem_path),
-                    str(out),
-                    f"--seconds={spend.seconds}",
-                    f"--warm-up={spend.warm_up}",
+                    str(path),
+                    f"--seconds={allowance.seconds}",
+                    f"--warm-up={allowance.warm_up}",
                     f"--seed={seed}",
                 ],
                 capture_output=True,
                 text=True,
                 check=False,
             )
-            if done.returncode == 0:
-                found[name] = json.loads(out.read_text(encoding="utf-8"))
+            if completed.returncode == 0:
+                results[name] = json.loads(path.read_text(encoding="utf-8"))
             else:
-                complaint = done.stderr.strip().splitlines() or ["no message"]
-                found[name] = {"failed": complaint[-1]}
-    return found
+                errors = completed.stderr.strip().splitlines() or ["no message"]
+                results[name] = {"failed": errors[-1]}
+    return results
 
 
 def disagreement(
     rival: Mapping[str, Any], reference: Mapping[str, tuple[float, float]]
 ) -> dict[str, float]:
-    """Compare a rival's means and sds with better known ones.
+    """Return the largest errors of a rival's means and sds over its Monte Carlo errors.
 
-    A sampler that claims many draws and misses by many of its own errors did not sample the
-    posterior, whatever its ESS: dynesty with too few live points does that here, and so does NUTS
-    that diverges.
-
-    Parameters
-    ----------
-    rival
-        From :func:`run_rivals`.
-    reference
-        Mean and sd of each parameter, known much better than the rival's.
-
-    Returns
-    -------
-    dict
-        ``mean`` and ``sd``: largest differences over the rival's own Monte Carlo errors.
+    A sampler that misses the reference by many of its errors did not sample the posterior,
+    independent of its ESS: dynesty with too few live points, and NUTS with divergences.
     """
     rows = {name: row for name, row in rival["parameters"].items() if row["mean_error"]}
     return {
@@ -135,13 +99,14 @@ def disagreement(
 
 
 def main() -> None:
+    """Run all rivals and print their results."""
     import problem  # only this needs bayesfric
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "problem.npz"
         problem.write(path)
-        found = run_rivals(path, sys.argv[1], "quick" if "quick" in sys.argv else "full")
-    print(json.dumps(found, indent=1))
+        results = run_rivals(path, sys.argv[1], "quick" if "quick" in sys.argv else "full")
+    print(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""How long plain emcee really takes to forget: its chain, on bayesfric's faster likelihood.
+"""Measure the autocorrelation time of plain emcee on bayesfric's faster likelihood.
 
-The stretch move sees nothing but densities and random numbers, so its autocorrelation time in
-steps is the same whoever computes the density. Plain emcee (``rivals/emcee_plain.py``) is too slow
-to run for many autocorrelation times; here the same density in the same coordinates, with the same
-number of walkers, comes from ``bayesfric``. ESS a second of the plain one is then
-``walkers / tau / seconds a step`` with its own, measured, seconds a step.
+The stretch move's autocorrelation time in steps does not depend on the implementation of the
+density. Plain emcee (``rivals/emcee_plain.py``) is too slow to run for many autocorrelation times;
+here ``bayesfric`` computes the same density in the same coordinates, with the same number of
+walkers. ESS a second of plain emcee is then ``walkers / tau / seconds a step`` with its measured
+seconds a step.
 
 ``python studies/benchmark/stretch_time.py [SECONDS]``
 """
@@ -20,32 +20,17 @@ import problem
 
 from bayesfric.inference.target import Target
 
-BLOCK = 1000  # steps between looks at the clock
+BLOCK = 1000  # steps between time checks
 THIN = 10
 
 
 def stretch_time(
     target: Target, seconds: float, *, walkers: int = 32, seed: int = 1
 ) -> dict[str, float]:
-    """Measure the stretch move's autocorrelation time in log parameters.
+    """Measure the largest autocorrelation time ``tau`` in log parameters, in steps.
 
-    Parameters
-    ----------
-    target
-        From :func:`problem.target`.
-    seconds
-        To run; the first quarter of the steps is dropped.
-    walkers
-        As many as the rival has.
-    seed
-        Of starts and moves.
-
-    Returns
-    -------
-    dict
-        ``tau`` (largest of all parameters, steps), ``steps`` it was measured over,
-        ``relative_error`` of it by Sokal's formula, ``acceptance``. Below some fifty ``tau`` the
-        estimate is too small, not just uncertain.
+    ``relative_error`` is Sokal's; the first quarter of the steps is dropped. Over fewer than some
+    fifty ``tau`` the estimate is too small, not just uncertain.
     """
     begin = time.perf_counter()
     rng = np.random.default_rng(np.random.SeedSequence(seed))
@@ -59,10 +44,10 @@ def stretch_time(
     state: object = start
     while time.perf_counter() - begin < seconds:
         state = sampler.run_mcmc(state, BLOCK // THIN, thin_by=THIN, skip_initial_state_check=True)
-    kept = sampler.get_chain()
-    kept = kept[kept.shape[0] // 4 :]
-    tau = THIN * float(np.max(emcee.autocorr.integrated_time(kept, quiet=True, tol=0)))
-    steps = THIN * kept.shape[0]
+    chain = sampler.get_chain()
+    chain = chain[chain.shape[0] // 4 :]
+    tau = THIN * float(np.max(emcee.autocorr.integrated_time(chain, quiet=True, tol=0)))
+    steps = THIN * chain.shape[0]
     return {
         "tau": tau,
         "steps": float(steps),

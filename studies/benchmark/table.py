@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 
 
 def ours(result: dict[str, Any]) -> Iterator[str]:
-    """Rows of bayesfric itself."""
+    """Yield the rows of bayesfric."""
     yield "| samples | noise | ESS a second, sampling | with everything | us a draw | tau, steps |"
     yield "|---|---|---|---|---|---|"
     for row in result["ours"].values():
@@ -26,34 +26,35 @@ def ours(result: dict[str, Any]) -> Iterator[str]:
 
 
 def rivals(result: dict[str, Any]) -> Iterator[str]:
-    """Rows of everything else, beside the first of ours."""
+    """Yield the rows of the rivals, relative to bayesfric."""
     first = result["ours"]["1e+04 0"]
-    best, whole = first["ess_per_second"], first["seconds"]
+    best, seconds = first["ess_per_second"], first["seconds"]
     yield (
         "| sampler | ESS a second | faster by | in all: s by the clock, CPU s | settled | "
         "mean, sd off by | versions |"
     )
     yield "|---|---|---|---|---|---|---|"
-    yield f"| bayesfric | {best:,.0f} | 1 | {whole:.0f}, not taken | yes | | |"
+    yield f"| bayesfric | {best:,.0f} | 1 | {seconds:.0f}, not taken | yes | | |"
     for name, row in result.get("rivals", {}).items():
         if "failed" in row:
             yield f"| {name} | failed: {row['failed']} | | | | | |"
             continue
-        whole = row["seconds"] + row["warm_up_seconds"]
-        off = row["disagreement"]
+        seconds = row["seconds"] + row["warm_up_seconds"]
+        errors = row["disagreement"]
         versions = ", ".join(f"{k} {v}" for k, v in row["versions"].items() if k != "arviz")
         at_least = "" if row["settled"] else "at least "
         yield (
             f"| {row['sampler']} | {row['ess_per_second']:.3g} | "
             f"{at_least}{best / row['ess_per_second']:,.0f} | "
-            f"{whole:.0f}, {row['cpu_seconds_in_all']:.0f} | "
-            f"{'yes' if row['settled'] else 'no'} | {off['mean']:.1f}, {off['sd']:.1f} errors | "
+            f"{seconds:.0f}, {row['cpu_seconds_in_all']:.0f} | "
+            f"{'yes' if row['settled'] else 'no'} | "
+            f"{errors['mean']:.1f}, {errors['sd']:.1f} errors | "
             f"{versions} |"
         )
 
 
 def whose(result: dict[str, Any]) -> Iterator[str]:
-    """Rows of everyone on the same density in the same coordinates, and of ours in parts."""
+    """Yield the rows of all samplers on the same density, and of ours without its parts."""
     arms = result["arms"]
     best = arms["ours"]["ess_per_cpu_second"]
     yield (
@@ -80,23 +81,23 @@ def whose(result: dict[str, Any]) -> Iterator[str]:
 
 
 def steps(result: dict[str, Any], parts: dict[str, Any]) -> Iterator[str]:
-    """Go from NumPyro on the full-length density in logarithms to ours, one thing at a time."""
-    far, arms = result["rivals"]["numpyro_nuts"], parts["arms"]
+    """Yield the factors from NumPyro on the full-length density in logarithms to ours."""
+    numpyro, arms = result["rivals"]["numpyro_nuts"], parts["arms"]
     nuts, hmc, best = arms["blackjax NUTS"], arms["blackjax HMC"], arms["ours"]
-    needed = far["evaluations"] / far["ess"] / nuts["evaluations_per_effective_draw"]
-    dear = far["microseconds_per_evaluation"] / nuts["cpu_microseconds_per_evaluation"]
+    gradients = numpyro["evaluations"] / numpyro["ess"] / nuts["evaluations_per_effective_draw"]
+    gradient_cost = numpyro["microseconds_per_evaluation"] / nuts["cpu_microseconds_per_evaluation"]
     rates = [row["ess_per_cpu_second"] for row in (nuts, hmc, best)]
     yield "| from NumPyro's NUTS to ours | times |"
     yield "|---|---|"
-    yield f"| coordinates, whitened: fewer gradients an effective draw | {needed:,.0f} |"
-    yield f"| moments for the full length: cheaper gradients | {dear:.1f} |"
+    yield f"| coordinates, whitened: fewer gradients an effective draw | {gradients:,.0f} |"
+    yield f"| moments for the full length: cheaper gradients | {gradient_cost:.1f} |"
     yield f"| HMC of many chains at once for NUTS of one | {rates[1] / rates[0]:.1f} |"
     yield f"| our sampler for that HMC | {rates[2] / rates[1]:.1f} |"
-    yield f"| all | {needed * dear * rates[2] / rates[0]:,.0f} |"
+    yield f"| all | {gradients * gradient_cost * rates[2] / rates[0]:,.0f} |"
 
 
 def _slowness(item: tuple[str, dict[str, Any]]) -> tuple[bool, float]:
-    """Ours and its parts first, then the fastest."""
+    """Return the sort key: ours and its variants, then by speed."""
     name, row = item
     return not name.startswith("ours"), -row.get("ess_per_cpu_second", 0.0)
 
@@ -106,8 +107,9 @@ def _remark(row: dict[str, Any]) -> str:
 
 
 def main() -> None:
+    """Print all tables."""
     result, parts = (
-        json.loads((HERE / name).read_text(encoding="utf-8"))
+        json.loads((FOLDER / name).read_text(encoding="utf-8"))
         for name in ("result.json", "whose.json")
     )
     print(

@@ -1,10 +1,10 @@
-"""What of the speed is whose: rivals on the density and in the coordinates of ``bayesfric``.
+"""Compare samplers on the density and in the coordinates of ``bayesfric``.
 
 ``python studies/benchmark/whose.py`` in an environment with ``bayesfric`` and
 ``pip install -r studies/benchmark/same_density/requirements.txt``, about 15 minutes; writes
-``whose.json``. On the SIMULATED knee of ``problem.py``. Every arm is a process of its own with one
-thread, its rate is in CPU seconds (user and system, all threads), and short ones are repeated in
-turn, so that work beside slows all alike. ``--arm NAME`` does one arm over and keeps the others.
+``whose.json``. On the SIMULATED knee of ``problem.py``. Every arm is a process with one
+thread, its rate is in CPU seconds (user and system, all threads). Short arms are repeated in
+turn, so that other load slows all equally. ``--arm NAME`` repeats one arm only.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-FOLDER = HERE / "same_density"
+FOLDER = Path(__file__).resolve().parent
+SAME_DENSITY = FOLDER / "same_density"
 
-# How often each runs; the long ones once.
+# Number of runs; long arms run once.
 ARMS = {
     "dynesty": 1,
     "ours": 3,
@@ -40,66 +40,67 @@ ARMS = {
     "emcee StretchMove": 1,
     "zeus": 1,
 }
-SEED = 1  # of the first repeat; the next count up
+SEED = 1  # of the first run, incremented for each repeat
 REFERENCE_ESS = 5e5
 LANES = 2  # arms at a time, one for every core
 PACKAGES = ("numpy", "numba", "emcee", "zeus-mcmc", "dynesty", "nutpie", "blackjax", "jax", "arviz")
 
 
-def run(name: str, given: Path, reference_ess: float, seed: int) -> dict[str, Any]:
-    """Run one arm and read what it says; ``failed`` with its last words if it did not get there."""
-    out = given.with_name(f"{name} {seed}.json")
-    words = [name, str(given), str(out), str(reference_ess), str(seed)]
+def run(name: str, problem_path: Path, reference_ess: float, seed: int) -> dict[str, Any]:
+    """Run one arm and read its result; ``failed`` with the last error line if it has none."""
+    path = problem_path.with_name(f"{name} {seed}.json")
+    arguments = [name, str(problem_path), str(path), str(reference_ess), str(seed)]
     begin = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, str(FOLDER / "arm.py"), *words],
+    completed = subprocess.run(
+        [sys.executable, str(SAME_DENSITY / "arm.py"), *arguments],
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode or not out.exists():
-        return {"failed": (done.stderr.strip().splitlines() or ["no message"])[-1]}
-    found: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
-    return {**found, "seed": seed, "wall_seconds_with_everything": time.perf_counter() - begin}
+    if completed.returncode or not path.exists():
+        return {"failed": (completed.stderr.strip().splitlines() or ["no message"])[-1]}
+    result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return {**result, "seed": seed, "wall_seconds_with_everything": time.perf_counter() - begin}
 
 
 def summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Give the run of the median rate, with all rates beside it."""
-    good = [one for one in runs if "failed" not in one]
-    if not good:
+    """Return the run of the median rate, with all rates."""
+    completed = [run for run in runs if "failed" not in run]
+    if not completed:
         return runs[0]
-    rates = [one["ess_per_cpu_second"] for one in good]
-    middle = min(good, key=lambda one: abs(one["ess_per_cpu_second"] - median(rates)))
+    rates = [run["ess_per_cpu_second"] for run in completed]
+    median_run = min(completed, key=lambda run: abs(run["ess_per_cpu_second"] - median(rates)))
     return {
-        **middle,
+        **median_run,
         "rates": rates,
-        "right": all(one["right"] for one in good),
-        "quantiles_off_by_errors": max(one["quantiles_off_by_errors"] for one in good),
+        "right": all(run["right"] for run in completed),
+        "quantiles_off_by_errors": max(run["quantiles_off_by_errors"] for run in completed),
     }
 
 
 def main() -> None:
+    """Run the arms and save the result."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--arm", choices=tuple(ARMS), action="append")
     chosen = parser.parse_args().arm or list(ARMS)
     for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[variable] = "1"
-    sys.path.insert(0, str(FOLDER))
+    sys.path.insert(0, str(SAME_DENSITY))
     import given
 
-    path = HERE / "whose.json"
+    path = FOLDER / "whose.json"
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / "given.npz"
+        problem_path = Path(folder) / "given.npz"
         begin = time.process_time()
-        ess = given.write(place, REFERENCE_ESS)
+        ess = given.write(problem_path, REFERENCE_ESS)
         print("the long run", ess, time.process_time() - begin, flush=True)
         runs: dict[str, list[dict[str, Any]]] = {name: [] for name in chosen}
         jobs = [(n, k) for k in range(max(ARMS.values())) for n in chosen if k < ARMS[n]]
         with ThreadPoolExecutor(LANES) as lanes:
-            found = lanes.map(lambda job: run(job[0], place, ess, SEED + job[1]), jobs)
-            for (name, _), one in zip(jobs, found, strict=True):
-                runs[name].append(one)
-                print(name, one, flush=True)
+            outcomes = lanes.map(lambda job: run(job[0], problem_path, ess, SEED + job[1]), jobs)
+            for (name, _), outcome in zip(jobs, outcomes, strict=True):
+                runs[name].append(outcome)
+                print(name, outcome, flush=True)
     before = json.loads(path.read_text(encoding="utf-8"))["arms"] if path.exists() else {}
     result = {
         "simulated": True,

@@ -1,8 +1,8 @@
-"""A SIMULATED bench: a known joint, moved in fine steps and recorded as real ones are.
+"""Simulate a bench: a known joint, integrated in fine steps and recorded by realistic sensors.
 
-What a user has is a file: a position in counts, at a rate, and a torque that was sampled at some
-instant, with noise, steps and a delay between the two. All of it is made here, from a motion
-whose equation is solved twenty or more times a sample.
+A recording is a file with a position in counts and a torque at some instants, with noise,
+quantisation and a delay between the two. The equation of motion is solved at least twenty times a
+sample.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from bayesfric.recordings.measurement import Inputs, Law
 
 Array = NDArray[np.float64]
 
-# Steps of the simulated torque a sample, at least; and steps a second, at least.
+# Minimum number of simulation steps per sample and per second.
 FINE, FINEST = 20, 10_000.0
-# Parameters differ from one recording to the next by up to this share.
+# Relative variation of parameters between recordings.
 SPREAD = 0.3
 MAKER = 5.0  # Hz
 LINES = (0.31, 0.73, 1.37, 2.9, 5.3)  # Hz
@@ -35,7 +35,7 @@ LINES = (0.31, 0.73, 1.37, 2.9, 5.3)  # Hz
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves the joint: a square wave with a multisine on it, behind a current loop."""
+    """The excitation: a square wave plus a multisine, behind a current loop."""
 
     amplitude: float  # N m at the motor
     square: float = 0.0  # share of the amplitude
@@ -43,12 +43,12 @@ class Drive:
     lag: float = 0.003  # s of the current loop
     added_mass: float = 0.0
     radius: float = 0.0
-    in_step: bool = False  # whether the square wave switches at samples; else at any time
+    in_step: bool = False  # whether the square wave switches at samples
 
 
 @dataclass(frozen=True)
 class Bench:
-    """One way to record; every recording draws its own parameters, phases and noise."""
+    """A measurement setup; every recording draws parameters, phases and noise."""
 
     joint: Joint
     values: dict[str, float]
@@ -58,30 +58,30 @@ class Bench:
     counts: int = 4096  # a turn
     side: Literal["motor", "joint"] = "joint"
     noise: float = 0.01  # sd of a torque sample over the largest command
-    colour: float = 0.0  # s that half of the noise's variance remembers
-    spread: float = SPREAD  # share by which parameters differ from one recording to the next
-    late: float = 0.0  # samples by which the position comes late
-    maker: int = 0  # order of a causal low-pass at 5 Hz that sensed torque passes; 0 for none
+    colour: float = 0.0  # s, correlation time of half of the noise's variance
+    spread: float = SPREAD  # relative variation of parameters between recordings
+    late: float = 0.0  # delay of the position, samples
+    maker: int = 0  # order of a causal 5 Hz low-pass of the measured torque; 0 for none
     current: int = 0  # bits of a current sensor, 0 for a torque; it averages over the sample
-    memory: Literal["", "ar2", "1/f"] = ""  # of all the noise, in place of white
-    ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, and times a turn
-    true: Joint | None = None  # that moves, where the one that is fitted lacks something
+    memory: Literal["", "ar2", "1/f"] = ""  # autocorrelated noise in place of white
+    ripple: tuple[float, int] = (0.0, 0)  # share of the torque's rms, cycles a turn
+    true: Joint | None = None  # the simulated joint, where the fitted one lacks a term
     loop: float = 0.0  # Hz of a position loop; else torque is commanded
-    path: float = 0.3  # rad of each sine that a position loop goes for
-    sag: float = 0.0  # share of the torque constant that is gone at the largest torque
-    # what logging makes of time, position (rad) and torque
+    path: float = 0.3  # rad, amplitude of each sine of a position loop's target
+    sag: float = 0.0  # relative loss of the torque constant at the largest torque
+    # fault of the logger: recorded position (rad) and torque from time, position, torque
     fault: Callable[[Array, Array, Array], tuple[Array, Array]] | None = None
     tables: dict[str, Any] = field(default_factory=dict)  # of the configuration
 
     def truth(self, rng: np.random.Generator) -> dict[str, float]:
-        """Draw true parameters; how late the position comes is no part of the draw."""
+        """Draw true parameters; the delay is fixed."""
         factors = rng.uniform(1.0 - self.spread, 1.0 + self.spread, len(self.values))
         drawn = {k: v * f for (k, v), f in zip(self.values.items(), factors, strict=True)}
         return drawn | ({"drive.delay": self.late / self.rate} if self.joint.delay else {})
 
 
 def axis(*, ratio: float = 1.0) -> Joint:
-    """Build a motor that swings a load, with or without a gearbox that loses nothing by load."""
+    """Build a motor that swings a load, behind a gear without load-dependent friction."""
     motor = Element("motor", inertia=True, coulomb="symmetric", viscous=True, ratio=ratio)
     return Joint(elements=(motor,), load=Load(first_moment=True), offset=True)
 
@@ -92,12 +92,12 @@ def recorded(
     folder: Path,
     motions: list[tuple[Array, Array, Array]] | None = None,
 ) -> tuple[Any, ...]:
-    """Make the files of one recording, and give them with the truth and how much it stuck.
+    """Write the files of one recording; return the truth, the recordings and the sticking share.
 
-    To ``motions`` the exact position, speed and acceleration at every file's samples are added.
+    Appends the exact position, speed and acceleration at every file's samples to ``motions``.
     """
     truth = bench.truth(rng)
-    made = []
+    recordings = []
     stuck = []
     for number, drive in enumerate(bench.drives):
         motion, time, torque = moved(bench, drive, truth, rng)
@@ -109,33 +109,33 @@ def recorded(
         np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
         if motions is not None:
             motions.append(exactly(bench, motion, time))
-        made.append(told(bench, drive, path))
-    return truth, made, float(np.mean(stuck))
+        recordings.append(told(bench, drive, path))
+    return truth, recordings, float(np.mean(stuck))
 
 
 def moved(
     bench: Bench, drive: Drive, truth: dict[str, float], rng: np.random.Generator
 ) -> tuple[Motion, Array, Array]:
-    """Solve the equation of motion finely; gives the motor's torque, its own ripple left out."""
+    """Integrate the equation of motion; return it with time and motor torque without ripple."""
     steps = max(FINE, int(np.ceil(FINEST / bench.rate)))
     period = 1.0 / (bench.rate * steps)
-    # a little before and after, for averages and delays
+    # 0.1 s before and after, for averages and delays
     time = np.arange(round((bench.duration + 0.2) / period)) * period
     sines = excitation.multisine(time, 1.0, LINES, seed=int(rng.integers(2**31)))
     sines *= (1.0 - drive.square) / np.sqrt(len(LINES) / 2.0)
     phase = 0.0 if drive.in_step else rng.uniform(0.0, 1.0)
     command = sines + excitation.square(time + phase, drive.square, drive.hertz)
     torque = excitation.current_loop(drive.amplitude * command, period, drive.lag)
-    # the position comes late in being measured, see below
+    # the delay is applied to the measured position, see below
     joint = replace(bench.true or bench.joint, delay=False)
     vector = [truth[name] for name in joint.names]
     share, times = bench.ripple
     if share:
-        own = float(np.sqrt(2.0) * share * np.sqrt(np.mean(torque**2)))
+        amplitude = float(np.sqrt(2.0) * share * np.sqrt(np.mean(torque**2)))
         ripple = Term("motor.ripple", lambda m, k=float(times): np.sin(k * m.position + 1.0))
         joint = replace(joint, terms=(*joint.terms, ripple))
-        at = truth | {"motor.ripple": own}
-        vector = [at[name] for name in joint.names]
+        values = truth | {"motor.ripple": amplitude}
+        vector = [values[name] for name in joint.names]
     inputs = Inputs(drive.added_mass, drive.radius)
     if bench.loop:
         path = excitation.multisine(time, bench.path, LINES[:-1], seed=int(rng.integers(2**31)))
@@ -147,52 +147,52 @@ def moved(
 def _followed(
     bench: Bench, joint: Joint, vector: Array, period: float, path: Array, inputs: Inputs
 ) -> tuple[Motion, Array, Array]:
-    """Move the joint by a position loop with a damping of 0.7; its torque is what is recorded."""
+    """Move the joint by a position loop with a damping of 0.7, and record the loop's torque."""
     kp, kd = gains(bench.loop, sum(v for k, v in bench.values.items() if k.endswith("inertia")))
     law = Law(kp * path, np.ones(path.size), kp, kd)
     start = [[0, path.size]], [path[0]], [0.0]
-    found = follow(joint, vector[None], law, period, *start, inputs=inputs, step=period)
-    q, qd = found[0][0], found[1][0]
+    trajectory = follow(joint, vector[None], law, period, *start, inputs=inputs, step=period)
+    q, qd = trajectory[0][0], trajectory[1][0]
     torque, time = kp * (path - q) - kd * qd, np.arange(path.size) * period
     motion = Motion(time, q, qd, np.gradient(qd, period), torque, qd == 0.0, 0, 0, 0.0, 1)
     return motion, time, torque
 
 
 def gains(hertz: float, inertia: float) -> tuple[float, float]:
-    """Give stiffness and damping of a position loop, with a damping of 0.7."""
-    own = 2.0 * np.pi * hertz
-    return inertia * own**2, 1.4 * own * inertia
+    """Return stiffness and damping of a position loop with a damping ratio of 0.7."""
+    omega = 2.0 * np.pi * hertz
+    return inertia * omega**2, 1.4 * omega * inertia
 
 
 def instants(bench: Bench) -> Array:
-    """Give the times of the samples; the simulation begins a little before."""
+    """Return the sample times; the simulation begins 0.1 s earlier."""
     return np.arange(int(bench.duration * bench.rate)) / bench.rate + 0.1
 
 
 def exactly(bench: Bench, motion: Motion, time: Array) -> tuple[Array, Array, Array]:
-    """Sample the true motion as the position is; it averages where the torque does."""
+    """Sample the true motion at the position's instants, averaged if the torque is."""
     samples = instants(bench) - bench.late / bench.rate
-    found = []
+    signals = []
     for x in (motion.q, motion.qd * ~motion.sticking, motion.qdd):
         if bench.current:
-            found.append(_means(x, time, samples, bench.rate))
+            signals.append(_means(x, time, samples, bench.rate))
         else:
-            found.append(x[np.round(samples / (time[1] - time[0])).astype(int)])
-    return found[0], found[1], found[2]
+            signals.append(x[np.round(samples / (time[1] - time[0])).astype(int)])
+    return signals[0], signals[1], signals[2]
 
 
 def _means(x: Array, time: Array, samples: Array, rate: float) -> Array:
-    """Average over the sample about each of some instants what goes straight in between."""
+    """Average a piecewise linear signal over the sampling period about each instant."""
     steps = 0.5 * (x[1:] + x[:-1]) * (time[1] - time[0])
-    whole = np.concatenate([[0.0], np.cumsum(steps)])
+    integral = np.concatenate([[0.0], np.cumsum(steps)])
     ends = np.append(samples - 0.5 / rate, samples[-1] + 0.5 / rate)
-    return np.asarray(np.diff(np.interp(ends, time, whole)) * rate)
+    return np.asarray(np.diff(np.interp(ends, time, integral)) * rate)
 
 
 def measured(
     bench: Bench, motion: Motion, time: Array, torque: Array, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Sample position and torque as the bench's sensors do."""
+    """Sample position and torque by the bench's sensors."""
     samples = instants(bench)
     position = np.interp(samples - bench.late / bench.rate, time, motion.q)
     position *= bench.joint.ratio if bench.side == "motor" else 1.0
@@ -200,19 +200,19 @@ def measured(
     peak = float(np.max(np.abs(torque)))
     noise = bench.noise * peak * rng.standard_normal(samples.size)
     if bench.colour:
-        keeps = float(np.exp(-1.0 / (bench.rate * bench.colour)))
-        drawn = bench.noise * peak * rng.standard_normal(samples.size)
-        slow = lfilter([np.sqrt(1.0 - keeps**2)], [1.0, -keeps], drawn)
+        correlation = float(np.exp(-1.0 / (bench.rate * bench.colour)))
+        white = bench.noise * peak * rng.standard_normal(samples.size)
+        slow = lfilter([np.sqrt(1.0 - correlation**2)], [1.0, -correlation], white)
         noise = (noise + slow) / np.sqrt(2.0)
     if bench.memory:
         noise = bench.noise * peak * remembering(bench.memory, samples.size, rng)
     columns = {"time": samples - 0.1, "counts": counts}
-    if bench.sag:  # what is measured is more than what acts: a = m (1 - s m / peak)
+    if bench.sag:  # measured m exceeds the acting torque a = m (1 - s m / peak)
         torque = torque * (1.0 + bench.sag * np.abs(torque) / peak)
     if not bench.current:
         sensed = np.interp(samples, time, torque) + noise
         if bench.maker:
-            # as fine as the drive's own clock, with the sensor's noise held
+            # at the drive's clock rate, noise interpolated
             fine = np.interp(time, samples, noise, left=noise[0], right=noise[-1]) + torque
             taps = butter(bench.maker, MAKER, fs=1.0 / (time[1] - time[0]))
             sensed = np.interp(samples, time, lfilter(*taps, fine))
@@ -230,7 +230,7 @@ def measured(
 
 
 def remembering(memory: str, n: int, rng: np.random.Generator) -> Array:
-    """Draw noise ``(n,)`` of sd one: a second-order one that lasts 20 samples, or 1/f."""
+    """Draw noise ``(n,)`` of unit variance: AR(2) with 20 samples of memory, or 1/f."""
     if memory == "ar2":
         x = lfilter([1.0], [1.0, -1.6, 0.68], rng.standard_normal(n + 500))[500:]
     else:
@@ -241,7 +241,7 @@ def remembering(memory: str, n: int, rng: np.random.Generator) -> Array:
 
 
 def told(bench: Bench, drive: Drive, path: Path) -> Recording:
-    """Say what the columns are, as a user would."""
+    """Describe the columns of a file as a recording."""
     lag = {"lowpass": f"{MAKER} Hz", "lowpass_order": bench.maker} if bench.maker else {}
     keys: dict[str, Any] = {"torque": {"column": "torque", "unit": "N m", **lag}}
     if bench.current:
@@ -274,7 +274,7 @@ GEARED = {
 }
 KNEE = dict(PRESETS["rabbit-knee"].values)
 _plain = Bench(axis(), PLAIN, (Drive(3.0),))
-# friction takes a third of the torque, and the torque's noise is small beside the encoder's
+# friction is a third of the torque, and torque noise is small compared with encoder noise
 _slow = replace(_plain, drives=(Drive(1.0),), noise=0.003)
 _geared = replace(
     _plain, joint=axis(ratio=50.0), values=GEARED, drives=(Drive(0.06),), counts=8192, side="motor"

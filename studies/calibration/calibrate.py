@@ -1,11 +1,10 @@
-"""Do intervals mean what they say? Simulation-based calibration on SIMULATED recordings.
+"""Check intervals by simulation-based calibration (Talts et al. 2018), SIMULATED recordings.
 
-``python studies/calibration/calibrate.py`` draws true values from the priors, makes a recording
-of each, samples its posterior exactly as ``fit`` does, and asks where the truth lies among the
-draws (Talts et al. 2018). Ranks must be uniform and 90 % intervals hold the truth in 90 % of the
-recordings. Two controls that are wrong on purpose, white noise on autoregressive data and
-emcee's biased snooker move, must fail the same check. Writes ``result.json``, which ``figures.py``
-draws and ``table.py`` prints; ``--recordings N`` and ``--cases A B`` for less.
+``python studies/calibration/calibrate.py`` draws true values from the priors, simulates a recording
+of each, samples its posterior as ``fit`` does, and ranks the truth among the draws. Ranks must be
+uniform and 90 % intervals hold the truth in 90 % of the recordings. Two wrong controls, white noise
+on autoregressive data and emcee's biased snooker move, must fail. Writes ``result.json``, which
+``figures.py`` draws and ``table.py`` prints; ``--recordings N`` and ``--cases A B`` for less.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-# Recordings are sampled side by side; threads of one would only wait for the other's.
+# Recordings are sampled in parallel processes, with one thread each.
 if __name__ == "__main__":
     for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -47,23 +46,23 @@ from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation
 
 Array = NDArray[np.float64]
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 SEED = 2005
 RATE = 250.0  # Hz
 DURATION = 4.0  # s
-# Draws that the truth is ranked among, taken far apart.
+# Number of thinned draws among which the truth is ranked.
 RANKED = 99
-# Log-normal priors with this sd of the logarithm, about Table 3.
+# Standard deviation of the logarithm of the priors, centred at Table 3.
 PRIOR_SD = 0.3
 SETTINGS = Sampling(min_ess=500.0, max_steps=4000, walkers=64, max_rhat=1.02)
 
 
 @dataclass(frozen=True)
 class Case:
-    """What makes the torque noise, and what is believed of it; None for the output error."""
+    """True and assumed noise model of the torque; None for the output error."""
 
-    made: Autoregressive | None
-    believed: Autoregressive | None
+    true: Autoregressive | None
+    assumed: Autoregressive | None
     move: str = "own"
 
 
@@ -79,8 +78,8 @@ CASES = {
 
 @lru_cache(maxsize=1)
 def motions() -> tuple[Observation, Observation]:
-    """Simulate two motions of the knee, the second with 2 kg at 0.35 m; noise is added later."""
-    found = []
+    """Simulate two noise-free motions of the knee, the second with 2 kg at 0.35 m."""
+    observations = []
     for amplitude, mass in ((0.9, 0.0), (1.2, 2.0)):
         options = Simulation(
             duration=DURATION,
@@ -94,7 +93,7 @@ def motions() -> tuple[Observation, Observation]:
         )
         _, motion, _ = record(PRESETS["rabbit-knee"].chain(), options)
         moving = np.flatnonzero(motion.qd != 0.0)
-        found.append(
+        observations.append(
             Observation(
                 name="loaded" if mass else "alone",
                 q=motion.q[moving],
@@ -115,54 +114,54 @@ def motions() -> tuple[Observation, Observation]:
                 settings={"sampling_rate": RATE},
             )
         )
-    return found[0], found[1]
+    return observations[0], observations[1]
 
 
 def priors(noise: Autoregressive) -> dict[str, Prior]:
-    """Priors of the joint and of one noise model."""
+    """Return the priors of the joint and of a noise model."""
     infinite = float("inf")
-    found = {}
+    densities = {}
     for p in PRESETS["rabbit-knee"].chain().parameters:
         value = PRESETS["rabbit-knee"].values[p.name]
         text = {"distribution": "lognorm", "s": PRIOR_SD, "scale": value}
         upper = 1.0 if p.name == "gearbox.load_back" else infinite
-        found[p.name] = read_prior(p.name, text, lower=0.0, upper=upper)
+        densities[p.name] = read_prior(p.name, text, lower=0.0, upper=upper)
     sigma = {"distribution": "lognorm", "s": PRIOR_SD, "scale": 0.02}
-    found["noise.sigma"] = read_prior("noise.sigma", sigma, lower=0.0, upper=infinite)
+    densities["noise.sigma"] = read_prior("noise.sigma", sigma, lower=0.0, upper=infinite)
     for quantity in noise.quantities[1:]:
         name = f"noise.{quantity}"
         text: Any = {"distribution": "gamma", "a": 2.0, "scale": 10.0}
         low, high = 1.0, infinite
         if quantity.startswith("pacf"):
             text, low, high = [0.2, 0.9] if quantity == "pacf_1" else [-0.6, 0.6], -1.0, 1.0
-        found[name] = read_prior(name, text, lower=low, upper=high)
-    return found
+        densities[name] = read_prior(name, text, lower=low, upper=high)
+    return densities
 
 
 def recording(case: Case, rng: np.random.Generator) -> tuple[Target, Array]:
-    """Draw a truth from the priors, make its recordings, and give the target believed in."""
-    if case.made is None or case.believed is None:
+    """Draw a truth from the priors, simulate its recordings, and return the assumed target."""
+    if case.true is None or case.assumed is None:
         return position_case.recording(rng)
     chain = PRESETS["rabbit-knee"].chain()
-    made = make_target(chain, motions(), priors(case.made), "shared", case.made)
-    truth = np.concatenate([p.draw(1, rng) for p in made.priors])
-    values = made.chain_values(truth[None])
-    scales = made.noise.scales(truth[None, len(made.free) :])
+    source = make_target(chain, motions(), priors(case.true), "shared", case.true)
+    truth = np.concatenate([p.draw(1, rng) for p in source.priors])
+    values = source.chain_values(truth[None])
+    scales = source.noise.scales(truth[None, len(source.free) :])
     observations = []
-    for r, (o, follows) in enumerate(
-        zip(motions(), (x.follows for x in made.likelihood.outputs), strict=True)
+    for r, (signals, follows) in enumerate(
+        zip(motions(), (output.follows for output in source.likelihood.outputs), strict=True)
     ):
-        torque = filtered_torque(chain, o, values)[0]
-        torque = torque + case.made.draw(follows, scales[:, r], rng)[0]
-        observations.append(replace(o, torque=torque, measured=torque))
-    believed = make_target(chain, observations, priors(case.believed), "shared", case.believed)
-    return believed, truth[: len(believed.names)]
+        torque = filtered_torque(chain, signals, values)[0]
+        torque = torque + case.true.draw(follows, scales[:, r], rng)[0]
+        observations.append(replace(signals, torque=torque, measured=torque))
+    target = make_target(chain, observations, priors(case.assumed), "shared", case.assumed)
+    return target, truth[: len(target.names)]
 
 
-def one(task: tuple[str, int]) -> dict[str, Any] | None:
-    """Rank the truth of one recording among draws of its posterior; ``None`` where it is refused.
+def run_case(task: tuple[str, int]) -> dict[str, Any] | None:
+    """Rank the truth of one recording among its posterior draws; ``None`` if it is refused.
 
-    A linearised simulation is, where it does not hold over the posterior.
+    An output-error fit is refused if its linearisation fails over the posterior.
     """
     name, number = task
     case = CASES[name]
@@ -170,16 +169,16 @@ def one(task: tuple[str, int]) -> dict[str, Any] | None:
     rng = np.random.default_rng(seed)
     target, truth = recording(case, rng)
     settings = SETTINGS.model_copy(update={"seed": int(rng.integers(2**31))})
-    if case.made is None:  # every step simulates
+    if case.true is None:  # every step simulates
         settings = settings.model_copy(update={"walkers": 12})
     if case.move == "snooker":
-        settings, own = settings.model_copy(update={"max_steps": 800}), sampling._Ensembles
+        settings, ensembles = settings.model_copy(update={"max_steps": 800}), sampling._Ensembles
         mix = [(emcee.moves.DEMove(), 0.2), (emcee.moves.DESnookerMove(), 0.8)]
-        sampling._Ensembles = lambda t, _, *rest: own(t, mix, *rest)
+        sampling._Ensembles = lambda t, _, *rest: ensembles(t, mix, *rest)
         try:
             result = fit(target, settings)
         finally:
-            sampling._Ensembles = own
+            sampling._Ensembles = ensembles
     else:
         try:
             result = fit(target, settings)
@@ -203,7 +202,7 @@ def one(task: tuple[str, int]) -> dict[str, Any] | None:
 
 
 def quantities_of(target: Target, vectors: Array) -> tuple[list[str], Array]:
-    """Parameters, noise scales and gauge-free combinations, ``(k, n)``."""
+    """Return parameters, noise scales and gauge-free combinations, ``(k, n)``."""
     names, rows = list(target.names), list(vectors.T)
     for q in derive(target.likelihood.chain, target.chain_values(vectors), 20.0):
         if q.gauge_free and np.isfinite(q.values).all():
@@ -213,19 +212,20 @@ def quantities_of(target: Target, vectors: Array) -> tuple[list[str], Array]:
 
 
 def main() -> None:
+    """Run all cases and save the result."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--recordings", type=int, default=500)
     parser.add_argument("--controls", type=int, default=200)
     parser.add_argument("--cases", nargs="*", default=list(CASES))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     options = parser.parse_args()
-    path = HERE / "result.json"
+    path = FOLDER / "result.json"
     result = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for name in options.cases:
         n = options.controls if name.startswith("control") else options.recordings
         with ProcessPoolExecutor(options.workers) as pool:
-            made = list(pool.map(one, [(name, i) for i in range(n)], chunksize=4))
-        rows = [row for row in made if row is not None]
+            outcomes = list(pool.map(run_case, [(name, i) for i in range(n)], chunksize=4))
+        rows = [row for row in outcomes if row is not None]
         result[name] = {**summary_of(rows, RANKED), "refused": n - len(rows)}
         print(name, result[name]["recordings"], result[name]["statuses"], flush=True)
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Draw ``result.json``: where the truth lies among the draws, minus where it should.
+"""Draw ``result.json``: empirical distribution of ranks minus the uniform one.
 
 ``python studies/calibration/figures.py`` writes ``figures/calibration``.
 """
@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 
 from bayesfric.report.figures.style import BAND, PAGE, PALETTE, SMALL, paper_style, save
 
-HERE = Path(__file__).resolve().parent
-FOLDER = HERE.parents[1] / "figures" / "calibration"
+FOLDER = Path(__file__).resolve().parent
+FIGURES = FOLDER.parents[1] / "figures" / "calibration"
 COLUMNS = 3
 
 
 def draw(result: dict[str, Any]) -> Figure:
-    """One panel a case, all its quantities in one band."""
+    """Draw one panel per case, with all its quantities and one band."""
     rows = math.ceil(len(result) / COLUMNS)
     figure = Figure(figsize=(PAGE, 1.75 * rows + 0.35), layout="constrained")
     axes = figure.subplots(rows, COLUMNS, sharex=True, sharey=True, squeeze=False)
@@ -32,7 +32,7 @@ def draw(result: dict[str, Any]) -> Figure:
     for ax in axes[:, 0]:
         ax.set_ylabel("ECDF minus uniform")
     for ax in list(axes.flat)[max(0, len(result) - COLUMNS) : len(result)]:
-        ax.set_xlabel("place of the truth among the draws")
+        ax.set_xlabel("rank of the truth among the draws")
         ax.tick_params(labelbottom=True)
     return figure
 
@@ -54,20 +54,21 @@ def _panel(ax: Any, name: str, case: dict[str, Any]) -> None:
         )
     words = name.replace("control: ", "control:\n")
     words += f"\n{case['recordings']} recordings, {outside} of {len(case['quantities'])} outside"
-    said = ax.text(0.03, 0.96, words, transform=ax.transAxes, va="top", fontsize=SMALL)
-    said.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
-    said.set_in_layout(False)
+    label = ax.text(0.03, 0.96, words, transform=ax.transAxes, va="top", fontsize=SMALL)
+    label.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 1.0})
+    label.set_in_layout(False)
     ax.set_xlim(0.0, 1.0)
-    # room for words above, and for controls that are far off
+    # space for the label, and for controls that fail clearly
     ax.set_ylim(-0.3, 0.5)
 
 
 def main() -> None:
-    result = json.loads((HERE / "result.json").read_text(encoding="utf-8"))
-    FOLDER.mkdir(parents=True, exist_ok=True)
+    """Write the figure."""
+    result = json.loads((FOLDER / "result.json").read_text(encoding="utf-8"))
+    FIGURES.mkdir(parents=True, exist_ok=True)
     with paper_style():
         figure = draw(result)
-    save(figure, FOLDER, "ranks")
+    save(figure, FIGURES, "ranks")
 
 
 if __name__ == "__main__":

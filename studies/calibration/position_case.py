@@ -1,8 +1,8 @@
-"""SIMULATED recordings for the output-error likelihood: one axis, positions and torque with noise.
+"""Simulate recordings of an axis for the output-error likelihood, with noise on both signals.
 
-The torque sent is known exactly to nobody: the joint feels the measured torque minus white
-noise. The positions are those of the simulation, plus white noise. So the likelihood is right
-up to its linearisation, by the mode, of what torque noise and initial states do.
+The acting torque is the measured torque minus white noise, the measured position the simulated
+one plus white noise. So the likelihood is right up to its linearisation, at the mode, of the
+effects of torque noise and initial states.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ def axis() -> Joint:
 
 
 def priors() -> dict[str, Prior]:
-    """Priors of the axis and of both noise scales."""
+    """Return the priors of the axis and of both noise scales."""
     infinite = float("inf")
-    found = {}
+    densities = {}
     for name, value in {**PRESETS["motor-axis"].values, **MEDIANS}.items():
         if name == "offset":
             text = {"distribution": "norm", "loc": 0.0, "scale": 0.02}
-            found[name] = read_prior(name, text, lower=-infinite, upper=infinite)
+            densities[name] = read_prior(name, text, lower=-infinite, upper=infinite)
         else:
             text = {"distribution": "lognorm", "s": PRIOR_SD, "scale": value}
-            found[name] = read_prior(name, text, lower=0.0, upper=infinite)
-    return found
+            densities[name] = read_prior(name, text, lower=0.0, upper=infinite)
+    return densities
 
 
 @lru_cache(maxsize=1)
 def excitation() -> Array:
-    """Torque as the drive reports it, ``(n,)``."""
+    """Return the measured torque ``(n,)``."""
     options = Simulation(
         duration=DURATION,
         rate=RATE,
@@ -72,19 +72,19 @@ def excitation() -> Array:
 
 
 def recording(rng: np.random.Generator) -> tuple[Target, Array]:
-    """Draw a truth from the priors, make its recording, and give the target and the truth."""
-    chain, believed = axis(), priors()
-    truth = np.concatenate([p.draw(1, rng) for p in believed.values()])
+    """Draw a truth from the priors and simulate its recording; return target and truth."""
+    chain, densities = axis(), priors()
+    truth = np.concatenate([p.draw(1, rng) for p in densities.values()])
     values = truth[: len(chain.names)]
     torque_sd, position_sd = truth[len(chain.names) :]
     torque, n, period = excitation(), excitation().size, 1.0 / RATE
-    felt = torque - torque_sd * rng.standard_normal(n)
-    whole = np.array([[0, n]])
+    acting = torque - torque_sd * rng.standard_normal(n)
+    segment = np.array([[0, n]])
     (q,), _ = simulate_segments(
-        chain, values[None], felt, period, whole, np.zeros(1), np.zeros(1), substeps=8
+        chain, values[None], acting, period, segment, np.zeros(1), np.zeros(1), substeps=8
     )
     qd, qdd = np.gradient(q, period), np.gradient(np.gradient(q, period), period)
-    # borders where the joint is fast, as in a real fit: near a reversal nothing is linear
+    # segment borders at high speed, as in a fit: near a reversal linearisation fails
     even = np.arange(SEGMENT, n - SEGMENT // 2, SEGMENT)
     fast = [
         k - SEGMENT // 4 + int(np.argmax(np.abs(qd[k - SEGMENT // 4 : k + SEGMENT // 4])))
@@ -124,4 +124,4 @@ def recording(rng: np.random.Generator) -> tuple[Target, Array]:
     )
     point = chain.vector(PRESETS["motor-axis"].values)
     likelihood = PositionLikelihood(chain, [trajectory], [observation], point)
-    return target_of(likelihood, believed, "shared"), truth
+    return target_of(likelihood, densities, "shared"), truth

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 
 
 def lines(result: dict[str, Any]) -> Iterator[str]:
-    """One row a case."""
+    """Yield one row per case."""
     yield (
         "| case | recordings | coverage of 90 % intervals, lowest and highest of all quantities | "
         "outside their band | not reliable |"
@@ -21,18 +21,19 @@ def lines(result: dict[str, Any]) -> Iterator[str]:
         rows = case["quantities"]
         low, high = (f(rows, key=lambda n: rows[n]["coverage"]) for f in (min, max))
         outside = [n for n, row in rows.items() if not row["inside"]]
-        said = f"{len(outside)} of {len(rows)}"
+        cell = f"{len(outside)} of {len(rows)}"
         if outside:
-            said += f" ({', '.join(outside[:3])}{' ...' if len(outside) > 3 else ''})"
+            cell += f" ({', '.join(outside[:3])}{' ...' if len(outside) > 3 else ''})"
         unreliable = case["recordings"] - case["statuses"].get("reliable", 0)
         yield (
             f"| {name} | {case['recordings']} | {100 * rows[low]['coverage']:.1f} % ({low}) to "
-            f"{100 * rows[high]['coverage']:.1f} % ({high}) | {said} | {unreliable} |"
+            f"{100 * rows[high]['coverage']:.1f} % ({high}) | {cell} | {unreliable} |"
         )
 
 
 def main() -> None:
-    result = json.loads((HERE / "result.json").read_text(encoding="utf-8"))
+    """Print the table."""
+    result = json.loads((FOLDER / "result.json").read_text(encoding="utf-8"))
     print("\n".join(lines(result)))
 
 

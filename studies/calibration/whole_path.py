@@ -1,6 +1,6 @@
-"""Do intervals hold on the path that users take? SIMULATED benches, from file to summary.
+"""Measure the coverage of intervals from file to summary, on SIMULATED benches.
 
-``python studies/calibration/whole_path.py`` makes recordings as files (:mod:`bench`), fits each
+``python studies/calibration/whole_path.py`` writes recordings as files (:mod:`bench`), fits each
 with default settings, and counts how often the intervals hold the truth. Writes
 ``whole_path.json``; ``--recordings N``, ``--cases A B`` for less, ``--seed N`` for others.
 """
@@ -29,19 +29,19 @@ from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.derived import derive
 from bayesfric.results.reported import ORDER
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 SEED = 2027
 
 
 def one(task: tuple[int, str, int]) -> dict[str, Any]:
-    """Fit one recording, and say of every quantity where the truth lies."""
+    """Fit one recording and compare every quantity with the truth."""
     seed, name, number = task
     bench = CASES[name]
     stream = np.random.SeedSequence(seed, spawn_key=(list(CASES).index(name), number))
     rng = np.random.default_rng(stream)
     with TemporaryDirectory() as folder:
         truth, recordings, stuck = recorded(bench, rng, Path(folder))
-        begun = time.process_time()
+        start = time.process_time()
         try:
             model = Model(bench.joint, recordings, **bench.tables)
             summary = model.fit(seed=1).summary
@@ -49,27 +49,27 @@ def one(task: tuple[int, str, int]) -> dict[str, Any]:
             return {"case": name, "number": number, "refused": str(error)}
     values = np.array([[truth[n] for n in bench.joint.names]])
     true = {**truth, **{q.name: float(q.values[0]) for q in derive(bench.joint, values, 1.0)}}
-    checked = summary.self_check.rows if summary.self_check else {}
+    checks = summary.self_check.rows if summary.self_check else {}
     rows = {}
     for key, row in summary.rows.items():
-        told = row.reported
-        if told is None or key not in true or "efficiency" in key:
+        reported = row.reported
+        if reported is None or key not in true or "efficiency" in key:
             continue
         rows[key] = {
             "truth": true[key],
-            "status": told.status,
-            "value": told.value,
-            "sd": told.sd,
-            "interval": told.interval,
-            # what sampling alone gave, and what the self-check foretold of that
-            "posterior": told.how.posterior,
-            "bias": checked[key].bias if key in checked else None,
+            "status": reported.status,
+            "value": reported.value,
+            "sd": reported.sd,
+            "interval": reported.interval,
+            # the posterior alone, and its bias by the calibration check
+            "posterior": reported.how.posterior,
+            "bias": checks[key].bias if key in checks else None,
         }
     return {
         "case": name,
         "number": number,
         "stuck": stuck,
-        "seconds": round(time.process_time() - begun, 2),
+        "seconds": round(time.process_time() - start, 2),
         "status": summary.sampler.status,
         "findings": [finding.kind for finding in summary.findings],
         "outcome": summary.verdict.outcome,
@@ -77,41 +77,43 @@ def one(task: tuple[int, str, int]) -> dict[str, Any]:
     }
 
 
-def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum one case up: how often printed intervals hold the truth, by status and quantity."""
-    kept = [one for one in found if "rows" in one]
+def judged(outcomes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise one case: coverage of the reported intervals, by status and quantity."""
+    fits = [fit for fit in outcomes if "rows" in fit]
     statuses: dict[str, dict[str, Any]] = {}
     for status in ORDER:
-        # quantities of one recording err together: the error is that of recordings
-        own = [[r for r in one["rows"].values() if r["status"] == status] for one in kept]
-        shares = [np.mean([_held(row) for row in rows]) for rows in own if rows]
+        # errors of one recording's quantities are correlated: the standard error is over recordings
+        rows_of_fits = [
+            [row for row in fit["rows"].values() if row["status"] == status] for fit in fits
+        ]
+        shares = [np.mean([_held(row) for row in rows]) for rows in rows_of_fits if rows]
         if not shares:
             continue
-        names = dict.fromkeys(key for one in kept for key in one["rows"])
+        names = dict.fromkeys(key for fit in fits for key in fit["rows"])
         by_name = {
-            name: [one["rows"][name] for one in kept if _status(one, name) == status]
+            name: [fit["rows"][name] for fit in fits if _status(fit, name) == status]
             for name in names
         }
         statuses[status] = {name: _quantity(rows) for name, rows in by_name.items() if rows}
         statuses[status]["all"] = {
-            **_quantity([row for rows in own for row in rows]),
+            **_quantity([row for rows in rows_of_fits for row in rows]),
             "error": float(np.std(shares) / np.sqrt(len(shares))),
         }
-    seconds = [one["seconds"] for one in kept]
+    seconds = [fit["seconds"] for fit in fits]
     return {
-        "recordings": len(found),
-        "refused": [one["refused"] for one in found if "refused" in one],
-        "reliable": sum(one["status"] == "reliable" for one in kept),
-        "findings": sum(bool(one["findings"]) for one in kept),
-        "doubtful": sum(one["outcome"] == "doubtful" for one in kept),
-        "stuck": float(np.mean([one["stuck"] for one in kept])),
+        "recordings": len(outcomes),
+        "refused": [fit["refused"] for fit in outcomes if "refused" in fit],
+        "reliable": sum(fit["status"] == "reliable" for fit in fits),
+        "findings": sum(bool(fit["findings"]) for fit in fits),
+        "doubtful": sum(fit["outcome"] == "doubtful" for fit in fits),
+        "stuck": float(np.mean([fit["stuck"] for fit in fits])),
         "cpu_seconds": [float(np.median(seconds)), max(seconds)],
         "statuses": statuses,
     }
 
 
-def _status(one: dict[str, Any], name: str) -> str | None:
-    return one["rows"][name]["status"] if name in one["rows"] else None
+def _status(fit: dict[str, Any], name: str) -> str | None:
+    return fit["rows"][name]["status"] if name in fit["rows"] else None
 
 
 def _held(row: dict[str, Any]) -> bool:
@@ -123,7 +125,7 @@ def _quantity(rows: list[dict[str, Any]]) -> dict[str, Any]:
     plain = np.array([row["posterior"] for row in rows])  # value, low, high, sd
     truth, ends = (np.array([row[key] for row in rows]) for key in ("truth", "interval"))
     wider = (ends[:, 1] - ends[:, 0]) / (plain[:, 2] - plain[:, 1])
-    found = {
+    summary = {
         "intervals": len(rows),
         "coverage": float(np.mean([_held(row) for row in rows])),
         "z": float(z.mean()),
@@ -133,13 +135,13 @@ def _quantity(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "posterior_z": float(((plain[:, 0] - truth) / plain[:, 3]).mean()),
         "posterior_coverage": float(np.mean((plain[:, 1] <= truth) & (truth <= plain[:, 2]))),
     }
-    if told := [row["bias"] for row in rows if row["bias"] is not None]:
-        found["foretold"] = float(np.mean(told))
-    return found
+    if biases := [row["bias"] for row in rows if row["bias"] is not None]:
+        summary["foretold"] = float(np.mean(biases))
+    return summary
 
 
 def table(case: str, result: dict[str, Any]) -> list[str]:
-    """Say how a case did, a line for each quantity."""
+    """Return the lines of a case, one for each quantity."""
     median, longest = result["cpu_seconds"]
     lines = [
         f"== {case}: {result['recordings']} recordings, {len(result['refused'])} refused, "
@@ -153,18 +155,19 @@ def table(case: str, result: dict[str, Any]) -> list[str]:
                 f"z {row['z']:+.2f} sd {row['z_sd']:.2f}, largest {row['z_largest']:.1f}; "
                 f"wider {row['wider'][0]:.2f}, {row['wider'][1]:.2f}; "
                 f"posterior {row['posterior_coverage']:.0%}, z {row['posterior_z']:+.2f}, "
-                f"foretold {row.get('foretold', 0.0):+.2f}"
+                f"predicted bias {row.get('foretold', 0.0):+.2f}"
             )
     return lines
 
 
 def main() -> None:
+    """Run all cases and print their lines."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--recordings", type=int, default=100)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--cases", nargs="*", default=list(CASES))
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--to", type=Path, default=HERE / "whole_path.json")
+    parser.add_argument("--to", type=Path, default=FOLDER / "whole_path.json")
     options = parser.parse_args()
     result = json.loads(options.to.read_text(encoding="utf-8")) if options.to.exists() else {}
     with ProcessPoolExecutor(options.workers) as pool:

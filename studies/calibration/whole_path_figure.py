@@ -1,4 +1,4 @@
-"""Draw ``whole_path.json``: how often intervals hold the truth, case by case.
+"""Draw ``whole_path.json``: coverage of intervals, case by case.
 
 ``python studies/calibration/whole_path_figure.py`` writes ``figures/calibration/whole_path`` and
 prints the table of the README.
@@ -14,27 +14,27 @@ from matplotlib.figure import Figure
 
 from bayesfric.report.figures.style import BAND, COLUMN, PALETTE, SMALL, paper_style, save
 
-HERE = Path(__file__).resolve().parent
-FOLDER = HERE.parents[1] / "figures" / "calibration"
-# What was asked for, of 90 % intervals.
-WANTED = (0.85, 0.95)
-# Intervals of which a share says something.
+FOLDER = Path(__file__).resolve().parent
+FIGURES = FOLDER.parents[1] / "figures" / "calibration"
+# Accepted coverage of 90 % intervals.
+TARGET = (0.85, 0.95)
+# Minimum number of intervals for a share.
 FEWEST = 30
-# Where the axis begins; what lies below is written there.
-BEGIN = 0.6
+# Start of the axis; lower values are written as text.
+AXIS_START = 0.6
 
 
 def draw(result: dict[str, Any]) -> Figure:
-    """One row a case: a mark for each quantity that is identified, a bar for all of them."""
+    """Draw one row per case: a mark for each identified quantity, a bar for all of them."""
     figure = Figure(figsize=(COLUMN, 0.24 * len(result) + 0.75), layout="constrained")
     ax = figure.subplots()
-    ax.axvspan(*WANTED, color=BAND, linewidth=0.0)
+    ax.axvspan(*TARGET, color=BAND, linewidth=0.0)
     ax.axvline(0.9, color="black", linewidth=0.5)
-    for place, case in enumerate(result.values()):
-        rows, whole = _identified(case)
+    for position, case in enumerate(result.values()):
+        rows, total = _identified(case)
         ax.plot(
             [row["coverage"] for row in rows.values()],
-            [place] * len(rows),
+            [position] * len(rows),
             linestyle="none",
             marker="o",
             markersize=2.6,
@@ -43,60 +43,68 @@ def draw(result: dict[str, Any]) -> Figure:
             color=PALETTE[1],
         )
         for row in rows.values():
-            if row["coverage"] < BEGIN:  # beyond the frame, and said there
-                beside = {"xytext": (2.0, 3.0), "textcoords": "offset points", "va": "bottom"}
-                said = f"{row['coverage']:.0%}".replace("%", " %")
-                ax.plot([BEGIN], [place], "<", color=PALETTE[1], markersize=3.5, clip_on=False)
-                ax.annotate(said, (BEGIN, place), fontsize=SMALL, **beside)
+            if row["coverage"] < AXIS_START:  # outside the axes, as text
+                placement = {"xytext": (2.0, 3.0), "textcoords": "offset points", "va": "bottom"}
+                label = f"{row['coverage']:.0%}".replace("%", " %")
+                ax.plot(
+                    [AXIS_START], [position], "<", color=PALETTE[1], markersize=3.5, clip_on=False
+                )
+                ax.annotate(label, (AXIS_START, position), fontsize=SMALL, **placement)
         ax.plot(
-            [whole["coverage"]], [place], linestyle="none", marker="|", markersize=9, color="black"
+            [total["coverage"]],
+            [position],
+            linestyle="none",
+            marker="|",
+            markersize=9,
+            color="black",
         )
     ax.set_yticks(range(len(result)), [*result], fontsize=SMALL)
     ax.set_ylim(len(result) - 0.5, -0.5)
-    ax.set_xlim(BEGIN, 1.01)
+    ax.set_xlim(AXIS_START, 1.01)
     ax.set_xlabel("share of intervals that hold the truth")
     ax.tick_params(axis="y", length=0)
     return figure
 
 
 def _identified(case: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Give what is identified often enough for a share, by name, and all of it."""
+    """Return the quantities that are identified often enough for a share, and their total."""
     rows = dict(case["statuses"]["identified"])
-    whole = rows.pop("all")
-    return {name: row for name, row in rows.items() if row["intervals"] >= FEWEST}, whole
+    total = rows.pop("all")
+    return {name: row for name, row in rows.items() if row["intervals"] >= FEWEST}, total
 
 
 def table(result: dict[str, Any]) -> list[str]:
-    """Lay the cases out as Markdown."""
+    """Format the cases as Markdown."""
     lines = [
         "| case | recordings | with findings | identified | lowest quantity | posterior alone "
         "| width over its, median, 90th percentile | limits, prior |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for name, case in result.items():
-        rows, whole = _identified(case)
-        least = min(rows, key=lambda n: rows[n]["coverage"])
+        rows, total = _identified(case)
+        lowest = min(rows, key=lambda n: rows[n]["coverage"])
         others = [
             case["statuses"][key]["all"] for key in ("limit", "prior") if key in case["statuses"]
         ]
-        count = sum(one["intervals"] for one in others)
-        held = sum(one["intervals"] * one["coverage"] for one in others) / max(count, 1)
+        count = sum(group["intervals"] for group in others)
+        held = sum(group["intervals"] * group["coverage"] for group in others) / max(count, 1)
         lines.append(
             f"| {name} | {case['recordings'] - len(case['refused'])} | {case['findings']} "
-            f"| {whole['coverage']:.1%} ± {whole['error']:.1%} of {whole['intervals']} "
-            f"| {rows[least]['coverage']:.0%} ({least}) | {whole['posterior_coverage']:.0%} "
-            f"| {whole['wider'][0]:.2f}, {whole['wider'][1]:.2f} "
+            f"| {total['coverage']:.1%} ± {total['error']:.1%} of {total['intervals']} "
+            f"| {rows[lowest]['coverage']:.0%} ({lowest}) | {total['posterior_coverage']:.0%} "
+            f"| {total['wider'][0]:.2f}, {total['wider'][1]:.2f} "
             f"| {f'{held:.0%} of {count}' if count else ''} |"
         )
     return lines
 
 
 def main() -> None:
-    result = json.loads((HERE / "whole_path.json").read_text(encoding="utf-8"))
-    FOLDER.mkdir(parents=True, exist_ok=True)
+    """Write the figure and print the table."""
+    result = json.loads((FOLDER / "whole_path.json").read_text(encoding="utf-8"))
+    FIGURES.mkdir(parents=True, exist_ok=True)
     with paper_style():
         figure = draw(result)
-    save(figure, FOLDER, "whole_path")
+    save(figure, FIGURES, "whole_path")
     print("\n".join(table(result)))
 
 

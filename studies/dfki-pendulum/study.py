@@ -1,4 +1,4 @@
-"""Every recording of the pendulum by itself, and the parts of five without a hand: all defaults.
+"""Fit each recording of the pendulum, and the parts of five without contact, with defaults.
 
 ``python studies/dfki-pendulum/study.py`` writes ``result.json`` and prints the table of the README.
 """
@@ -12,12 +12,12 @@ from pathlib import Path
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import parse_config
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 RECORDINGS = ("ddp", "dircol", "ilqr", "es500", "sac", "es1kg")
 NUMBERS = ("motor.inertia", "motor.viscous", "motor.coulomb", "gearbox.load", "load.first_moment")
-# CAD, kg m: the authors' with 0.5 kg, and half a kilogram more at 0.5 m
+# CAD, kg m: the authors' with 0.5 kg, and 0.5 kg more at 0.5 m
 CAD = {"es1kg": 0.304 + 0.5 * 0.5}
-ONE = """\
+CONFIGURATION = """\
 [mechanism]
 preset = "servo-pendulum"
 
@@ -30,23 +30,23 @@ torque = {{ column = "torque", unit = "N m" }}
 
 
 def configuration(name: str) -> str:
-    """Give a recording's configuration: columns and units, nothing else."""
-    return ONE.format(name=name)
+    """Return a recording's configuration: columns and units only."""
+    return CONFIGURATION.format(name=name)
 
 
 def fitted(text: str) -> dict:
-    """Fit a configuration that lies in this folder; gives ``summary.json`` without its page."""
-    config = parse_config(text, HERE / "study.toml")
+    """Fit a configuration of this folder; return ``summary.json``."""
+    config = parse_config(text, FOLDER / "study.toml")
     return Model.from_config(config).fit().summary.as_dict()
 
 
-def told(summary: dict) -> dict:
-    """Keep of a summary what the README tells."""
+def key_numbers(summary: dict) -> dict:
+    """Select the numbers of a summary that the README quotes."""
     return {
         "status": summary["sampler"]["status"],
         "explained": summary["fit"]["explained"],
         "noise": summary["noise"]["model"],
-        "doubts": [one["kind"] for one in summary["doubts"]],
+        "doubts": [doubt["kind"] for doubt in summary["doubts"]],
         "bands": {name: row["band"] for name, row in summary["fit"]["recordings"].items()},
         "parameters": {
             name: {
@@ -58,24 +58,24 @@ def told(summary: dict) -> dict:
 
 
 def main() -> None:
-    """Fit everything."""
+    """Fit all recordings and print the table."""
     result = {}
     cases = {name: configuration(name) for name in RECORDINGS}
-    cases["clean"] = (HERE / "clean.toml").read_text("utf-8")
+    cases["clean"] = (FOLDER / "clean.toml").read_text("utf-8")
     for name, text in cases.items():
         began = time.process_time()
-        found = told(fitted(text))
-        result[name] = found
-        row = found["parameters"]["load.first_moment"]
+        outcome = key_numbers(fitted(text))
+        result[name] = outcome
+        row = outcome["parameters"]["load.first_moment"]
         low, high = row["interval"]
         print(
-            f"| {name} | {found['status']} | {100 * found['explained']:.0f} % | "
+            f"| {name} | {outcome['status']} | {100 * outcome['explained']:.0f} % | "
             f"{row['median']:.3f} [{low:.3f}, {high:.3f}] {row['verdict']} | "
-            f"{row['median'] / CAD.get(name, 0.304):.2f} | {', '.join(found['doubts']) or '-'} | "
+            f"{row['median'] / CAD.get(name, 0.304):.2f} | {', '.join(outcome['doubts']) or '-'} | "
             f"{time.process_time() - began:.0f} |",
             flush=True,
         )
-    (HERE / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""SIMULATED joints whose drive is elastic, has a gap, or whose friction builds up by bristles.
+"""Simulate joints with elasticity, backlash or pre-sliding (bristle) friction.
 
-The package's simulator knows none of these. A motor and a pendulum are two masses here, joined by a
-spring with or without a gap; or one, whose Coulomb friction follows a bristle (Dahl 1968). The
+The package's simulator has none of these. Motor and pendulum are two masses, joined by a
+spring with or without a gap; or one mass whose Coulomb friction follows a bristle (Dahl 1968). The
 equations are solved at 50 kHz, friction exactly, the spring semi-implicitly. The position is the
 motor's.
 """
@@ -26,17 +26,17 @@ Array = NDArray[np.float64]
 GRAVITY, FINE = 9.80665, 50_000.0  # m/s², Hz
 MOTOR, LOAD = 0.02, 0.03  # kg m²
 DRIVE = Drive(3.0, square=0.3, hertz=0.7)
-# Hz of the teeth's contact, and damping of the spring over critical.
+# Hz of the teeth's contact, and damping ratio of the spring.
 CONTACT, DAMPING = 300.0, 0.02
 
 
 @dataclass(frozen=True)
 class Compliant:
-    """A bench like those of ``calibration``; one of the three is not zero."""
+    """A bench like those of ``calibration`` with elasticity, gap or bristle."""
 
-    joint: Joint  # that is fitted
-    elastic: float = 0.0  # Hz, the motor held
-    gap: float = 0.0  # rad, all of it
+    joint: Joint  # fitted joint
+    elastic: float = 0.0  # Hz, resonance with the motor locked
+    gap: float = 0.0  # rad, total
     bristle: float = 0.0  # rad
     loop: float = 0.0  # Hz of a position loop; else torque is commanded
     tables: dict[str, Any] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Compliant:
     def recorded(
         self, rng: np.random.Generator, folder: Path
     ) -> tuple[dict[str, float], list[Recording], float]:
-        """Make the file of one recording."""
+        """Write the file of one recording."""
         bench = Bench(self.joint, PLAIN, (DRIVE,), duration=20.0, counts=16384, loop=self.loop)
         truth = bench.truth(rng)
         time = np.arange(round((bench.duration + 0.2) * FINE)) / FINE
@@ -53,7 +53,7 @@ class Compliant:
         square = excitation.square(time + rng.uniform(), DRIVE.square, DRIVE.hertz)
         torque = DRIVE.amplitude * (sines + square)
         torque = excitation.current_loop(torque, 1.0 / FINE, DRIVE.lag)
-        if self.loop:  # a path, until the joint has moved
+        if self.loop:  # the target; _moved replaces it by the loop's torque
             torque = excitation.multisine(
                 time, bench.path, LINES[:-1], seed=int(rng.integers(2**31))
             )
@@ -79,9 +79,9 @@ class Compliant:
 def _moved(
     torque, offset, kp, kd, h, motor, load, weight, coulomb, viscous, stiff, damping, half, bristle
 ):  # type: ignore[no-untyped-def]
-    """Motor's position and speed ``(N,)``; without stiffness the two are one.
+    """Return the motor's position and speed ``(N,)``; without stiffness the masses are one.
 
-    Under a position loop ``torque`` is a path first, and the loop's torque then.
+    Under a position loop ``torque`` is the target, and is overwritten by the loop's torque.
     """
     q, qd = np.zeros(torque.size), np.zeros(torque.size)
     x = v = y = w = z = 0.0
@@ -104,7 +104,7 @@ def _moved(
             v += h * (force - coulomb * z) / mass
             side = 1.0 if v > 0.0 else -1.0
             z = side + (z - side) * math.exp(-abs(h * v) / bristle)
-        else:  # what friction takes, at most all
+        else:  # friction can stop the mass, not reverse it
             free = v + h * force / mass
             v = math.copysign(max(abs(free) - h * coulomb / mass, 0.0), free) if free else 0.0
         x += h * v

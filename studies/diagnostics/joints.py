@@ -1,4 +1,4 @@
-"""SIMULATED joints with one thing missing in the model that is fitted, and right ones."""
+"""Benches of SIMULATED joints: right models, models that lack one effect, faulty recordings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["BENCHES", "LACKING", "RIGHT", "SIZES", "UNLISTED", "USUAL", "recorde
 
 
 def recorded(bench: Bench | Compliant, rng: np.random.Generator, folder: Path) -> tuple[Any, ...]:
-    """Make the files of one recording."""
+    """Write the files of one recording."""
     if isinstance(bench, Compliant):
         return bench.recorded(rng, folder)
     return recorded_(bench, rng, folder)
@@ -37,7 +37,7 @@ RIGHT = (
 WORST = ("sticking", "knee")
 Array = NDArray[np.float64]
 
-# An arm with its inertia before and behind the gearbox, fast enough to show both.
+# An arm with inertia on both sides of the gearbox, fast enough to excite both.
 _VALUES = {**PLAIN, "motor.inertia": 0.02, "load.inertia": 0.03}
 _DRIVE = Drive(3.0, square=0.3, hertz=0.7)
 
@@ -50,7 +50,7 @@ def _arm(**options: object) -> Joint:
     return Joint(elements=(element,), load=load, offset=True, terms=terms)  # type: ignore[arg-type]
 
 
-# the model that is fitted takes all inertia together: nothing tells the two apart without losses
+# the fitted model has one inertia: without load-dependent friction the two are not identifiable
 _FITTED = Joint(
     elements=(Element("motor", inertia=True, coulomb="symmetric", viscous=True),),
     load=Load(first_moment=True),
@@ -67,7 +67,7 @@ def _term(name: str, column: object) -> Term:
     return Term(f"motor.{name}", column)  # type: ignore[arg-type]
 
 
-# Name, its size as usual, kinds that are right, and the bench of a size.
+# Name: usual size, correct kinds of finding, and the bench as a function of size.
 EFFECTS: dict[str, tuple[float, tuple[str, ...], Callable[[float], Bench]]] = {
     "torque constant sags by": (0.05, ("saturation",), lambda x: replace(_arm_bench, sag=x)),
     "load loss": (
@@ -147,7 +147,6 @@ COMPLIANT: dict[str, tuple[tuple[str, ...], Compliant]] = {
         for x in (0.003, 0.01, 0.03)
     },
 }
-# What no candidate is like: the list decides what intervals have room for.
 
 
 def _smooth(time: Array, x: Array, hertz: float) -> Array:
@@ -160,12 +159,12 @@ def _speed(time: Array, position: Array) -> Array:
 
 
 def _duty(time: Array, position: Array, torque: Array) -> Array:
-    """Give the duty cycle, of which torque and speed each take half at their largest."""
+    """Return the duty cycle; peak torque and peak speed contribute half each."""
     speed = _speed(time, position)
     return 0.5 * torque / np.abs(torque).max() + 0.5 * speed / np.abs(speed).max()
 
 
-# Faults of the recorded torque: of smoothing by its cut-off, of a constant by its share and cycles.
+# Faults of the recorded signals: cut-off of a filter; amplitude and cycles of a torque constant.
 FAULTS: dict[str, tuple[tuple[str, ...], Bench]] = {
     **{
         f"smoothed at {f:g} Hz": (
@@ -195,6 +194,7 @@ FAULTS: dict[str, tuple[tuple[str, ...], Bench]] = {
         for k in (1, 7)
     },
 }
+# Effects that no candidate describes: intervals must include them nevertheless.
 UNLISTED: dict[str, tuple[tuple[str, ...], Bench]] = {
     name: ((), _lacking(_arm(terms=(_term("extra", column),)), **{"motor.extra": x}))
     for name, x, column in (
@@ -205,11 +205,11 @@ UNLISTED: dict[str, tuple[tuple[str, ...], Bench]] = {
     )
 }
 LACKING: dict[str, tuple[tuple[str, ...], Bench | Compliant]] = {
-    **{f"{name} {x:g}": (kinds, made(x)) for name, (x, kinds, made) in EFFECTS.items()},
+    **{f"{name} {x:g}": (kinds, build(x)) for name, (x, kinds, build) in EFFECTS.items()},
     **{
-        f"{name} {times * x:g}": (kinds, made(times * x))
+        f"{name} {times * x:g}": (kinds, build(times * x))
         for times in (0.5, 2.0)
-        for name, (x, kinds, made) in EFFECTS.items()
+        for name, (x, kinds, build) in EFFECTS.items()
     },
     **COMPLIANT,
     **{
@@ -221,7 +221,7 @@ USUAL = {
     name: LACKING[name]
     for name in [*(f"{name} {x:g}" for name, (x, *_) in EFFECTS.items()), *COMPLIANT]
 }
-# Cases of one effect: half, usual and double; the sizes of a compliance are its own.
+# Cases of one effect: half, usual and double size; compliances have sizes of their kind.
 SIZES = {
     **{
         name: tuple(f"{name} {times * x:g}" for times in (0.5, 1.0, 2.0))

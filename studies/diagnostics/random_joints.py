@@ -1,9 +1,8 @@
-"""Does ``terms = "auto"`` find what joints have and their models lack? SIMULATED, from file on.
+"""Test ``terms = "auto"`` on SIMULATED joints whose models lack none to three terms.
 
-``python studies/diagnostics/random_joints.py`` makes recordings as files, of joints with one to
-three terms that the model lacks and of joints that lack none, and has what is missing put in.
-Writes ``random_joints.json`` and prints what the README has; ``--recordings N`` for less,
-``--first K`` for others, ``--other`` for other joints that move in another way.
+``python studies/diagnostics/random_joints.py`` writes recordings as files and adds missing terms.
+Writes ``random_joints.json`` and prints its summary; ``--recordings N`` for less,
+``--first K`` for others, ``--other`` for other joints and another motion.
 """
 
 from __future__ import annotations
@@ -27,17 +26,17 @@ from typing import Any
 
 import numpy as np
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "calibration"))
+FOLDER = Path(__file__).resolve().parent
+sys.path.insert(0, str(FOLDER.parent / "calibration"))
 
 from bench import Bench, Drive, recorded
 
 from bayesfric import Element, Joint, Load, Model
 
 SEED = 2027
-# Of joints that nothing was chosen by.
+# For joints that no choice depended on.
 OTHER_SEED = 4711
-# No term is missing in this share of the joints, beside as many with some.
+# Share of joints with a complete model.
 NOTHING = 0.5
 
 
@@ -45,14 +44,14 @@ NOTHING = 0.5
 class Missing:
     """A term that a joint may have and its model may lack."""
 
-    name: str  # as in the tables of the README
+    name: str  # as in the result
     owner: str
     options: dict[str, Any]
     values: dict[str, tuple[float, float]]  # uniform ranges
 
     @property
     def key(self) -> str:
-        """What a setting names it by, whatever its numbers of cycles."""
+        """Return the key of the setting, without numbers of cycles."""
         option, choice = next(iter(self.options.items()))
         return f"{self.owner}.{option}" + ("" if isinstance(choice, tuple) else f".{choice}")
 
@@ -93,7 +92,7 @@ TERMS = (
     ),
     Missing("load loss", "motor", {"load_loss": "one"}, {"motor.load": (0.04, 0.12)}),
 )  # fmt: skip
-# Beside a loss per transmitted torque that the model has.
+# Candidates where the model has load-dependent friction.
 LOSSY = (
     *(term for term in TERMS if term.name != "load loss"),
     Missing("load loss by direction", "motor", {"load_direction": True},
@@ -113,7 +112,7 @@ BASE = {
 
 
 def joint(terms: tuple[Missing, ...], *, lossy: bool) -> Joint:
-    """Build a motor that swings a load, with some terms more."""
+    """Build a motor that swings a load, with additional terms."""
     loss = "one" if lossy else "none"
     options: dict[str, dict[str, Any]] = {
         "motor": {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": loss},
@@ -126,18 +125,20 @@ def joint(terms: tuple[Missing, ...], *, lossy: bool) -> Joint:
     )
 
 
-def one(number: int, *, other: bool = False) -> dict[str, Any]:
-    """Ask of one joint what its model lacks; ``other`` joints move in another way."""
+def run_case(number: int, *, other: bool = False) -> dict[str, Any]:
+    """Simulate one joint and add what its model lacks; ``other`` selects the second motion."""
     seed = OTHER_SEED if other else SEED
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
     count = 0 if rng.random() < NOTHING else int(rng.integers(1, 4))
     lossy = bool(rng.random() < 0.5)
-    known = LOSSY if lossy else TERMS
+    candidates = LOSSY if lossy else TERMS
     picked: list[Missing] = []
-    for k in rng.permutation(len(known)).tolist():
-        # one choice of an option
-        if len(picked) < count and not any(set(known[k].options) & set(o.options) for o in picked):
-            picked.append(known[k])
+    for k in rng.permutation(len(candidates)).tolist():
+        # at most one value of an option
+        if len(picked) < count and not any(
+            set(candidates[k].options) & set(chosen.options) for chosen in picked
+        ):
+            picked.append(candidates[k])
     true = joint(tuple(picked), lossy=lossy)
     ranges = (
         BASE
@@ -151,19 +152,19 @@ def one(number: int, *, other: bool = False) -> dict[str, Any]:
     bench = Bench(true, values, (drive,), duration=duration, spread=0.0, colour=0.02)
     with TemporaryDirectory() as folder:
         _, recordings, stuck = recorded(bench, rng, Path(folder))
-        begun = time.process_time()
-        _, taken, left = Model(joint((), lossy=lossy), recordings).completed()
+        start = time.process_time()
+        _, added, explanation = Model(joint((), lossy=lossy), recordings).completed()
     return {
         "number": number,
         "lossy": lossy,
         "missing": [term.name for term in picked],
         "keys": [term.key for term in picked],
-        "taken": [_key(f.hint) for f in taken],
-        # kinds that this motion does not tell from one
-        "rivals": [list(f.rivals) for f in taken],
-        "left": [f.kind for f in left.findings],
+        "taken": [_key(finding.hint) for finding in added],
+        # kinds that this motion does not distinguish from it
+        "rivals": [list(finding.rivals) for finding in added],
+        "left": [finding.kind for finding in explanation.findings],
         "stuck": stuck,
-        "seconds": round(time.process_time() - begun, 2),
+        "seconds": round(time.process_time() - start, 2),
     }
 
 
@@ -174,48 +175,48 @@ def _key(setting: str) -> str:
     return f"{where}." + value.strip('"').replace("true", "True")
 
 
-def judged(found: list[dict[str, Any]]) -> dict[str, Any]:
-    """Count what was put in, what another choice of the same option was, and what was made up."""
-    nothing = [one for one in found if not one["missing"]]
+def judged(outcomes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Count added terms: right, by another value of the option, as a rival, and false."""
+    nothing = [outcome for outcome in outcomes if not outcome["missing"]]
     names = {term.key: term.name for term in (*TERMS, *LOSSY)}
     confusion: dict[str, dict[str, int]] = {}
-    for one in found:
-        left = dict(zip(one["keys"], one["missing"], strict=True))
-        for key, rivals in zip(one["taken"], one["rivals"], strict=True):
-            kin = [k for k in left if _option(k) == _option(key)]
-            near = [k for k in left if _option(k).rpartition(".")[2] in rivals]
-            if key in left:
-                _count(confusion, left.pop(key), "found")
-            elif kin:
-                _count(confusion, left.pop(kin[0]), "by another choice")
-            elif near:
-                _count(confusion, left.pop(near[0]), "named beside another")
+    for outcome in outcomes:
+        missing = dict(zip(outcome["keys"], outcome["missing"], strict=True))
+        for key, rivals in zip(outcome["taken"], outcome["rivals"], strict=True):
+            same_option = [k for k in missing if _option(k) == _option(key)]
+            named_rival = [k for k in missing if _option(k).rpartition(".")[2] in rivals]
+            if key in missing:
+                _count(confusion, missing.pop(key), "found")
+            elif same_option:
+                _count(confusion, missing.pop(same_option[0]), "by another choice")
+            elif named_rival:
+                _count(confusion, missing.pop(named_rival[0]), "named beside another")
             else:
                 _count(confusion, "not there", names.get(key, key))
-        for name in left.values():
+        for name in missing.values():
             _count(confusion, name, "missed")
 
     def counted(column: str) -> int:
         return sum(row.get(column, 0) for row in confusion.values())
 
-    seconds = [one["seconds"] for one in found]
+    seconds = [outcome["seconds"] for outcome in outcomes]
     return {
-        "joints": len(found),
-        "terms": sum(len(one["missing"]) for one in found),
+        "joints": len(outcomes),
+        "terms": sum(len(outcome["missing"]) for outcome in outcomes),
         "found": counted("found"),
         "by_another_choice": counted("by another choice"),
         "named_beside_another": counted("named beside another"),
-        "put_in": sum(len(one["taken"]) for one in found),
+        "put_in": sum(len(outcome["taken"]) for outcome in outcomes),
         "not_there": sum(confusion.get("not there", {}).values()),
         "nothing_missing": len(nothing),
-        "false_finds": sum(bool(one["taken"] or one["left"]) for one in nothing),
+        "false_finds": sum(bool(outcome["taken"] or outcome["left"]) for outcome in nothing),
         "seconds": [float(np.median(seconds)), max(seconds)],
         "confusion": confusion,
     }
 
 
 def _option(key: str) -> str:
-    """Give owner and option of a key, without the choice."""
+    """Return owner and option of a key, without the value."""
     return ".".join(key.split(".")[:2])
 
 
@@ -225,6 +226,7 @@ def _count(table: dict[str, dict[str, int]], row: str, column: str) -> None:
 
 
 def main() -> None:
+    """Run all joints and print the summary."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--recordings", type=int, default=400)
     parser.add_argument("--first", type=int, default=0)
@@ -232,12 +234,12 @@ def main() -> None:
     parser.add_argument("--other", action="store_true", help="other joints, another motion")
     parser.add_argument("--to", type=Path)
     options = parser.parse_args()
-    to = options.to or HERE / f"random_joints{'-other' if options.other else ''}.json"
+    path = options.to or FOLDER / f"random_joints{'-other' if options.other else ''}.json"
     numbers = range(options.first, options.first + options.recordings)
     with ProcessPoolExecutor(options.workers) as pool:
-        found = list(pool.map(partial(one, other=options.other), numbers))
-    result = {"judged": judged(found), "recordings": found}
-    to.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        outcomes = list(pool.map(partial(run_case, other=options.other), numbers))
+    result = {"judged": judged(outcomes), "recordings": outcomes}
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(result["judged"], indent=1))
 
 

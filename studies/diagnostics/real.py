@@ -1,8 +1,7 @@
-"""What else explains the torque of MEASURED recordings? Needs ``../shared/data``.
+"""Test what else explains the torque of MEASURED recordings. Needs ``../shared/data``.
 
-``python studies/diagnostics/real.py`` asks the configurations of the other studies, and prints what
-is found, in the order of the ranking; ``--auto`` puts in what it finds and fits, as
-``terms = "auto"`` does.
+``python studies/diagnostics/real.py`` tests the configurations of the other studies and prints
+findings by rank; ``--auto`` adds them and fits, as ``terms = "auto"`` does.
 """
 
 from __future__ import annotations
@@ -31,47 +30,49 @@ CONFIGURATIONS = (
 )
 
 
-def found(name: str) -> Iterator[str]:
-    """Give a line for each finding."""
+def findings_of(name: str) -> Iterator[str]:
+    """Yield a line for each finding."""
     missing = Model.from_config(STUDIES / name).explain()
     if not missing.findings:
         yield f"| {name} | {missing.reason or 'nothing'} {'| ' * 7}{missing.cpu_seconds:.1f} |"
-    for one in missing.findings:
-        moves = ", ".join(f"{n} {one.moves[n]:+.1f}" for n in one.parameters[:3])
-        what = f"{one.kind} {one.shape}{'' if one.physical else ' (wrong sign)'}"
+    for finding in missing.findings:
+        moves = ", ".join(f"{n} {finding.moves[n]:+.1f}" for n in finding.parameters[:3])
+        effect = f"{finding.kind} {finding.shape}{'' if finding.physical else ' (wrong sign)'}"
         yield (
-            f"| {name} | {what} | {one.statistic:.1f} | {one.p:.2f} | {one.share:.1%} "
-            f"| `{one.hint}` | {moves} | {', '.join(one.rivals[:4])} "
+            f"| {name} | {effect} "
+            f"| {finding.statistic:.1f} | {finding.p:.2f} | {finding.share:.1%} "
+            f"| `{finding.hint}` | {moves} | {', '.join(finding.rivals[:4])} "
             f"| {missing.cpu_seconds:.1f} |"
         )
 
 
 def fitted(name: str) -> Iterator[str]:
-    """Give the line of a fit with what is put in."""
+    """Yield the line of a fit with the findings added."""
     model = Model.from_config(STUDIES / name)
-    begun = time.process_time()
-    better, taken, left = model.completed()
-    spent = time.process_time() - begun
-    rms = [one.estimates(["input-error"])[0].residual_rms for one in (model, better)]
-    summary = better.fit().summary
+    start = time.process_time()
+    extended, added, explanation = model.completed()
+    seconds = time.process_time() - start
+    rms = [m.estimates(["input-error"])[0].residual_rms for m in (model, extended)]
+    summary = extended.fit().summary
     yield (
-        f"| {name} | {', '.join(f'`{one.hint}`' for one in taken)} | {rms[0]:.4g} | {rms[1]:.4g} "
-        f"| {', '.join(f'{one.kind} {one.shape}' for one in left.findings)} | {spent:.0f} "
+        f"| {name} | {', '.join(f'`{finding.hint}`' for finding in added)} "
+        f"| {rms[0]:.4g} | {rms[1]:.4g} "
+        f"| {', '.join(f'{f.kind} {f.shape}' for f in explanation.findings)} | {seconds:.0f} "
         f"| {summary.sampler.status} | {', '.join(doubt.kind for doubt in summary.doubts)} |"
     )
 
 
 def main() -> None:
-    """Print a line a finding, or a fit."""
+    """Print a line for each finding, or for each fit."""
     auto = "--auto" in sys.argv
     heads = (
-        "recording | put in | rms before | rms after | left | CPU s | status | doubts"
+        "recording | added | rms before | rms after | remaining | CPU s | status | doubts"
         if auto
         else "recording | finding | z | p | share | hint | moves (sds) | rivals | CPU s"
     )
     print(f"| {heads} |\n|{'---|' * (heads.count('|') + 1)}")
-    for name in [one for one in sys.argv[1:] if one != "--auto"] or CONFIGURATIONS:
-        for line in (fitted if auto else found)(name):
+    for name in [argument for argument in sys.argv[1:] if argument != "--auto"] or CONFIGURATIONS:
+        for line in (fitted if auto else findings_of)(name):
             print(line, flush=True)
 
 

@@ -1,7 +1,7 @@
-"""What band, decimation and noise model do to the EMPS estimates (MEASURED recording).
+"""Compare EMPS estimates by band, decimation and noise model (MEASURED recording).
 
-``python studies/emps/noise.py`` prints the table of README.md: generalised least squares, which for
-this linear model is where the posterior's middle lies.
+``python studies/emps/noise.py`` prints the table of README.md: generalised least squares, which
+for this linear model equals the posterior's median.
 """
 
 from __future__ import annotations
@@ -22,27 +22,28 @@ ORDERS = (0, 1, 2, 3)
 
 
 def main() -> None:
+    """Print a row for each band, decimation and order."""
     print("| decimation | low-pass (Hz) | noise | M (kg) | Fv (N s/m) | Fc (N) | offset (N) | p |")
     print("|---|---|---|---|---|---|---|---|")
     text = CONFIG.read_text(encoding="utf-8")
     for decimate, lowpass in CHOICES:
-        changed = text.replace("decimate = 10", f"decimate = {decimate}")
-        changed = changed.replace('"100 Hz"', f'"{lowpass} Hz"')
-        problem = Model.from_config(parse_config(changed, CONFIG))
-        (o,) = problem.observations
+        configuration = text.replace("decimate = 10", f"decimate = {decimate}")
+        configuration = configuration.replace('"100 Hz"', f'"{lowpass} Hz"')
+        problem = Model.from_config(parse_config(configuration, CONFIG))
+        (signals,) = problem.observations
         regressors = TotalsProjection(problem.chain, problem.observations).regressors
-        runs = follows(o)
+        runs = follows(signals)
         for order in ORDERS:
-            x, y = regressors, o.measured
+            x, y = regressors, signals.measured
             for _ in range(20):
-                found = np.linalg.lstsq(x, y, rcond=None)[0]
-                memory = burg([o.measured - regressors @ found], [runs], order)
-                x = whitened(regressors.T, memory, runs).T
-                y = whitened(o.measured, memory, runs)
-            left = y - x @ found
-            sd = np.sqrt(np.diag(np.linalg.inv(x.T @ x)) * np.mean(left**2))
-            p = ljung_box([left], [runs], 10 + order, order)
-            cells = " | ".join(f"{a:.2f} ± {b:.2f}" for a, b in zip(found, sd, strict=True))
+                estimate = np.linalg.lstsq(x, y, rcond=None)[0]
+                coefficients = burg([signals.measured - regressors @ estimate], [runs], order)
+                x = whitened(regressors.T, coefficients, runs).T
+                y = whitened(signals.measured, coefficients, runs)
+            residual = y - x @ estimate
+            sd = np.sqrt(np.diag(np.linalg.inv(x.T @ x)) * np.mean(residual**2))
+            p = ljung_box([residual], [runs], 10 + order, order)
+            cells = " | ".join(f"{a:.2f} ± {b:.2f}" for a, b in zip(estimate, sd, strict=True))
             print(f"| {decimate} | {lowpass} | AR({order}) | {cells} | {p:.1g} |")
 
 

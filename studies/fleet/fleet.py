@@ -1,12 +1,12 @@
-"""A SIMULATED fleet with a population, ten worn units and five broken files in it.
+"""Fit a SIMULATED fleet with a population, ten worn units and five broken files.
 
-``python studies/fleet/fleet.py FOLDER`` makes it there, times a shell loop over ``bayesfric fit``,
-the fleet with 1, 2 and 4 workers and then the whole of it, watches the workers' memory, and looks
-for what was put in: the worn units, the broken files, the population. Writes ``axis.json``
+``python studies/fleet/fleet.py FOLDER`` simulates it there, times a shell loop over ``bayesfric
+fit``, the fleet with 1, 2 and 4 workers and then the complete fleet, records the workers' memory,
+and compares worn units, broken files and population with the truth. Writes ``axis.json``
 or ``knee.json``.
 
 ``--kind knee`` simulates Rabbit knees (six seconds of a core each), ``axis`` plain motor axes (one
-second). Times hold beside whatever else the machine does.
+second). Times include other load of the machine.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from bayesfric.fleet.fleet import Fleet
 from bayesfric.fleet.fleet_population import fleet_population
 from bayesfric.problem.config import parse_config
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 SEED = 21
 WORN = 10
-# Mean and spread of what differs; a worn unit has so many times as much of the first.
+# Mean and spread of varying parameters; the first one of a worn unit is WEAR times as large.
 POPULATION = {
     "axis": {"motor.viscous": (0.05, 0.004), "motor.coulomb": (0.2, 0.012)},
     "knee": {"motor.viscous": (1.6e-4, 1.0e-5), "motor.inertia": (3.32e-4, 7e-6)},
@@ -66,7 +66,7 @@ BROKEN = {
 
 
 def make(folder: Path, kind: str, count: int) -> dict[str, Any]:
-    """Write recordings, template, units and plan; gives what is true."""
+    """Write recordings, template, units and plan; return the true values."""
     rng = np.random.default_rng(SEED)
     (folder / "logs").mkdir(parents=True)
     population = POPULATION[kind]
@@ -80,10 +80,10 @@ def make(folder: Path, kind: str, count: int) -> dict[str, Any]:
         if name in worn:
             values[first] *= wear
         truth[name] = values
-        given = "".join(f'"{n}" = {x!r}\n' for n, x in values.items())
+        parameters = "".join(f'"{n}" = {x!r}\n' for n, x in values.items())
         text = (
             f"{MECHANISM[kind]}[simulation]\n{SIMULATION[kind]}seed = {SEED + k}\n"
-            f"[simulation.parameters]\n{given}"
+            f"[simulation.parameters]\n{parameters}"
         )
         simulate(parse_config(text, folder / "made.toml"), folder / "logs" / f"{name}.csv")
         rows.append(f"{name},logs/{name}.csv,{rng.integers(0, 5000)}")
@@ -99,7 +99,7 @@ def make(folder: Path, kind: str, count: int) -> dict[str, Any]:
 
 
 def part(folder: Path, count: int) -> Path:
-    """Write a plan of the first few units."""
+    """Write a plan of the first units."""
     lines = (folder / "units.csv").read_text(encoding="utf-8").splitlines()[: count + 1]
     (folder / f"first-{count}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     text = (folder / "fleet.toml").read_text(encoding="utf-8")
@@ -110,118 +110,117 @@ def part(folder: Path, count: int) -> Path:
 
 @contextmanager
 def watched() -> Iterator[list[tuple[float, float, float]]]:
-    """Note s, MB of the client and the most of a worker, twice a second, of a child's children."""
-    seen: list[tuple[float, float, float]] = []
+    """Record time (s) and memory (MB) of client and largest worker, twice a second."""
+    samples: list[tuple[float, float, float]] = []
     stop, began = threading.Event(), time.monotonic()
 
     def look() -> None:
         while not stop.wait(0.5):
             try:
                 (client,) = psutil.Process().children()
-                rss = [one.memory_info().rss / 1e6 for one in client.children()]
-                own = client.memory_info().rss / 1e6
+                rss = [worker.memory_info().rss / 1e6 for worker in client.children()]
+                client_mb = client.memory_info().rss / 1e6
             except (psutil.Error, ValueError):
                 continue
-            seen.append((time.monotonic() - began, own, max(rss, default=0.0)))
+            samples.append((time.monotonic() - began, client_mb, max(rss, default=0.0)))
 
     thread = threading.Thread(target=look)
     thread.start()
     try:
-        yield seen
+        yield samples
     finally:
         stop.set()
         thread.join()
 
 
 def command(folder: Path, *words: str) -> dict[str, Any]:
-    """Run ``bayesfric`` and give seconds of the wall and of the processors, and what it prints."""
+    """Run ``bayesfric``; return wall and CPU seconds, and its output."""
     before, began = os.times(), time.monotonic()
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "bayesfric", *words],
         cwd=folder, capture_output=True, text=True, check=False,
     )  # fmt: skip
     wall, after = time.monotonic() - began, os.times()
     cpu = after.children_user + after.children_system
     cpu -= before.children_user + before.children_system
-    if done.returncode not in (0, 3):
-        raise SystemExit(done.stderr)
-    return {"seconds": wall, "cpu_seconds": cpu, "found": json.loads(done.stdout)}
+    if completed.returncode not in (0, 3):
+        raise SystemExit(completed.stderr)
+    return {"seconds": wall, "cpu_seconds": cpu, "found": json.loads(completed.stdout)}
 
 
 def loop(folder: Path, count: int) -> dict[str, float]:
-    """Fit the first units one after the other, each by a command."""
-    took = []
+    """Fit the first units one after the other, each by a command; return mean times."""
+    times = []
     for line in (folder / "units.csv").read_text(encoding="utf-8").splitlines()[1 : count + 1]:
         name, file, _ = line.split(",")
         text = (folder / "unit.toml").read_text(encoding="utf-8").replace("{file}", file)
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
-        done = command(folder, "fit", f"{name}.toml", "-o", f"loop-{name}", "--json")
-        took.append((done["seconds"], done["cpu_seconds"]))
-    wall, cpu = np.array(took[1:]).mean(axis=0)  # the first may compile
+        completed = command(folder, "fit", f"{name}.toml", "-o", f"loop-{name}", "--json")
+        times.append((completed["seconds"], completed["cpu_seconds"]))
+    wall, cpu = np.array(times[1:]).mean(axis=0)  # the first run may compile
     return {"units": count - 1, "seconds": float(wall), "cpu_seconds": float(cpu)}
 
 
 def covered(folder: Path, kind: str, parts: int = 20) -> dict[str, Any]:
-    """Take the fleet apart into so many, each drawn from the same, and ask each for what it is of.
-
-    Gives, of each quantity, in how many fleets the 90 % intervals hold mean and spread.
-    """
+    """Split the fleet into parts, and count the 90 % intervals that hold mean and spread."""
     plan = Fleet.from_config(folder / "fleet.toml").plan
-    found: dict[str, Any] = {}
+    counts: dict[str, Any] = {}
     for k in range(parts):
         names = [unit.name for unit in plan.units[k::parts]]
-        several = fleet_population(folder / "all" / "units", names)
-        for one in several.quantities:
-            if one.name not in POPULATION[kind]:
+        population = fleet_population(folder / "all" / "units", names)
+        for quantity in population.quantities:
+            if quantity.name not in POPULATION[kind]:
                 continue
-            held = found.setdefault(one.name, {"fleets": 0, "mean": 0, "spread": 0})
+            held = counts.setdefault(quantity.name, {"fleets": 0, "mean": 0, "spread": 0})
             held["fleets"] += 1
-            for key, true in zip(("mean", "spread"), POPULATION[kind][one.name], strict=True):
-                said = getattr(one.pool, key)
-                held[key] += said.low <= true <= said.high
-    return found
+            for key, true in zip(("mean", "spread"), POPULATION[kind][quantity.name], strict=True):
+                interval = getattr(quantity.pool, key)
+                held[key] += interval.low <= true <= interval.high
+    return counts
 
 
 def main() -> None:
+    """Simulate and fit the fleet, and write the result."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--kind", choices=list(POPULATION), default="knee")
     parser.add_argument("--units", type=int, default=1000)
-    parser.add_argument("--timed", type=int, default=24, help="units that efficiency is told by")
+    parser.add_argument("--timed", type=int, default=24, help="units of the timed runs")
     parser.add_argument("--loop", type=int, default=6, help="units of the shell loop")
     parser.add_argument("--workers", type=int, nargs="*", default=[1, 2, 4])
-    given = parser.parse_args()
-    folder = given.folder.absolute()
-    truth = make(folder, given.kind, given.units)
-    told: dict[str, Any] = {
-        "kind": given.kind,
-        "units": given.units,
+    options = parser.parse_args()
+    folder = options.folder.absolute()
+    truth = make(folder, options.kind, options.units)
+    result: dict[str, Any] = {
+        "kind": options.kind,
+        "units": options.units,
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, load {os.getloadavg()[0]:.1f}",
-        "loop": loop(folder, given.loop),
+        "loop": loop(folder, options.loop),
         "timed": {},
     }
-    print(json.dumps(told["loop"]), flush=True)
-    plan = part(folder, given.timed)
-    for workers in given.workers:
+    print(json.dumps(result["loop"]), flush=True)
+    plan = part(folder, options.timed)
+    for workers in options.workers:
         words = ["--workers", str(workers), "-o", f"timed-{workers}", "--json"]
-        done = command(folder, "fleet", plan.name, *words)
-        told["timed"][workers] = {k: done[k] for k in ("seconds", "cpu_seconds")}
-        print(workers, told["timed"][workers], flush=True)
+        completed = command(folder, "fleet", plan.name, *words)
+        result["timed"][workers] = {k: completed[k] for k in ("seconds", "cpu_seconds")}
+        print(workers, result["timed"][workers], flush=True)
     with watched() as memory:
-        done = command(folder, "fleet", "fleet.toml", "-o", "all", "--workers", "2", "--json")
-    found = done["found"]
+        completed = command(folder, "fleet", "fleet.toml", "-o", "all", "--workers", "2", "--json")
+    fleet_summary = completed["found"]
     sizes = [
-        sum(one.stat().st_size for one in run.iterdir()) for run in (folder / "all/units").iterdir()
+        sum(item.stat().st_size for item in run.iterdir())
+        for run in (folder / "all/units").iterdir()
     ]
-    named = [one["name"] for one in found["quantities"]]
-    ranked = [one["unit"] for one in found["outliers"]]
+    names = [item["name"] for item in fleet_summary["quantities"]]
+    ranked = [item["unit"] for item in fleet_summary["outliers"]]
     quarter = max(len(memory) // 4, 1)
-    told |= {
-        "seconds": done["seconds"],
-        "cpu_seconds": done["cpu_seconds"],
-        "outcomes": found["outcomes"],
-        "failed": found["failed"],
-        "outliers": found["outliers"],
+    result |= {
+        "seconds": completed["seconds"],
+        "cpu_seconds": completed["cpu_seconds"],
+        "outcomes": fleet_summary["outcomes"],
+        "failed": fleet_summary["failed"],
+        "outliers": fleet_summary["outliers"],
         "worn": truth["worn"],
         "worn_in_first_20": sum(name in truth["worn"] for name in ranked[:20]),
         "median_bytes": float(np.median(sizes)),
@@ -232,16 +231,18 @@ def main() -> None:
             max(m[1] for m in memory[k * quarter :][:quarter] or memory) for k in range(4)
         ],
         "population": {
-            one["name"]: {
-                "true": POPULATION[given.kind].get(one["name"]),
-                **{key: one[key] for key in ("mean", "spread", "units")},
+            item["name"]: {
+                "true": POPULATION[options.kind].get(item["name"]),
+                **{key: item[key] for key in ("mean", "spread", "units")},
             }
-            for one in found["quantities"]
+            for item in fleet_summary["quantities"]
         },
-        "covered": covered(folder, given.kind),
+        "covered": covered(folder, options.kind),
     }
-    print(len(named), "quantities", {k: told[k] for k in ("seconds", "worn_in_first_20")})
-    (HERE / f"{given.kind}.json").write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+    print(len(names), "quantities", {k: result[k] for k in ("seconds", "worn_in_first_20")})
+    (FOLDER / f"{options.kind}.json").write_text(
+        json.dumps(result, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

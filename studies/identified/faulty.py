@@ -1,8 +1,8 @@
-"""SIMULATED recordings of a servo that swings a pendulum, each with one fault of its input.
+"""Simulate recordings of a servo that swings a pendulum, each with one fault of its input.
 
-The servo follows its targets by ``kp (target - position) - kd speed``. Its motion is solved ten or
-more times a sample and recorded as users' files are: position in counts, torque or current with
-noise of 1 %, and a configuration that does not know of the fault.
+The servo follows its targets by ``kp (target - position) - kd speed``. Its motion is integrated
+with at least ten steps a sample and recorded as in users' files: position in counts, torque or
+current with noise of 1 %, and a configuration that ignores the fault.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ TYPICAL = {
     "load.inertia": 0.025,
     "load.first_moment": 0.14,
 }
-SPREAD = 0.3  # share by which parameters differ from one recording to the next
+SPREAD = 0.3  # relative variation of parameters between recordings
 NOISE = 0.01  # sd of a torque sample over the largest torque
-STEP = 2e-4  # s of the simulation, at most
-BEFORE = 2.0  # s that the servo has moved when the recording begins
-# Of the path: Hz and rad.
+STEP = 2e-4  # s, largest step of the simulation
+BEFORE = 2.0  # s of motion before the recording begins
+# Frequencies (Hz) and amplitudes (rad) of the path.
 PATH = ((0.23, 0.8), (0.57, 0.45), (1.1, 0.25), (1.9, 0.12))
 CONFIGURATION = """\
 [mechanism]
@@ -59,30 +59,16 @@ TORQUE = 'torque = { column = "torque", unit = "N m" }'
 
 @dataclass(frozen=True)
 class Faulty:
-    """A recording with its true parameters and what is wrong with it.
+    """A recording with its true parameters and its fault."""
 
-    Attributes
-    ----------
-    configuration
-        TOML, as its user would write it.
-    columns
-        Of its file, ``(N,)`` each.
-    truth
-        By name of a parameter, SI.
-    fault
-        Which of its kind the fault is; empty where there is one.
-    size
-        Of the fault, in the unit that :data:`KINDS` names.
-    """
-
-    configuration: str
-    columns: dict[str, Array]
-    truth: dict[str, float]
-    fault: str = ""
-    size: float = 0.0
+    configuration: str  # TOML, without knowledge of the fault
+    columns: dict[str, Array]  # of its file, (N,) each
+    truth: dict[str, float]  # by parameter, SI
+    fault: str = ""  # variant of the fault; empty if its kind has only one
+    size: float = 0.0  # in the unit of KINDS
 
     def model(self, folder: Path) -> Model:
-        """Write the file, and read it as ``bayesfric fit`` does."""
+        """Write the file and read it as ``bayesfric fit`` does."""
         table = np.stack(list(self.columns.values()), axis=1)
         header = ",".join(self.columns)
         path = folder / "recording.csv"
@@ -92,7 +78,7 @@ class Faulty:
 
 @dataclass(frozen=True)
 class Servo:
-    """What moves, and how it is sampled."""
+    """A servo, its controller and its sampling."""
 
     truth: dict[str, float]
     rate: float  # Hz
@@ -103,7 +89,7 @@ class Servo:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, *, rates: tuple[float, float] = (50.0, 250.0)) -> Servo:
-        """Draw a servo: gains over a decade, damped by 0.2 to 0.7 of what is critical."""
+        """Draw a servo: gains over a decade, damping ratios of 0.2 to 0.7."""
         factors = rng.uniform(1.0 - SPREAD, 1.0 + SPREAD, len(TYPICAL))
         truth = {k: v * f for (k, v), f in zip(TYPICAL.items(), factors.tolist(), strict=True)}
         kp = _log_uniform(rng, 5.0, 50.0)
@@ -120,7 +106,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class Motion:
-    """What the servo did at the samples, ``(N,)`` each."""
+    """Motion of the servo at the samples, ``(N,)`` each."""
 
     time: Array
     target: Array
@@ -139,14 +125,8 @@ def moved(
 ) -> Motion:
     """Simulate the servo.
 
-    Parameters
-    ----------
-    late
-        Samples by which a target acts after its stamp.
-    held
-        Whether targets are held for a sample; else the drive makes them all the time.
-    disturbed
-        Whether noise of 1 % is in the torque that acts; a measured torque has its own.
+    A target acts ``late`` samples after its stamp, ``held`` for a sample or continuously.
+    ``disturbed`` adds noise of 1 % to the acting torque; a measured torque has sensor noise.
     """
     period = 1.0 / servo.rate
     steps = max(10, int(np.ceil(period / STEP)))
@@ -154,23 +134,23 @@ def moved(
     samples = before + int(servo.duration * servo.rate)
     phases = rng.uniform(0.0, 2.0 * np.pi, len(PATH))
     fine = np.arange(samples * steps) / steps  # in samples
-    acts = np.floor(fine - late + 1e-9) if held else fine - late
+    instants = np.floor(fine - late + 1e-9) if held else fine - late
 
     def path(time: Array) -> Array:
         waves = zip(PATH, phases.tolist(), strict=True)
         return np.sum([a * np.sin(2.0 * np.pi * f * time + p) for (f, a), p in waves], axis=0)
 
     stamps = np.arange(samples) / servo.rate
-    target, acting = path(stamps), path(acts / servo.rate)
+    target, applied = path(stamps), path(instants / servo.rate)
     vector = np.array([[servo.truth[name] for name in PENDULUM.names]])
-    law = Law(servo.kp * acting, np.ones(acting.size), servo.kp, servo.kd)
-    ends = [[0, acting.size]], [acting[0]], [0.0]
-    noise = rng.standard_normal(samples)  # drawn in any case: the rest is the same
+    law = Law(servo.kp * applied, np.ones(applied.size), servo.kp, servo.kd)
+    ends = [[0, applied.size]], [applied[0]], [0.0]
+    noise = rng.standard_normal(samples)  # always drawn, so that other draws do not depend on it
 
     def solve(push: Array | None) -> tuple[Array, Array, Array]:
         q, qd = follow(PENDULUM, vector, law, period / steps, *ends, push=push, held=held)
         rows = [x[0, ::steps][before:] for x in (q, qd)]
-        return *rows, servo.kp * (acting[::steps][before:] - rows[0]) - servo.kd * rows[1]
+        return *rows, servo.kp * (applied[::steps][before:] - rows[0]) - servo.kd * rows[1]
 
     q, qd, torque = solve(None)
     if disturbed:
@@ -180,7 +160,7 @@ def moved(
 
 
 def encoder(servo: Servo, position: Array) -> Array:
-    """Count a position, ``(N,)``."""
+    """Convert a position to counts, ``(N,)``."""
     return np.round(position * servo.counts / (2.0 * np.pi))
 
 
@@ -194,14 +174,14 @@ def late_target(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
     servo, late = Servo.draw(rng), float(rng.uniform(0.0, 4.0))
     motion = moved(servo, rng, late=late if fault else 0.0, held=fault, disturbed=True)
     columns = _counted(servo, motion) | {"target": motion.target}
-    # a target that is held is half a sample late on the line through its samples
+    # a held target is half a sample late relative to its interpolation
     delay = (late + 0.5) / servo.rate if fault else 0.0
     truth = servo.truth | {"target.delay": delay}
     return Faulty(_towards_target(servo), columns, truth, size=late)
 
 
 def current_column(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
-    """Record another current than the winding's: the supply's, or one whose sign is not its own."""
+    """Record another current than the winding's: the supply's, or one with a wrong sign."""
     servo = Servo.draw(rng)
     which = ("supply", "signed by power", "absolute")[int(rng.integers(3))]
     constant, resistance = float(rng.uniform(0.4, 1.2)), float(rng.uniform(2.0, 6.0))
@@ -216,13 +196,13 @@ def current_column(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
     }
     recorded = noisy(wrong[which] if fault else current, rng)
     columns = _counted(servo, motion) | {"current": recorded}
-    # what a data sheet says of the winding, to four digits
+    # torque constant of the data sheet
     drive = f'current = {{ column = "current", unit = "A", torque_constant = "{constant} N m/A" }}'
     return Faulty(_configuration(servo, drive), columns, servo.truth, which)
 
 
 def smoothed(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
-    """Record signals that somebody low-passed to and fro, at 1 to 20 Hz."""
+    """Record signals after a zero-phase low-pass at 1 to 20 Hz."""
     servo = Servo.draw(rng)
     which = ("target", "torque")[int(rng.integers(2))]
     hertz = _log_uniform(rng, 1.0, 20.0)
@@ -239,12 +219,12 @@ def smoothed(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
 
 
 def wrong_prior(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
-    """Give a prior that excludes the true value of one parameter by 1 to 10 of its sds."""
+    """Specify a prior whose nearest value is 1 to 10 of its sds from the truth."""
     servo = Servo.draw(rng)
     name = list(TYPICAL)[int(rng.integers(len(TYPICAL)))]
     which = ("range", "normal")[int(rng.integers(2))]
     sds, true = float(rng.uniform(1.0, 10.0)), servo.truth[name]
-    # the nearest that it comes to, or its centre; both sides of what is true
+    # bound or centre of the prior, on either side of the truth
     near = true * float(rng.uniform(1.2, 3.0)) ** float(rng.choice([-1.0, 1.0]))
     sd = abs(near - true) / sds
     if which == "normal":
@@ -259,7 +239,7 @@ def wrong_prior(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
 
 
 def swinging_current(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
-    """Record a current that swings with the motor's angle by 3 to 15 %."""
+    """Record a current that varies with the motor's angle by 3 to 15 %."""
     servo, size = Servo.draw(rng), float(rng.uniform(0.03, 0.15))
     cycles, phase = int(rng.integers(1, 15)), float(rng.uniform(0.0, 2.0 * np.pi))
     motion = moved(servo, rng)
@@ -271,7 +251,7 @@ def swinging_current(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
 
 
 def short_recording(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
-    """Record so little, of a right model, that filters leave 10 to 60 outputs."""
+    """Record a right model so briefly that filters leave 10 to 60 outputs."""
     for _ in range(200):
         servo = Servo.draw(rng, rates=(20.0, 150.0))
         duration = float(rng.uniform(0.5, 4.0)) if fault else servo.duration
@@ -283,7 +263,7 @@ def short_recording(rng: np.random.Generator, *, fault: bool = True) -> Faulty:
         with TemporaryDirectory() as folder:
             try:
                 observations = faulty.model(Path(folder)).observations
-            except BadInput:  # too short to be read
+            except BadInput:  # too short
                 continue
         if 10 <= sum(o.measured.size for o in observations) <= 60:
             return faulty
@@ -316,15 +296,14 @@ def _towards_target(servo: Servo, unit: str = "") -> str:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of fault: how it is made, the unit of its size, and messages that name its cause."""
+    """A kind of fault: its simulation, the unit of its size, and the messages that name it."""
 
     record: Callable[..., Faulty]
     unit: str
     causes: frozenset[str]
 
 
-# Kinds of findings, doubts and notes, keys of bayesfric/report/words.toml, that count as the cause;
-# those that no version has yet are names that one may have.
+# Causes are kinds of findings, doubts and notes, keys of bayesfric/report/words.toml.
 KINDS: dict[str, Kind] = {
     "late target": Kind(late_target, "samples", frozenset({"target_delay"})),
     "current column": Kind(
@@ -344,6 +323,6 @@ KINDS: dict[str, Kind] = {
 
 
 def recording(kind: str, seed: int, number: int, *, fault: bool = True) -> Faulty:
-    """Make a recording of a kind; without its ``fault`` it is of the same joint and motion."""
+    """Simulate a recording of a kind; without its ``fault``, of the same joint and motion."""
     rng = np.random.default_rng([seed, *kind.encode(), number])
     return KINDS[kind].record(rng, fault=fault)

@@ -1,12 +1,11 @@
-"""Is what is called identified right where the input is faulty? SIMULATED recordings.
+"""Check numbers with status ``identified`` from faulty input, SIMULATED recordings.
 
-``python studies/identified/identified.py`` fits recordings of :mod:`faulty`, 40 of each kind, over
-the whole path with default settings, and counts numbers that are called identified and lie more
-than three of their printed standard deviations from the truth, and answers whose first sentence
-names the cause. Writes ``identified.json``; ``--kinds A B``, ``--recordings N`` for less, and
-``--table`` prints what is there. ``--right`` fits the ten right models of ``whole_path.py`` instead
-and writes ``right.json``; ``--before FILE`` counts how many numbers that are identified there still
-are.
+``python studies/identified/identified.py`` fits recordings of :mod:`faulty`, 40 of each kind, from
+the file with default settings, and counts identified numbers that are more than three of their
+printed standard deviations from the truth, and reports whose first sentence names the cause.
+Writes ``identified.json``; ``--kinds A B``, ``--recordings N`` for less; ``--table`` prints the
+saved result. ``--right`` fits the ten right models of ``whole_path.py`` instead and writes
+``right.json``; ``--before FILE`` counts how many identified numbers of that file still are.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 for folder in ("calibration", "diagnostics"):
-    sys.path.insert(0, str(HERE.parent / folder))
+    sys.path.insert(0, str(FOLDER.parent / folder))
 
 import bench
 from faulty import KINDS, recording
@@ -46,7 +45,7 @@ from bayesfric.report.terminal import fit_text
 from bayesfric.report.words import words_of
 
 SEED = 61
-# Printed standard deviations from the truth beyond which a number is off.
+# Error in printed standard deviations beyond which a number is wrong.
 OFF = 3.0
 
 
@@ -73,7 +72,7 @@ def fit_right(task: tuple[str, int]) -> dict[str, Any]:
         truth, recordings, _ = bench.recorded(bench.CASES[case], rng, Path(folder))
         vector = np.array([[truth[name] for name in joint.names]])
         derived = {q.name: float(q.values[0]) for q in derive(joint, vector, 1.0)}
-        # efficiencies are those at a load, which each fit has its own of
+        # efficiencies are excluded: they refer to a load that differs between fits
         truth |= {name: x for name, x in derived.items() if "efficiency" not in name}
         tables = bench.CASES[case].tables
         return fitted(lambda: Model(joint, recordings, **tables), truth, number)
@@ -81,7 +80,7 @@ def fit_right(task: tuple[str, int]) -> dict[str, Any]:
 
 def fitted(model: Any, truth: dict[str, float], number: int) -> dict[str, Any]:
     """Fit the model that ``model()`` reads, and compare each number with its true value."""
-    begun = time.process_time()
+    start = time.process_time()
     try:
         summary = model().fit(seed=number).summary
     except BadInput as error:
@@ -111,15 +110,15 @@ def fitted(model: Any, truth: dict[str, float], number: int) -> dict[str, Any]:
         "doubts": [getattr(doubt, "what", doubt.kind) for doubt in summary.doubts],
         "findings": [finding.kind for finding in summary.findings],
         "taken": [finding.kind for finding in summary.taken],
-        "cpu_seconds": round(time.process_time() - begun, 2),
+        "cpu_seconds": round(time.process_time() - start, 2),
         "numbers": rows,
     }
 
 
 def answer(summary: Summary) -> list[str]:
-    """Give the sentences that the terminal prints, the first one first, without its table."""
+    """Return the sentences that the terminal prints, without its table."""
     head, *others = "\n".join(fit_text(summary)).split("\n\n")
-    # its first line is what was recorded
+    # the first line describes the recording
     first = head.partition("\n")[2]
     messages = [
         text
@@ -127,14 +126,14 @@ def answer(summary: Summary) -> list[str]:
         for text in re.split(r"\n(?!  )", re.sub(r"\n  and \d+ more findings.*", "", block))
         if re.match(r"(!|Added|Next|Unidentified|Not converged)", text)
     ]
-    # lines that were broken
+    # join wrapped lines
     return [" ".join(text.split()) for text in (first, *messages)]
 
 
 def names(text: str, causes: frozenset[str]) -> bool:
-    """Whether a text holds the words of one of these kinds of messages."""
+    """Whether a text contains the message of one of these kinds."""
     for kind in causes:
-        # what no version says has no words but its name
+        # kinds without a message have only their name
         parts = [part.strip() for part in re.split(r"\{[^}]*\}", words_of(kind).what)]
         longest = max(parts, key=len)
         if longest and longest.lower() in text.lower():
@@ -143,7 +142,7 @@ def names(text: str, causes: frozenset[str]) -> bool:
 
 
 def judged(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sum up the rows of one kind or case."""
+    """Summarise the rows of one kind or case."""
     fits = [row for row in rows if "numbers" in row]
     numbers = [number for fit in fits for number in fit["numbers"].values()]
     identified = [number for number in numbers if number["status"] == "identified"]
@@ -175,7 +174,7 @@ def _off(number: dict[str, Any]) -> bool:
 
 
 def still_identified(before: list[dict[str, Any]], after: list[dict[str, Any]]) -> tuple[int, int]:
-    """Count numbers that are identified in rows ``after``, and in those ``before`` as well."""
+    """Count numbers identified in rows ``before``, and those of them still so ``after``."""
     now = {row["number"]: row.get("numbers", {}) for row in after}
     identified = [
         (row["number"], name)
@@ -197,7 +196,7 @@ HEAD = (
 
 
 def line(name: str, rows: list[dict[str, Any]]) -> str:
-    """Give a row of the README's table."""
+    """Return a row of the README's table."""
     sums = judged(rows)
     seconds = f"{sums['cpu_seconds'][0]:.1f}" if sums["cpu_seconds"] else "–"
     share = _share(sums["identified_off"], sums["identified"])
@@ -213,7 +212,7 @@ def _share(part: int, total: int) -> str:
 
 
 def main() -> None:
-    """Fit the requested kinds, and write each as soon as it is done."""
+    """Fit the requested kinds, and save each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--recordings", type=int, default=40)
     parser.add_argument("--kinds", nargs="*", help="of faults, or with --right of benches")
@@ -223,7 +222,7 @@ def main() -> None:
     parser.add_argument("--to", type=Path)
     parser.add_argument("--table", action="store_true")
     options = parser.parse_args()
-    path = options.to or HERE / ("right.json" if options.right else "identified.json")
+    path = options.to or FOLDER / ("right.json" if options.right else "identified.json")
     fit = fit_right if options.right else fit_faulty
     kinds = options.kinds or list(RIGHT if options.right else KINDS)
     if unknown := set(kinds) - set(RIGHT if options.right else KINDS):

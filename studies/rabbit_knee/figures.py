@@ -1,4 +1,4 @@
-"""Figures of the study; everything in them was SIMULATED."""
+"""Figures of the study, all SIMULATED."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from bayesfric.report.figures.style import (
     scaled_unit,
 )
 
-# Seconds shown from the start, as much as a column can carry.
-_SHOWN = 4.0
+# Seconds shown from the start.
+_DURATION = 4.0
 
 
 def fit_figure(problem: Model, estimate: Estimate) -> Figure:
-    """Counterpart of Fig. 6: measured and simulated angle, one simulation, never restarted."""
+    """Draw the counterpart of Fig. 6: measured angle and one simulation without restarts."""
     (recording,) = problem.recordings
     chain = problem.chain
     motion = simulate(
@@ -40,7 +40,7 @@ def fit_figure(problem: Model, estimate: Estimate) -> Figure:
         recording.period,
         q0=float(recording.position[0]),
     )
-    n = round(_SHOWN / recording.period)
+    n = round(_DURATION / recording.period)
     with paper_style():
         figure = Figure(figsize=(COLUMN, 2.5))
         upper, lower = figure.subplots(
@@ -76,7 +76,7 @@ def fit_figure(problem: Model, estimate: Estimate) -> Figure:
         upper.set_ylabel("knee angle (rad)")
         lower.set_ylabel("error (mrad)")
         lower.set_xlabel("time (s)")
-        lower.set_xlim(0.0, _SHOWN)
+        lower.set_xlim(0.0, _DURATION)
         few_ticks(lower.yaxis, 3)
         few_ticks(upper.yaxis, 4)
         figure.legend(
@@ -101,7 +101,7 @@ _PANELS = (
 def cutoff_figure(
     by_cutoff: Mapping[float, Mapping[str, Estimate]], truth: Mapping[str, float]
 ) -> Figure:
-    """Estimates of the direct and the recursive method against the low-pass's cut-off."""
+    """Draw estimates of the direct and the recursive method against the cut-off."""
     cutoffs = np.array(sorted(by_cutoff))
     with paper_style():
         figure = Figure(figsize=(PAGE, 3.3))
@@ -128,12 +128,12 @@ def cutoff_figure(
                 ("output-error", "D", 1.03, PALETTE[1]),
             ):
                 values = [by_cutoff[c][method][name] for c in cutoffs]
-                at = np.array([v.value for v in values]) / factor
+                estimates = np.array([v.value for v in values]) / factor
                 sd = np.array([v.sd_robust for v in values]) / factor
                 bound = ~np.isfinite(sd)
                 ax.errorbar(
                     cutoffs[~bound] * shift,
-                    at[~bound],
+                    estimates[~bound],
                     1.645 * sd[~bound],
                     marker=marker,
                     markersize=3.0,
@@ -145,7 +145,7 @@ def cutoff_figure(
                 # on a bound there is no interval
                 ax.plot(
                     cutoffs[bound] * shift,
-                    at[bound],
+                    estimates[bound],
                     marker=marker,
                     markersize=3.0,
                     linestyle="none",
@@ -167,8 +167,8 @@ def cutoff_figure(
 
 
 def forest(summaries: Mapping[str, Any]) -> Figure:
-    """Every method and both posteriors in one forest figure."""
-    # all runs are of one recording, whose estimates are the same: once is enough
+    """Draw every method and both posteriors in one forest figure."""
+    # all runs are of one recording and share its estimates
     first, *others = summaries
-    once = {name: {**summaries[name], "estimates": {}} for name in others}
-    return forest_figure(comparison({first: summaries[first], **once}, estimates=True))
+    posteriors = {name: {**summaries[name], "estimates": {}} for name in others}
+    return forest_figure(comparison({first: summaries[first], **posteriors}, estimates=True))

@@ -1,8 +1,8 @@
-"""Mean error of each method against truth over many SIMULATED recordings of the knee.
+"""Compare the mean error of each method with truth over many SIMULATED recordings of the knee.
 
 ``python studies/rabbit_knee/monte_carlo.py [COUNT]`` simulates COUNT (200) recordings of the
-knee that differ in their noise only, estimates each by the three methods with the scale left
-open, and writes ``monte_carlo.json`` beside itself. Half an hour on two cores.
+knee that differ in their noise only, estimates each by the three methods with unknown scale,
+and writes ``monte_carlo.json``. Half an hour on two cores.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-# Recordings are estimated side by side; threads of one would only wait for the other's.
+# Recordings are estimated in parallel processes, with one thread each.
 if __name__ == "__main__":
     for variable in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -38,7 +38,7 @@ from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.trajectory import trajectory
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 PRESET = PRESETS["rabbit-knee"]
 # The conditions of knee.toml.
 CONDITIONS = Simulation(seed=0)
@@ -67,31 +67,35 @@ def recording(conditions: Simulation) -> Measurement:
 
 
 def truth(observation: Observation) -> dict[str, float]:
-    """Give the true value of everything a method states and no scaling changes.
+    """Return the true value of each estimate that the scaling does not change.
 
-    The totals of eq. (11) are what least squares finds in the true torque along
-    ``observation``'s motion, for with two alphas there is no other meaning to them.
+    The totals of eq. (11) are least-squares estimates of the true torque along
+    ``observation``'s motion; with two alphas they have no other definition.
     """
     chain = PRESET.chain()
     values = chain.vector(PRESET.values)
-    found = {q.name: float(q.values[0]) for q in derive(chain, values[None], 1.0) if q.gauge_free}
-    found |= {name: value for name, value in PRESET.values.items() if name.startswith("motor.")}
+    true_values = {
+        q.name: float(q.values[0]) for q in derive(chain, values[None], 1.0) if q.gauge_free
+    }
+    true_values |= {
+        name: value for name, value in PRESET.values.items() if name.startswith("motor.")
+    }
     projection = TotalsProjection(chain, [observation])
     totals = projection.solve(filtered_torque(chain, observation, values[None])[0])
-    return found | dict(zip(projection.labels, totals.tolist(), strict=True))
+    return true_values | dict(zip(projection.labels, totals.tolist(), strict=True))
 
 
 def estimate(seed: int) -> dict[str, Estimate]:
-    """Estimate one recording by all methods, the scale left open."""
+    """Estimate one recording by all methods, with unknown scale."""
     chain = PRESET.chain()
-    one = recording(CONDITIONS.model_copy(update={"seed": seed}))
-    observation = observe(one, Processing())
+    measurement = recording(CONDITIONS.model_copy(update={"seed": seed}))
+    observation = observe(measurement, Processing())
     options = Estimation(seed=seed)
     direct = input_error(chain, [observation], Knowledge(), options)
-    whole = trajectory(one, observation, math.inf)
-    recursive = output_error(chain, [whole], [observation], Knowledge(), options, direct)
-    found = (least_squares(chain, [observation]), direct, recursive)
-    return {e.method: e for e in found}
+    path = trajectory(measurement, observation, math.inf)
+    recursive = output_error(chain, [path], [observation], Knowledge(), options, direct)
+    estimates = (least_squares(chain, [observation]), direct, recursive)
+    return {result.method: result for result in estimates}
 
 
 def run(count: int, first: int = 1, workers: int = 2) -> dict[str, Any]:
@@ -99,19 +103,19 @@ def run(count: int, first: int = 1, workers: int = 2) -> dict[str, Any]:
     seeds = range(first, first + count)
     if workers > 1:
         with ProcessPoolExecutor(workers) as pool:
-            found = list(pool.map(estimate, seeds, chunksize=5))
+            estimates = list(pool.map(estimate, seeds, chunksize=5))
     else:
-        found = [estimate(seed) for seed in seeds]
-    # the true motion, not its measured one, says what the totals are
+        estimates = [estimate(seed) for seed in seeds]
+    # totals are defined by the true motion, not the measured one
     exact = replace(
         observe(recording(CONDITIONS.model_copy(update=_PERFECT)), Processing()), name="exact"
     )
-    known = truth(exact)
+    true_values = truth(exact)
     table: dict[str, Any] = {}
-    for name, value in known.items():
+    for name, value in true_values.items():
         rows = {}
         for method in METHODS:
-            cells = [one[method][name] for one in found if name in one[method]]
+            cells = [methods[method][name] for methods in estimates if name in methods[method]]
             if cells:
                 rows[method] = _compared(
                     np.array([c.value for c in cells]),
@@ -139,7 +143,7 @@ def _compared(
     robust: NDArray[np.float64],
     true: float,
 ) -> dict[str, Any]:
-    """Mean error with its standard error, spread, and what was claimed."""
+    """Return mean error with standard error, spread, claimed deviations and coverage."""
     free = np.isfinite(sd) & np.isfinite(robust)  # not on a bound
     spread = float(values.std(ddof=1))
     error = float(values.mean() - true)
@@ -162,7 +166,7 @@ def _compared(
 
 
 def markdown(result: dict[str, Any]) -> str:
-    """Lay the comparison out as a table: errors in units of the spread between recordings."""
+    """Format the comparison as a Markdown table."""
     lines = [
         "| quantity | method | truth | mean error ± standard error | spread | claimed sd | "
         "claimed sd (correlated) | 90 % interval holds truth (plain / correlated) | on a bound |",
@@ -192,5 +196,5 @@ def _short(x: float | None) -> str:
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     result = run(count)
-    (HERE / "monte_carlo.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "monte_carlo.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(markdown(result))

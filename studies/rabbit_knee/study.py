@@ -1,7 +1,7 @@
-"""Section 4 of the paper once through, on a recording SIMULATED from its Table 3.
+"""Repeat section 4 of the paper on a recording SIMULATED from its Table 3.
 
 ``python studies/rabbit_knee/study.py`` estimates by all methods, samples both posteriors,
-prints the tables of README.md, writes ``result.json`` beside itself and draws
+prints the tables of README.md, writes ``result.json`` and draws
 ``figures/rabbit_knee``. About five minutes on two cores.
 """
 
@@ -25,10 +25,10 @@ from bayesfric.problem.config import Config, read_config
 from bayesfric.report.figures.style import save
 from figures import cutoff_figure, fit_figure, forest
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
+FOLDER = Path(__file__).resolve().parent
+ROOT = FOLDER.parents[1]
 TRUTH = PRESETS["rabbit-knee"].values
-# What the paper printed; it states no intervals.
+# Values of the paper, which has no intervals.
 TABLE_1 = {
     "total.inertia": 4.7e-4,
     "total.viscous": 6.5e-3,
@@ -67,22 +67,22 @@ CUTOFFS = (15.0, 25.0, 40.0, 60.0, 100.0, 150.0, 250.0, 400.0)
 
 def compared(chain: Any, values: np.ndarray) -> np.ndarray:
     """Compute the combinations of section 4.4 from parameter vectors, ``(5, n)``."""
-    at = {name: values[:, i] for i, name in enumerate(chain.names)}
+    columns = {name: values[:, i] for i, name in enumerate(chain.names)}
     n = chain.ratio
-    found = {q.name: q.values for q in derive(chain, values, TRANSMITTED)}
+    derived = {q.name: q.values for q in derive(chain, values, TRANSMITTED)}
     return np.stack(
         [
-            at["motor.inertia"] + at["load.inertia"] / n**2,
-            at["motor.viscous"] + at["joint.viscous"] / n**2,
-            at["motor.coulomb_positive"] + at["joint.coulomb_positive"] / n,
-            found["gearbox.efficiency_drive"],
-            found["gearbox.efficiency_back"],
+            columns["motor.inertia"] + columns["load.inertia"] / n**2,
+            columns["motor.viscous"] + columns["joint.viscous"] / n**2,
+            columns["motor.coulomb_positive"] + columns["joint.coulomb_positive"] / n,
+            derived["gearbox.efficiency_drive"],
+            derived["gearbox.efficiency_back"],
         ]
     )
 
 
 def sampled(config: Config, folder: Path, problem: Model) -> tuple[dict[str, Any], np.ndarray]:
-    """Sample a posterior; its summary and draws of the chain's parameters."""
+    """Sample a posterior; return its summary and draws of the chain's parameters."""
     if folder.exists():
         shutil.rmtree(folder)
     summary = fit(config, folder)
@@ -110,24 +110,24 @@ def at_cutoff(config: Config, cutoff: float) -> dict[str, Estimate]:
 
 def main() -> None:
     """Run the study."""
-    config = read_config(HERE / "knee.toml")
+    config = read_config(FOLDER / "knee.toml")
     problem = Model.from_config(config)
-    found = {e.method: e for e in problem.estimates()}
+    estimates = {e.method: e for e in problem.estimates()}
     runs = ROOT / "studies-runs"
     runs.mkdir(exist_ok=True)
     posteriors = {
-        name: sampled(read_config(HERE / f"{name}.toml"), runs / name, problem)
+        name: sampled(read_config(FOLDER / f"{name}.toml"), runs / name, problem)
         for name in ("knee", "knee-output-error")
     }
     by_cutoff = {cutoff: at_cutoff(config, cutoff) for cutoff in CUTOFFS}
 
     result = {
         "simulated": True,
-        "table_1": _table(TABLE_1, found, ("least-squares",), posteriors),
-        "table_2": _table(TABLE_2, found, ("input-error",), posteriors),
-        "table_3": _table(TABLE_3, found, ("output-error",), posteriors),
-        "section_4_4": _section_4_4(problem, found, posteriors),
-        "residual_rms": {m: [e.residual_rms, e.residual_unit] for m, e in found.items()},
+        "table_1": _table(TABLE_1, estimates, ("least-squares",), posteriors),
+        "table_2": _table(TABLE_2, estimates, ("input-error",), posteriors),
+        "table_3": _table(TABLE_3, estimates, ("output-error",), posteriors),
+        "section_4_4": _section_4_4(problem, estimates, posteriors),
+        "residual_rms": {m: [e.residual_rms, e.residual_unit] for m, e in estimates.items()},
         "cutoff": {
             f"{cutoff:g}": {
                 method: {v.name: [v.value, _number(v.sd), _number(v.sd_robust)] for v in e.values}
@@ -135,12 +135,12 @@ def main() -> None:
             }
             for cutoff, each in by_cutoff.items()
         },
-        "notes": {m: list(e.notes) for m, e in found.items()},
+        "notes": {m: list(e.notes) for m, e in estimates.items()},
     }
-    (HERE / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     target = ROOT / "figures" / "rabbit_knee"
     target.mkdir(parents=True, exist_ok=True)
-    save(fit_figure(problem, found["output-error"]), target, "fig6")
+    save(fit_figure(problem, estimates["output-error"]), target, "fig6")
     save(cutoff_figure(by_cutoff, TRUTH), target, "cutoff")
     save(forest({name: summary for name, (summary, _) in posteriors.items()}), target, "methods")
     print(markdown(result))
@@ -148,7 +148,7 @@ def main() -> None:
 
 def _table(
     printed: dict[str, float],
-    found: dict[str, Estimate],
+    estimates: dict[str, Estimate],
     methods: tuple[str, ...],
     posteriors: dict[str, Any],
 ) -> dict[str, Any]:
@@ -156,9 +156,13 @@ def _table(
     for name, value in printed.items():
         rows[name] = {"printed": value, "truth": TABLE_3.get(name)}
         for method in methods:
-            if name in found[method]:
-                v = found[method][name]
-                rows[name][method] = [v.value, _number(v.sd), _number(v.sd_robust)]
+            if name in estimates[method]:
+                estimate = estimates[method][name]
+                rows[name][method] = [
+                    estimate.value,
+                    _number(estimate.sd),
+                    _number(estimate.sd_robust),
+                ]
         for run, (summary, _) in posteriors.items():
             row = (summary["parameters"] | summary["derived"]).get(name)
             if row:
@@ -167,20 +171,20 @@ def _table(
 
 
 def _section_4_4(
-    problem: Model, found: dict[str, Estimate], posteriors: dict[str, Any]
+    problem: Model, estimates: dict[str, Estimate], posteriors: dict[str, Any]
 ) -> dict[str, Any]:
     chain = problem.chain
     columns: dict[str, Any] = {
         "truth": compared(chain, chain.vector(TRUTH)[None])[:, 0].tolist(),
     }
     for method in METHODS[1:]:
-        point = chain.vector(dict(found[method].point))
+        point = chain.vector(dict(estimates[method].point))
         columns[method] = compared(chain, point[None])[:, 0].tolist()
     for run, (_, values) in posteriors.items():
-        drawn = compared(chain, values)
-        # a back-driving efficiency below zero is none: the gearbox is irreversible there
-        low, middle, high = np.nanquantile(drawn, [0.05, 0.5, 0.95], axis=1)
-        undefined = np.isnan(drawn).mean(axis=1)
+        draws = compared(chain, values)
+        # a negative back-driving efficiency means that the gearbox is irreversible
+        low, middle, high = np.nanquantile(draws, [0.05, 0.5, 0.95], axis=1)
+        undefined = np.isnan(draws).mean(axis=1)
         columns[run] = np.stack([middle, low, high], axis=1).tolist()
         for cell, share in zip(columns[run], undefined, strict=True):
             if share > 0.005:
@@ -192,7 +196,7 @@ def _section_4_4(
 
 
 def markdown(result: dict[str, Any]) -> str:
-    """Lay the result out as the tables of README.md."""
+    """Format the result as the tables of README.md."""
     lines = []
     for number, method in ((1, "least-squares"), (2, "input-error"), (3, "output-error")):
         lines += [

@@ -1,8 +1,8 @@
-"""Do bands of roll-outs hold what they say? SIMULATED joints under position control.
+"""Measure the coverage of roll-out bands for SIMULATED joints under position control.
 
-``python studies/rollouts/rollouts.py`` simulates joints, fits one recording of each, and plays
-another to the posterior: in the closed loop of its targets, and by its measured torque in the
-open loop. Right models, and models that lack what the joint has. Writes ``rollouts.json``.
+``python studies/rollouts/rollouts.py`` simulates joints, fits one recording of each, and simulates
+another from the posterior: by its targets (closed loop) and by its measured torque (open loop).
+Models are right or lack a term of the joint. Writes ``rollouts.json``.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TRUTH = {
     "motor.coulomb": 0.1,
     "load.first_moment": 0.05,
 }
-# What the joint has and its model lacks.
+# Options and values of terms that the model lacks.
 LACKING: dict[str, tuple[dict[str, Any], dict[str, float]]] = {
     "nothing": ({}, {}),
     "cogging 6 times a turn": (
@@ -49,7 +49,7 @@ def joint(options: dict[str, Any]) -> bf.Joint:
 
 
 def recorded(chain: bf.Joint, values: dict[str, float], name: str, seed: int) -> bf.Recording:
-    """Play targets to the true joint; encoder and torque sensor see what comes of it."""
+    """Record the true joint following a target, by encoder and torque sensor."""
     rng = np.random.default_rng(seed)
     time = np.arange(N) / RATE
     waves = zip((1.3, 3.1, 7.9), (0.8, 0.4, 0.1), rng.uniform(0.0, 2.0 * np.pi, 3), strict=True)
@@ -62,7 +62,7 @@ def recorded(chain: bf.Joint, values: dict[str, float], name: str, seed: int) ->
 
 
 def targeted(chain: bf.Joint, values: dict[str, float], name: str, seed: int) -> bf.Recording:
-    """Give the same recording by its targets."""
+    """Return the same recording with its target in place of its torque."""
     rng = np.random.default_rng(seed)
     time = np.arange(N) / RATE
     waves = zip((1.3, 3.1, 7.9), (0.8, 0.4, 0.1), rng.uniform(0.0, 2.0 * np.pi, 3), strict=True)
@@ -75,10 +75,10 @@ def targeted(chain: bf.Joint, values: dict[str, float], name: str, seed: int) ->
 
 
 def joint_of(lacking: str, seed: int) -> dict[str, Any]:
-    """Fit one recording of a joint, play another both ways."""
-    options, more = LACKING[lacking]
+    """Fit one recording of a joint, simulate another in closed and open loop."""
+    options, added = LACKING[lacking]
     rng = np.random.default_rng([seed, 77])
-    truth = {**TRUTH, **more}
+    truth = {**TRUTH, **added}
     values = {name: x * np.exp(0.2 * rng.standard_normal()) for name, x in truth.items()}
     true = joint(options)
     fitted, other = 2 * seed, 2 * seed + 1
@@ -88,16 +88,16 @@ def joint_of(lacking: str, seed: int) -> dict[str, Any]:
         sampling={"seed": seed, "min_ess": 1000},
         self_check={"recordings": 0},
     )
-    found = model.sample()
+    posterior = model.sample()
     out = {}
     for kind, make in (("closed", targeted), ("open", recorded)):
-        rolled = bf.rollout(found, make(true, values, kind, other), seed=seed)
-        (one,) = rolled.rolled
+        rolled = bf.rollout(posterior, make(true, values, kind, other), seed=seed)
+        (played,) = rolled.rolled
         out[kind] = {
-            "mae": one.at_position.mae,
-            "inside": one.at_position.inside,
-            "alone": one.at_position.inside_alone,
-            "alone_width": float(np.nanmedian(one.alone[1] - one.alone[0])),
+            "mae": played.at_position.mae,
+            "inside": played.at_position.inside,
+            "alone": played.at_position.inside_alone,
+            "alone_width": float(np.nanmedian(played.alone[1] - played.alone[0])),
             "moves": rolled.unexplained["fitted"],
         }
     return out
@@ -108,20 +108,20 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--joints", type=int, default=30)
     joints = parser.parse_args().joints
-    found = {name: [joint_of(name, seed) for seed in range(joints)] for name in LACKING}
+    outcomes = {name: [joint_of(name, seed) for seed in range(joints)] for name in LACKING}
     print("| the model lacks | loop | MAE (mrad) | inside 90 % bands | parameters alone | moves |")
     print("|---|---|---|---|---|---|")
-    for name, rows in found.items():
+    for name, rows in outcomes.items():
         for kind in ("closed", "open"):
-            x = {k: np.array([row[kind][k] for row in rows]) for k in rows[0][kind]}
-            error = x["inside"].std(ddof=1) / np.sqrt(len(rows))
+            columns = {k: np.array([row[kind][k] for row in rows]) for k in rows[0][kind]}
+            error = columns["inside"].std(ddof=1) / np.sqrt(len(rows))
             print(
-                f"| {name} | {kind} | {1e3 * np.median(x['mae']):.2f} | "
-                f"{100 * x['inside'].mean():.0f} ± {100 * error:.0f} % | "
-                f"{100 * x['alone'].mean():.0f} % | {np.median(x['moves']):.2f} |"
+                f"| {name} | {kind} | {1e3 * np.median(columns['mae']):.2f} | "
+                f"{100 * columns['inside'].mean():.0f} ± {100 * error:.0f} % | "
+                f"{100 * columns['alone'].mean():.0f} % | {np.median(columns['moves']):.2f} |"
             )
     path = Path(__file__).with_name("rollouts.json")
-    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(outcomes, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

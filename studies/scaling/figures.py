@@ -22,15 +22,15 @@ NAMES = {
 }
 
 
-def interval_figure(places: Mapping[str, np.ndarray]) -> Figure:
-    """Histograms of where the scale lies between the bounds dissipativity gives."""
+def interval_figure(positions: Mapping[str, np.ndarray]) -> Figure:
+    """Draw histograms of the scale between its bounds by dissipativity."""
     with paper_style():
         figure = Figure(figsize=(COLUMN, 0.62 * COLUMN))
         ax = figure.add_axes((0.13, 0.2, 0.84, 0.76))
         edges = np.linspace(0.0, 1.0, 61)
-        for k, (case, place) in enumerate(places.items()):
+        for k, (case, position) in enumerate(positions.items()):
             ax.hist(
-                place,
+                position,
                 bins=edges,
                 density=True,
                 histtype="step",
@@ -63,14 +63,14 @@ def lifted_figure(
     cases: Mapping[str, str],
     rows: Mapping[str, Mapping[str, Any]],
     truth: Mapping[str, float],
-    shown: Sequence[str],
+    names: Sequence[str],
 ) -> Figure:
-    """90 % intervals by what is known, filled where the data determine them; truth dashed."""
+    """Draw 90 % intervals by additional knowledge, filled where the data determine them."""
     with paper_style():
         figure = Figure(figsize=(2.05 * COLUMN, 0.8 * COLUMN))
-        axes = figure.subplots(1, len(shown), sharey=True)
+        axes = figure.subplots(1, len(names), sharey=True)
         figure.subplots_adjust(left=0.3, right=0.985, bottom=0.16, top=0.9, wspace=0.12)
-        for ax, name in zip(axes, shown, strict=True):
+        for ax, name in zip(axes, names, strict=True):
             for y, case in enumerate(cases):
                 row = rows[case][name]
                 if row is None:

@@ -1,10 +1,10 @@
-"""Forward simulator against SciPy's ``solve_ivp`` with events: accuracy, order, speed.
+"""Compare the forward simulator with SciPy's ``solve_ivp`` with events: accuracy, order, speed.
 
-``python studies/simulator/compare.py`` prints the tables of the README next to this file, writes
-``result.json`` there and ``figures/simulator/work-precision``. Everything is simulated.
+``python studies/simulator/compare.py`` prints the tables of the README, writes
+``result.json`` and ``figures/simulator/work-precision``. Everything is simulated.
 
-The rival's model is written out here from the paper's equations and shares no code with
-``bayesfric``: what agrees agrees because both are right.
+The rival's model implements the paper's equations independently and shares no code with
+``bayesfric``.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from bayesfric.mechanism.joint import Joint
 Array = NDArray[np.float64]
 Restart = Literal["every sample", "corners", "events"]
 
-HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
+FOLDER = Path(__file__).parent
+ROOT = FOLDER.parents[1]
 GRAVITY = 9.80665  # m/s²
 ENCODER = 2.0 * math.pi / 8192 / 50  # rad at the joint: 8192 counts on the motor shaft, N = 50
 LEVELS = {"encoder/10": ENCODER / 10.0, "1e-6": 1e-6, "1e-8": 1e-8}  # rad, largest error
@@ -44,7 +44,7 @@ SUBSTEPS = (1, 2, 4, 8, 16, 32)
 TIGHT = 1e-13
 
 
-# --- the rival's model: eqs. (2) to (9), written out once more ------------------------
+# --- the rival's model: eqs. (2) to (9) -----------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -58,36 +58,38 @@ class Plant:
     drive: float  # mu_1
     back: float  # mu_2
     gear_dry: float
-    rise: float  # Stribeck rise c of the gearbox ...
-    rise_speed: float  # ... gone at a few times this speed of its input
+    rise: float  # Stribeck rise c of the gearbox
+    rise_speed: float  # rad/s at its input, Stribeck velocity
     joint_viscous: float
     joint_dry: tuple[float, float]
     inertia: float
     moment: float  # m l, kg m
 
     def breakaway(self, q: float) -> tuple[float, float]:
-        """Motor torques between which it stays at rest."""
+        """Return the motor torques between which the joint sticks."""
 
         def needed(sign: float) -> float:
-            way = 0 if sign > 0 else 1
+            side = 0 if sign > 0 else 1
             rise = 1.0 + self.rise
-            passed = (sign * self.joint_dry[way] + GRAVITY * self.moment * math.sin(q)) / self.ratio
+            passed = (
+                sign * self.joint_dry[side] + GRAVITY * self.moment * math.sin(q)
+            ) / self.ratio
             mu = self.drive if passed * sign > 0 else -self.back
-            return passed * (1.0 + mu * rise) + sign * (self.gear_dry * rise + self.motor_dry[way])
+            return passed * (1.0 + mu * rise) + sign * (self.gear_dry * rise + self.motor_dry[side])
 
         return needed(-1.0), needed(1.0)
 
     def branch(
         self, torque: Callable[[float], float], sign: float, drives: bool
     ) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:
-        """Right-hand side while direction and power flow are held, and what ends it.
+        """Return the right-hand side for fixed direction and power flow, and its end events.
 
-        Plain floats in local names: arrays of two numbers would cost several times more.
+        Plain floats: arrays of two numbers would be several times slower.
         """
         n, jm, jc = self.ratio, self.motor_inertia * self.ratio, self.inertia
-        way = 0 if sign > 0 else 1
-        motor, gear = sign * self.motor_dry[way], sign * self.gear_dry
-        joint, fc = sign * self.joint_dry[way], self.joint_viscous
+        side = 0 if sign > 0 else 1
+        motor, gear = sign * self.motor_dry[side], sign * self.gear_dry
+        joint, fc = sign * self.joint_dry[side], self.joint_viscous
         fm, weight = self.motor_viscous * n, GRAVITY * self.moment
         mu, c, scale = self.drive if drives else -self.back, self.rise, n / self.rise_speed
         toward = sign if drives else -sign
@@ -97,15 +99,15 @@ class Plant:
             q, v = y.tolist()
             r = 1.0 + c * exp(-((scale * v) ** 2)) if c else 1.0
             k = (1.0 + mu * r) / n
-            lost = motor + fm * v + gear * r + k * (joint + fc * v + weight * sin(q))
-            return [v, (torque(t) - lost) / (jm + k * jc)]
+            loss = motor + fm * v + gear * r + k * (joint + fc * v + weight * sin(q))
+            return [v, (torque(t) - loss) / (jm + k * jc)]
 
         def stop(t: float, y: Array) -> float:  # noqa: ARG001
             return sign * float(y[1])
 
         def turn(t: float, y: Array) -> float:
-            # The gearbox passes nothing where the leg needs nothing: then qdd is known and
-            # with it the motor torque. More torque than that drives, less is driven.
+            # Where the gearbox transmits no torque, the leg determines qdd, and so the motor
+            # torque. More torque drives, less is back-driven.
             q, v = y.tolist()
             r = 1.0 + c * exp(-((scale * v) ** 2)) if c else 1.0
             free = -(joint + fc * v + weight * sin(q)) / jc
@@ -116,7 +118,7 @@ class Plant:
         return field, stop, turn
 
     def chain(self) -> tuple[Joint, Array]:
-        """Return the same mechanism as ``bayesfric`` describes it."""
+        """Return the same mechanism as a ``bayesfric`` joint and its parameter vector."""
         chain = Joint(
             elements=(
                 Element("motor", inertia=True, coulomb="by-direction", viscous=True),
@@ -148,28 +150,28 @@ class Plant:
 
 
 def compiled_fields(case: Case) -> dict[tuple[float, bool], Callable[..., Any]]:
-    """Return the same right-hand sides compiled by Numba: a second, stronger rival."""
+    """Return the same right-hand sides compiled by Numba: a faster rival."""
     p, period, torque = case.plant, case.period, case.torque
     rate = np.diff(torque) / period
 
     def branch(sign: float, drives: bool) -> Callable[..., Any]:
-        way = 0 if sign > 0 else 1
+        side = 0 if sign > 0 else 1
         n, jm, jc = p.ratio, p.motor_inertia * p.ratio, p.inertia
-        motor, gear, joint = sign * p.motor_dry[way], sign * p.gear_dry, sign * p.joint_dry[way]
+        motor, gear, joint = sign * p.motor_dry[side], sign * p.gear_dry, sign * p.joint_dry[side]
         fc, fm, weight = p.joint_viscous, p.motor_viscous * n, GRAVITY * p.moment
         mu, c, scale = p.drive if drives else -p.back, p.rise, n / p.rise_speed
 
         @numba.njit(error_model="numpy")
         def field(t, y):  # type: ignore[no-untyped-def]
-            # all else is a constant to the compiler: only t and y are handed over
+            # everything except t and y is a compile-time constant
             i = min(int(t / period), rate.size - 1)
             q, v = y[0], y[1]
             r = 1.0 + c * math.exp(-((scale * v) ** 2)) if c != 0.0 else 1.0
             k = (1.0 + mu * r) / n
-            lost = motor + fm * v + gear * r + k * (joint + fc * v + weight * math.sin(q))
+            loss = motor + fm * v + gear * r + k * (joint + fc * v + weight * math.sin(q))
             out = np.empty(2)
             out[0] = v
-            out[1] = (torque[i] + rate[i] * (t - i * period) - lost) / (jm + k * jc)
+            out[1] = (torque[i] + rate[i] * (t - i * period) - loss) / (jm + k * jc)
             return out
 
         return field
@@ -191,13 +193,13 @@ class Case:
 
     @property
     def times(self) -> Array:
-        """Of the samples, s."""
+        """Return the times of the samples, s."""
         return np.arange(self.torque.size) * self.period
 
 
 @dataclass
 class Solved:
-    """What the rival found, at the samples."""
+    """The rival's solution at the samples."""
 
     q: Array
     qd: Array
@@ -209,10 +211,10 @@ class Solved:
 
 
 def borders(case: Case, restart: Restart) -> Array:
-    """Return the times at which the rival starts afresh, for a corner of the torque.
+    """Return the times at which the rival restarts because of a corner of the torque.
 
-    ``corners``: where the torque's rate jumps by more than 1 % of its largest jump. At the
-    others the step control has to cope, as it does everywhere with ``events``.
+    ``corners``: where the torque's rate jumps by more than 1 % of its largest jump. Elsewhere
+    the step control handles it, as it does everywhere with ``events``.
     """
     times = case.times
     if restart == "every sample":
@@ -232,7 +234,7 @@ def solve(
 ) -> Solved:
     """Integrate with ``solve_ivp`` from event to event, sticking handled in between.
 
-    ``compiled`` are right-hand sides to use instead of the plain Python ones.
+    ``compiled`` are right-hand sides that replace the Python ones.
     """
     plant, period, times = case.plant, case.period, case.times
     ends = borders(case, restart)
@@ -245,68 +247,70 @@ def solve(
 
     branches = {(s, d): plant.branch(torque, s, d) for s in (1.0, -1.0) for d in (True, False)}
     fields = compiled or {key: branch[0] for key, branch in branches.items()}
-    out = Solved(*(np.zeros(times.size) for _ in range(2)), np.zeros(times.size, dtype=np.bool_))
+    solution = Solved(
+        *(np.zeros(times.size) for _ in range(2)), np.zeros(times.size, dtype=np.bool_)
+    )
     state, t, done = np.zeros(2), 0.0, 0  # done: samples before this one are written
     sign, drives = 0.0, True
     while True:
-        if sign == 0.0:  # at rest: how long does it stick?
+        if sign == 0.0:  # standstill until the torque exceeds friction
             low, high = plant.breakaway(float(state[0]))
             t_off, sign = _moves_off(case, t, low, high)
-            # the sample at which it moves off belongs to the motion
+            # the sample of the breakaway belongs to the motion
             end = times.size if sign == 0.0 else int(np.searchsorted(times, t_off, "left"))
-            out.q[done:end], out.sticking[done:end] = state[0], True
+            solution.q[done:end], solution.sticking[done:end] = state[0], True
             if sign == 0.0:
-                return out
+                return solution
             t, done = t_off, max(done, end)
             if done < times.size and times[done] <= t:
-                out.q[done], done = state[0], done + 1
+                solution.q[done], done = state[0], done + 1
             drives = branches[sign, True][2](t, state) > 0.0
         border = float(ends[min(np.searchsorted(ends, t, "right"), ends.size - 1)])
         if t >= border:
-            return out
+            return solution
         stop = int(np.searchsorted(times, border, "right"))
-        asked = times[done:stop]
+        stamps = times[done:stop]
         solved = solve_ivp(
             fields[sign, drives],
             (t, border),
             state,
             method,
-            # one sample, the border itself: no interpolation is needed
-            t_eval=asked if asked.size > 1 else None,
+            # a single sample at the border needs no interpolation
+            t_eval=stamps if stamps.size > 1 else None,
             events=branches[sign, drives][1:],
             rtol=rtol,
             atol=rtol,
             first_step=border - t if restart == "every sample" and rtol > TIGHT else None,
         )
-        out.calls += 1
-        out.evaluations += solved.nfev
+        solution.calls += 1
+        solution.evaluations += solved.nfev
         if solved.status < 0:
             raise RuntimeError(solved.message)
         if solved.status == 0:
             t, state = border, solved.y[:, -1]
-            written = asked.size
+            written = stamps.size
         else:
             which = 0 if solved.t_events[0].size else 1
             t, state = float(solved.t_events[which][-1]), solved.y_events[which][-1].copy()
-            written = int(np.searchsorted(asked, t, "left"))
+            written = int(np.searchsorted(stamps, t, "left"))
             if which == 0:
-                out.stops += 1
+                solution.stops += 1
                 state[1], sign = 0.0, 0.0
             else:
-                out.turns += 1
+                solution.turns += 1
                 drives = not drives
-        if asked.size > 1 and written:
-            out.q[done : done + written] = solved.y[0, :written]
-            out.qd[done : done + written] = solved.y[1, :written]
+        if stamps.size > 1 and written:
+            solution.q[done : done + written] = solved.y[0, :written]
+            solution.qd[done : done + written] = solved.y[1, :written]
         elif written:
-            out.q[done], out.qd[done] = state if solved.status == 0 else solved.y[:, -1]
+            solution.q[done], solution.qd[done] = state if solved.status == 0 else solved.y[:, -1]
         done += written
-        if out.calls > 50 * times.size:
+        if solution.calls > 50 * times.size:
             raise RuntimeError("no progress")
 
 
 def _moves_off(case: Case, t: float, low: float, high: float) -> tuple[float, float]:
-    """When, from ``t`` on, the torque leaves the two limits, and in which direction."""
+    """Return when after ``t`` the torque leaves the two limits, and the direction."""
     tau, times = case.torque, case.times
     now = float(np.interp(t, times, tau))
     if now > high or now < low:
@@ -339,7 +343,7 @@ KNEE = Plant(
     inertia=0.206,
     moment=0.42,
 )
-# Made up: Stribeck on constant and load-dependent loss, as eq. (2) has it
+# Fictitious: Stribeck on Coulomb and load-dependent friction, eq. (2)
 STRIBECK = Plant(
     motor_inertia=2.0e-4,
     motor_viscous=1.0e-3,
@@ -369,7 +373,7 @@ def cases(rate: float, seconds: float) -> list[Case]:
 
 
 def reference(case: Case) -> Solved:
-    """Return the tightest solution: started afresh at every sample, nothing smoothed over."""
+    """Return the most accurate solution, restarted at every sample."""
     return solve(case, "DOP853", TIGHT, "every sample")
 
 
@@ -386,14 +390,14 @@ def largest(a: Array, b: Array) -> float:
 
 
 def order(case: Case, truth: Solved, substeps: Sequence[int] = SUBSTEPS) -> dict[str, Any]:
-    """Error against the rival as the simulator's step is halved."""
+    """Return errors against the rival as the simulator's step is halved."""
     errors = [largest(mine(case, n).q, truth.q) for n in substeps]
     halvings = [math.log2(a / b) for a, b in pairwise(errors)]
     return {"case": case.name, "substeps": list(substeps), "errors": errors, "orders": halvings}
 
 
 def agreement(case: Case, truth: Solved) -> dict[str, Any]:
-    """Default step control against the rival: positions, speeds, sticking, step error."""
+    """Compare the default step control with the rival."""
     motion = mine(case)
     error = largest(motion.q, truth.q)
     return {
@@ -413,13 +417,13 @@ def agreement(case: Case, truth: Solved) -> dict[str, Any]:
 
 
 def best_time(work: Callable[[], object], repeats: int) -> float:
-    """Least processor time of several, s: what else the machine does only ever adds."""
-    least = math.inf
+    """Return the shortest CPU time of several runs, s, as other load only adds time."""
+    shortest = math.inf
     for _ in range(repeats):
-        begun = time.process_time()
+        start = time.process_time()
         work()
-        least = min(least, time.process_time() - begun)
-    return least
+        shortest = min(shortest, time.process_time() - start)
+    return shortest
 
 
 @dataclass(frozen=True)
@@ -434,21 +438,21 @@ class Point:
 
 
 def rivals(case: Case, truth: Solved) -> list[Point]:
-    """Run all settings of ``solve_ivp`` once, unless a better one is known to be faster."""
-    # from loose on these take one step a sample and differ only by rounding
+    """Run all settings of ``solve_ivp`` once, except those certain to be slower."""
+    # with loose tolerances these take one step a sample and differ only by rounding
     points = [
         _rival(case, truth, method, rtol, "every sample")
         for method in METHODS[:3]
         for rtol in (1e-4, 1e-9, 1e-11)
     ]
-    # accurate enough for every level, so what takes longer cannot be the fastest
+    # accurate enough for every level, so slower settings cannot be the fastest
     limit = 1.5 * min(p.seconds for p in points if p.error < min(LEVELS.values()))
-    # a sine has no corners: there they are either all samples or none
+    # a sine has no corners
     for restart in ("events", "corners") if "square" in case.name else ("events",):
         for method in METHODS:
-            # whole decades where it is never the fastest, and no tight ones for the slowest
-            every = TOLERANCES[:: 1 if method in ("RK45", "LSODA") else 2]
-            for rtol in every[:4] if method == "Radau" else every:
+            # decades only where it is never the fastest, and no tight ones for the slowest
+            tolerances = TOLERANCES[:: 1 if method in ("RK45", "LSODA") else 2]
+            for rtol in tolerances[:4] if method == "Radau" else tolerances:
                 points.append(_rival(case, truth, method, rtol, restart))
                 if points[-1].seconds > limit:
                     break
@@ -457,43 +461,43 @@ def rivals(case: Case, truth: Solved) -> list[Point]:
 
 def _rival(case: Case, truth: Solved, method: str, rtol: float, restart: str) -> Point:
     options = (method, rtol, restart)
-    begun = time.process_time()
+    start = time.process_time()
     solved = solve(case, *options)
-    seconds = time.process_time() - begun
+    seconds = time.process_time() - start
     setting = f"{method} {rtol:.0e}, restarts at {restart}"
     return Point(setting, largest(solved.q, truth.q), seconds, solved.evaluations, options)
 
 
 def simulator(case: Case, truth: Solved) -> tuple[list[Point], list[Point]]:
-    """Return ``simulate`` with its error estimate, and one bare integration."""
+    """Time ``simulate`` with its error estimate, and one bare integration."""
     chain, values = case.plant.chain()
     full, bare = [], []
     for n in SUBSTEPS:
-        # `simulate` integrates once more, with half as many steps, to estimate its error:
-        # with one step a sample it takes as long as with two
+        # `simulate` integrates again with half as many steps to estimate its error: one step a
+        # sample takes as long as two
         fixed = {"torque": case.torque, "period": case.period, "substeps": n}
 
-        def one(fixed: dict[str, Any] = fixed) -> Array:
+        def with_error_estimate(fixed: dict[str, Any] = fixed) -> Array:
             return simulate(chain, values, **fixed).q
 
-        def many(fixed: dict[str, Any] = fixed) -> Array:
-            whole = [(0, case.torque.size)]
-            start = {"segments": whole, "q0": [0.0], "qd0": [0.0]}
+        def bare_run(fixed: dict[str, Any] = fixed) -> Array:
+            segments = [(0, case.torque.size)]
+            start = {"segments": segments, "q0": [0.0], "qd0": [0.0]}
             return simulate_segments(chain, values[np.newaxis], **start, **fixed)[0]
 
-        for points, run in ((bare, many), (full, one))[: 1 if n == 1 else 2]:
+        for points, run in ((bare, bare_run), (full, with_error_estimate))[: 1 if n == 1 else 2]:
             error = largest(run(), truth.q)
             points.append(Point(f"{n} a sample", error, best_time(run, 15), options=(n,)))
     return full, bare
 
 
-def fastest(points: Sequence[Point], level: float, most: int = 1) -> list[Point]:
+def fastest(points: Sequence[Point], level: float, count: int = 1) -> list[Point]:
     """Return the fastest settings that are at least as accurate as ``level``."""
-    return sorted((p for p in points if p.error <= level), key=lambda p: p.seconds)[:most]
+    return sorted((p for p in points if p.error <= level), key=lambda p: p.seconds)[:count]
 
 
 def compare(case: Case, truth: Solved) -> dict[str, Any]:
-    """Speed at equal accuracy, the best settings of both timed again."""
+    """Compare speed at equal accuracy; the best settings of both are timed again."""
     points = rivals(case, truth)
     full, bare = simulator(case, truth)
     fields = compiled_fields(case)
@@ -502,7 +506,7 @@ def compare(case: Case, truth: Solved) -> dict[str, Any]:
     rows = []
     levels = dict(LEVELS)
     if bare[0].error < min(LEVELS.values()):
-        levels["one step"] = bare[0].error  # no coarser step is possible: what it reaches anyway
+        levels["one step"] = bare[0].error  # no coarser step is possible
     for name, level in levels.items():
         candidates = fastest(points, level, 2)
         for p in candidates:
@@ -527,13 +531,13 @@ def compare(case: Case, truth: Solved) -> dict[str, Any]:
 
 
 def where_time_goes(case: Case) -> dict[str, float]:
-    """Cost of one right-hand side of the rival, and what of its time that is."""
+    """Return the cost of a right-hand side of the rival, and its share of the time."""
     y, t = np.array([0.3, 1.0]), 0.3 * case.times[-1]
     start, rate = case.torque.tolist(), (np.diff(case.torque) / case.period).tolist()
 
-    def torque(at: float) -> float:
-        i = min(int(at / case.period), len(rate) - 1)
-        return start[i] + rate[i] * (at - i * case.period)
+    def torque(instant: float) -> float:
+        i = min(int(instant / case.period), len(rate) - 1)
+        return start[i] + rate[i] * (instant - i * case.period)
 
     python = case.plant.branch(torque, 1.0, True)[0]
     compiled = compiled_fields(case)[1.0, True]
@@ -553,16 +557,17 @@ def where_time_goes(case: Case) -> dict[str, float]:
 
 
 def main() -> None:
-    import show  # its folder is on the path when this is run, not when a test loads it
+    """Run all comparisons and print the tables."""
+    import show  # importable when run as a script, not when a test loads this file
 
-    begun = time.perf_counter()
-    numba.set_num_threads(1)  # both on one core
+    start = time.perf_counter()
+    numba.set_num_threads(1)  # one core for both
     slow, quick = cases(100.0, 4.0), cases(1000.0, 4.0)
     truths = {id(case): reference(case) for case in (*slow, *quick)}
     orders = [order(case, truths[id(case)]) for case in slow]
     agreements = [agreement(case, truths[id(case)]) for case in (*slow, *quick)]
-    found = {(c.name, c.period): compare(c, truths[id(c)]) for c in (*slow, *quick)}
-    rows = [row for f in found.values() for row in f["rows"]]
+    comparisons = {(c.name, c.period): compare(c, truths[id(c)]) for c in (*slow, *quick)}
+    rows = [row for f in comparisons.values() for row in f["rows"]]
     time_goes = where_time_goes(quick[0])
     print("Simulated, not measured. 4 s of motion.\n")
     for text in (
@@ -579,7 +584,7 @@ def main() -> None:
         )
     )
     panels = [
-        (f"simulated {c.name}, {1 / c.period:.0f} Hz", found[c.name, c.period])
+        (f"simulated {c.name}, {1 / c.period:.0f} Hz", comparisons[c.name, c.period])
         for c in (slow[0], quick[0])
     ]
     show.draw(panels, ENCODER, ROOT / "figures" / "simulator")
@@ -587,8 +592,8 @@ def main() -> None:
     versions |= {"numba": numba.__version__, "machine": platform.machine()}
     result = {"simulated": True, "versions": versions, "encoder_rad": ENCODER, "order": orders}
     result |= {"agreement": agreements, "speed": rows, "where_time_goes": time_goes}
-    result["seconds"] = time.perf_counter() - begun
-    (HERE / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    result["seconds"] = time.perf_counter() - start
+    (FOLDER / "result.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(f"{result['seconds']:.0f} s in all")
 
 

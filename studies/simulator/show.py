@@ -1,4 +1,4 @@
-"""Tables and figure of the study next to this file."""
+"""Tables and figure of the comparison."""
 
 from __future__ import annotations
 
@@ -44,15 +44,20 @@ def agreement_table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def speed_table(rows: Sequence[dict[str, Any]]) -> str:
-    head = ["case", "asked (rad)", "fastest `solve_ivp`", "error (rad)", "ms (compiled)"]
+    head = ["case", "required (rad)", "fastest `solve_ivp`", "error (rad)", "ms (compiled)"]
     head += ["`simulate`", "error (rad)", "ms", "ratio (compiled)"]
     head += ["bare", "error (rad)", "ms", "ratio (compiled)"]
     body = []
     for r in rows:
-        named = r["level"][0] != "1"  # the others are numbers themselves
-        asked = f"{r['rad']:.1e}, {r['level']}" if named else r["level"]
+        named = r["level"][0] != "1"  # other levels are numbers
+        required = f"{r['rad']:.1e}, {r['level']}" if named else r["level"]
         rival = r["rival"]
-        cells = [f"{r['case']}, {r['rate']} Hz", asked, rival["setting"], f"{rival['error']:.0e}"]
+        cells = [
+            f"{r['case']}, {r['rate']} Hz",
+            required,
+            rival["setting"],
+            f"{rival['error']:.0e}",
+        ]
         cells += [f"{1e3 * rival['seconds']:.0f} ({1e3 * r['compiled']:.0f})"]
         for key in ("simulate", "bare"):
             cells += [r[key]["setting"], f"{r[key]['error']:.0e}"]
@@ -63,28 +68,32 @@ def speed_table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def front(points: Sequence[Any]) -> tuple[list[float], list[float]]:
-    """Return errors and times (ms) of the settings that no other beats in both."""
-    errors, times, least = [], [], math.inf
+    """Return errors and times (ms) of the Pareto-optimal settings."""
+    errors, times, smallest = [], [], math.inf
     for p in sorted(points, key=lambda p: p.seconds):
-        if p.error < least:
-            least = p.error
+        if p.error < smallest:
+            smallest = p.error
             errors.append(p.error)
             times.append(1e3 * p.seconds)
     return errors, times
 
 
 def draw(panels: Sequence[tuple[str, dict[str, Any]]], encoder: float, folder: Path) -> None:
-    """Work-precision: largest error against time, both axes logarithmic."""
+    """Draw the work-precision diagram: largest error against time, logarithmic."""
     with paper_style():
         figure = Figure(figsize=(COLUMN, 4.4), layout="constrained")
         axes = figure.subplots(len(panels), 1, sharex=True, sharey=True)
-        for ax, (text, found) in zip(axes, panels, strict=True):
+        for ax, (text, comparison) in zip(axes, panels, strict=True):
             for k, method in enumerate(METHODS):
-                those = [p for p in found["points"] if p.options[0] == method]
+                settings = [p for p in comparison["points"] if p.options[0] == method]
                 colour = PALETTE[(1, 2, 3, 2)[k]]
-                ax.plot(*front(those), marker="s^Dv"[k], ms=3, color=colour, ls=_LINES[k], mfc="w")
+                ax.plot(
+                    *front(settings), marker="s^Dv"[k], ms=3, color=colour, ls=_LINES[k], mfc="w"
+                )
             for key, fill in (("full", PALETTE[0]), ("bare", "w")):
-                ax.plot(*front(found[key]), marker="o", ms=3.5, color=PALETTE[0], mfc=fill, lw=1.2)
+                ax.plot(
+                    *front(comparison[key]), marker="o", ms=3.5, color=PALETTE[0], mfc=fill, lw=1.2
+                )
             ax.axvline(encoder, color="0.5", lw=0.6, zorder=0)
             ax.annotate(text, (0.03, 0.96), xycoords="axes fraction", va="top")
             ax.set(

@@ -1,7 +1,7 @@
-"""Run the tutorials, and keep their outputs in them.
+"""Run the tutorials and save their outputs.
 
 ``python studies/tutorials/run.py`` runs all six, ``run.py first_joint a_fleet`` some of them;
-``--check`` runs without keeping anything. Wants ``pip install '.[tutorials]'``.
+``--check`` saves nothing. Needs ``pip install '.[tutorials]'``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-HERE = Path(__file__).resolve().parent
+FOLDER = Path(__file__).resolve().parent
 NAMES = (
     "first_joint",
     "what_the_data_cannot_tell",
@@ -26,22 +26,16 @@ NAMES = (
     "a_fleet",
     "a_whole_arm",
 )
-SECONDS = 600  # that a cell may take
-COLOURS = 48  # of a picture, which is what makes it small
+SECONDS = 600  # limit per cell
+COLOURS = 48  # of a picture, for small files
 
 
 def executed(name: str) -> nbformat.NotebookNode:
-    """Run one tutorial in a fresh kernel of this Python, and give it with its outputs.
-
-    Raises
-    ------
-    nbclient.exceptions.CellExecutionError
-        If a cell fails.
-    """
-    notebook = nbformat.read(HERE / f"{name}.ipynb", as_version=4)
+    """Run one tutorial in a new kernel of this Python and return it with its outputs."""
+    notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     # cells that begin with ! call the command of this Python
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    place = {"metadata": {"path": str(HERE)}}
+    place = {"metadata": {"path": str(FOLDER)}}
     NotebookClient(
         notebook, timeout=SECONDS, kernel_name="python3", resources=place, coalesce_streams=True
     ).execute()
@@ -49,15 +43,15 @@ def executed(name: str) -> nbformat.NotebookNode:
 
 
 def small(png: str) -> str:
-    """Take the colours of a picture, in base64, down to as many as figures have."""
-    made = io.BytesIO()
+    """Reduce the colours of a PNG picture in base64."""
+    buffer = io.BytesIO()
     picture = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(made, "PNG", optimize=True)
-    return base64.b64encode(made.getvalue()).decode()
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True)
+    return base64.b64encode(buffer.getvalue()).decode()
 
 
 def bare(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Take off what changes from run to run, or from machine to machine."""
+    """Remove metadata that differs between runs or machines."""
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
@@ -78,7 +72,7 @@ def main(words: list[str]) -> None:
         began = time.monotonic()
         notebook = bare(executed(name))
         if "--check" not in words:
-            nbformat.write(notebook, HERE / f"{name}.ipynb")
+            nbformat.write(notebook, FOLDER / f"{name}.ipynb")
         print(f"{name}: {time.monotonic() - began:.0f} s", flush=True)
 
 

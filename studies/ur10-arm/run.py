@@ -1,7 +1,7 @@
-"""A measured UR10: six joints fitted on one motion, their torque predicted on another.
+"""Fit six joints of a MEASURED UR10 on one motion and predict their torque on another.
 
 ``python studies/ur10-arm/run.py`` reads ``../shared/data/ur10-arm``, takes about a minute of CPU
-time and writes ``result.json`` beside itself.
+time and writes ``result.json``.
 """
 
 import json
@@ -19,8 +19,8 @@ from bayesfric.arm.fitted_arm import FittedArm
 from bayesfric.base.progress import Spent
 from bayesfric.inference.predictive import Prediction, predict_held_out
 
-HERE = Path(__file__).parent
-DATA = HERE.parents[2] / "shared" / "data" / "ur10-arm"
+FOLDER = Path(__file__).parent
+DATA = FOLDER.parents[2] / "shared" / "data" / "ur10-arm"
 LOG = DATA / "ur10_exciting_trajectory.db3"
 SEED = 1
 # N m/A, and friction in A that the authors published (Petrone et al., IEEE TII 2025): viscous,
@@ -33,7 +33,7 @@ PUBLISHED = {
 
 
 def validation_log(path: Path) -> None:
-    """Write the one JointTrajectory message as a log, a row a point."""
+    """Write the JointTrajectory message as a log with one row per point."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -53,65 +53,74 @@ def validation_log(path: Path) -> None:
 
 
 def least_squares(fitted: bf.Arm) -> dict[str, float]:
-    """Predict by ordinary least squares on the same outputs, with its bands for white noise.
+    """Predict by ordinary least squares on the same outputs, with bands for white noise."""
 
-    Columns: the URDF's torque, Coulomb, viscous, armature, offset.
-    """
-
-    def columns(o):
-        urdf = -o.inputs.load_torque.at(o.stamps)
-        rows = np.stack([urdf, np.sign(o.qd), o.qd, o.qdd, np.ones_like(o.q)])
-        return o.filter.apply(rows).T, o.measured
+    def columns(signals):
+        urdf = -signals.inputs.load_torque.at(signals.stamps)
+        rows = np.stack(
+            [urdf, np.sign(signals.qd), signals.qd, signals.qdd, np.ones_like(signals.q)]
+        )
+        return signals.filter.apply(rows).T, signals.measured
 
     model = fitted.result.model
-    seen, torque = columns(model.observations[0])
-    new, measured = columns(model.held_out[0].observation)
-    found, *_ = np.linalg.lstsq(seen, torque, rcond=None)
-    scale = np.sqrt(np.sum((torque - seen @ found) ** 2) / (torque.size - found.size))
-    leverage = np.einsum("ij,jk,ik->i", new, np.linalg.inv(seen.T @ seen), new)
-    error = measured - new @ found
+    fitted_columns, torque = columns(model.observations[0])
+    held_out_columns, measured = columns(model.held_out[0].observation)
+    coefficients, *_ = np.linalg.lstsq(fitted_columns, torque, rcond=None)
+    scale = np.sqrt(
+        np.sum((torque - fitted_columns @ coefficients) ** 2) / (torque.size - coefficients.size)
+    )
+    leverage = np.einsum(
+        "ij,jk,ik->i",
+        held_out_columns,
+        np.linalg.inv(fitted_columns.T @ fitted_columns),
+        held_out_columns,
+    )
+    error = measured - held_out_columns @ coefficients
     names = ("URDF torque", "Coulomb", "viscous", "armature", "offset")
     return {
         "rms": float(np.sqrt(np.mean(error**2))),
         "coverage": float(np.mean(np.abs(error) < 1.645 * scale * np.sqrt(1.0 + leverage))),
-        "coefficients": dict(zip(names, np.round(found, 4).tolist(), strict=True)),
+        "coefficients": dict(zip(names, np.round(coefficients, 4).tolist(), strict=True)),
     }
 
 
 def on_base_parameters(fitted: FittedArm) -> dict[str, dict[str, dict[str, float]]]:
-    """Predict by least squares on base parameters and each joint's friction, all joints at once.
+    """Predict by least squares on base parameters and friction, all joints at once.
 
-    Ordinary, and weighted by the variance that each joint leaves (Gautier 1997); bands for white
-    noise.
+    Ordinary, and weighted by each joint's residual variance (Gautier 1997); bands for white noise.
     """
     joints = list(fitted.joints)
     _, sums = combinations(fitted.bodies)
 
-    def laid(part):
-        """Give outputs and columns by joint, those of friction beside zeros for other joints."""
+    def regression(part):
+        """Yield columns and outputs of each joint; friction columns of other joints are zero."""
         observations = [part(fitted.joints[name].result.model) for name in joints]
-        motion = np.array([[getattr(o, x) for o in observations] for x in ("q", "qd", "qdd")])
-        ways = np.broadcast_to(np.linalg.pinv(sums), (len(joints), *sums.shape[::-1]))
-        columns = fitted.bodies.torques(motion, ways)
-        for j, o in enumerate(observations):
-            own = np.zeros((len(joints), 4, o.q.size))
-            own[j] = np.sign(o.qd), o.qd, o.qdd, np.ones_like(o.q)
+        motion = np.array(
+            [[getattr(signals, x) for signals in observations] for x in ("q", "qd", "qdd")]
+        )
+        directions = np.broadcast_to(np.linalg.pinv(sums), (len(joints), *sums.shape[::-1]))
+        columns = fitted.bodies.torques(motion, directions)
+        for j, signals in enumerate(observations):
+            friction = np.zeros((len(joints), 4, signals.q.size))
+            friction[j] = np.sign(signals.qd), signals.qd, signals.qdd, np.ones_like(signals.q)
             yield (
-                o.filter.apply(np.concatenate([columns[j], own.reshape(-1, o.q.size)])).T,
-                o.measured,
+                signals.filter.apply(
+                    np.concatenate([columns[j], friction.reshape(-1, signals.q.size)])
+                ).T,
+                signals.measured,
             )
 
-    seen = list(laid(lambda model: model.observations[0]))
-    new = list(laid(lambda model: model.held_out[0].observation))
+    fitted_outputs = list(regression(lambda model: model.observations[0]))
+    held_out_outputs = list(regression(lambda model: model.held_out[0].observation))
     result, sd = {name: {} for name in joints}, np.ones(len(joints))
-    for how in ("base parameters, ordinary", "base parameters, weighted"):
-        x = np.concatenate([x / s for (x, _), s in zip(seen, sd, strict=True)])
-        y = np.concatenate([y / s for (_, y), s in zip(seen, sd, strict=True)])
-        found, *_ = np.linalg.lstsq(x, y, rcond=None)
-        sd = np.array([np.std(y - x @ found) for x, y in seen])
-        for name, (x, y), s in zip(joints, new, sd, strict=True):
-            error = y - x @ found
-            result[name][how] = {
+    for method in ("base parameters, ordinary", "base parameters, weighted"):
+        x = np.concatenate([x / s for (x, _), s in zip(fitted_outputs, sd, strict=True)])
+        y = np.concatenate([y / s for (_, y), s in zip(fitted_outputs, sd, strict=True)])
+        coefficients, *_ = np.linalg.lstsq(x, y, rcond=None)
+        sd = np.array([np.std(y - x @ coefficients) for x, y in fitted_outputs])
+        for name, (x, y), s in zip(joints, held_out_outputs, sd, strict=True):
+            error = y - x @ coefficients
+            result[name][method] = {
                 "rms": float(np.sqrt(np.mean(error**2))),
                 "coverage": float(np.mean(np.abs(error) < 1.645 * s)),
             }
@@ -119,61 +128,61 @@ def on_base_parameters(fitted: FittedArm) -> dict[str, dict[str, dict[str, float
 
 
 def by_one_joint() -> dict[str, dict[str, list[float]]]:
-    """Ask each joint by itself what is bolted to the last link: value and sd, kg and kg m."""
-    found, joints = {}, list(bf.Arm(DATA / "ur10.urdf").bodies.joints)
+    """Estimate the payload from each joint separately: value and sd, kg and kg m."""
+    estimates, joints = {}, list(bf.Arm(DATA / "ur10.urdf").bodies.joints)
     for name in joints:
-        off = {one: {"fit": one == name} for one in joints}
-        one = bf.Arm(DATA / "ur10.urdf", {"joints": off}).fit(LOG, seed=SEED)
-        found[name] = {
+        joint_options = {joint: {"fit": joint == name} for joint in joints}
+        joint_fit = bf.Arm(DATA / "ur10.urdf", {"joints": joint_options}).fit(LOG, seed=SEED)
+        estimates[name] = {
             cause["name"]: [cause["value"], cause["sd"]]
-            for cause in one.found["causes"]
+            for cause in joint_fit.found["causes"]
             if cause["name"].startswith(("payload", "moment"))
         }
-    return found
+    return estimates
 
 
 def correlations(fitted: FittedArm) -> list[list[float]]:
-    """Correlate what noise leaves unforetold between joints, at outputs that both have."""
-    left = []
-    for one in fitted.joints.values():
-        fit, (o, *_) = one.result.fit, one.result.model.observations
+    """Correlate innovations between joints, at outputs that both have."""
+    innovations = []
+    for joint_fit in fitted.joints.values():
+        fit, (signals, *_) = joint_fit.result.fit, joint_fit.result.model.observations
         target, median = fit.target, fit.posterior.median[None]
         (torque,) = target.likelihood.predict(target.chain_values(median))
         scales = target.noise.scales(median[:, len(target.free) :])[0]
-        (unforetold,) = target.likelihood.innovations([o.measured - torque[0]], scales)
-        left.append((o.filter.starts, unforetold))
-    found = np.eye(len(left))
-    for i, (at, x) in enumerate(left):
-        for j, (beside, y) in enumerate(left[:i]):
-            _, here, there = np.intersect1d(at, beside, return_indices=True)
-            found[i, j] = found[j, i] = np.corrcoef(x[here], y[there])[0, 1]
-    return np.round(found, 2).tolist()
+        (values,) = target.likelihood.innovations([signals.measured - torque[0]], scales)
+        innovations.append((signals.filter.starts, values))
+    correlation = np.eye(len(innovations))
+    for i, (rows, x) in enumerate(innovations):
+        for j, (other_rows, y) in enumerate(innovations[:i]):
+            _, common, other_common = np.intersect1d(rows, other_rows, return_indices=True)
+            correlation[i, j] = correlation[j, i] = np.corrcoef(x[common], y[other_common])[0, 1]
+    return np.round(correlation, 2).tolist()
 
 
-def quality(one: Prediction) -> dict[str, float]:
-    """Root mean square of what is left, sd of the prediction, coverage of its 90 % bands."""
+def quality(prediction: Prediction) -> dict[str, float]:
+    """Return residual rms, predictive standard deviation and coverage of 90 % bands."""
     return {
-        "rms": float(np.sqrt(np.mean((one.measured - one.mean) ** 2))),
-        "sd": float(np.sqrt(np.mean(one.variance))),
-        "coverage": float(np.mean(np.abs(one.pit - 0.5) <= 0.45)),
+        "rms": float(np.sqrt(np.mean((prediction.measured - prediction.mean) ** 2))),
+        "sd": float(np.sqrt(np.mean(prediction.variance))),
+        "coverage": float(np.mean(np.abs(prediction.pit - 0.5) <= 0.45)),
     }
 
 
 def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, dict], FittedArm]:
-    """Fit, and predict the other motion, both ways."""
+    """Fit the arm and predict the other motion by all methods."""
     validation_log(folder / "validation.csv")
     arm = bf.Arm(DATA / "ur10.urdf")
     if joints:
-        off = {name: {"fit": name in joints} for name in arm.bodies.joints}
-        arm = bf.Arm(DATA / "ur10.urdf", {"joints": off})
+        joint_options = {name: {"fit": name in joints} for name in arm.bodies.joints}
+        arm = bf.Arm(DATA / "ur10.urdf", {"joints": joint_options})
     fitted = arm.fit(LOG, predict=folder / "validation.csv", seed=SEED)
-    found = {}
-    for name, one in fitted.joints.items():
-        told = one.as_json()
-        (part,) = told.pop("validation")["parts"].values()
-        fit = one.result.fit
-        wide = predict_held_out(fit.target, fit.wide.posterior, one.result.model.held_out)
-        found[name] = {
+    outcomes = {}
+    for name, joint_fit in fitted.joints.items():
+        record = joint_fit.as_json()
+        (part,) = record.pop("validation")["parts"].values()
+        fit = joint_fit.result.fit
+        wide = predict_held_out(fit.target, fit.wide.posterior, joint_fit.result.model.held_out)
+        outcomes[name] = {
             "arm": quality(fit.held_out[0]),
             "arm, together": {
                 "rms": part["residual_rms"],
@@ -181,24 +190,25 @@ def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, d
                 "coverage": part["coverage"]["0.9"]["share"],
             },
             "arm, with room for the model's error": quality(wide[0]),
-            "least squares": least_squares(one),
-            **told,
+            "least squares": least_squares(joint_fit),
+            **record,
         }
     print("\n".join(fitted.text()), file=sys.stderr)
-    return found, fitted
+    return outcomes, fitted
 
 
 def main() -> None:
-    spent = Spent()
+    """Fit, predict, simulate, and write ``result.json``."""
+    timer = Spent()
     with tempfile.TemporaryDirectory() as folder:
-        found, fitted = compared(Path(folder))
-    seconds = round(spent.cpu_seconds, 1)
+        joints, fitted = compared(Path(folder))
+    seconds = round(timer.cpu_seconds, 1)
     played = rollout(fitted, seconds=0.5, seed=SEED)
-    for name, told in on_base_parameters(fitted).items():
-        found[name] |= told
-    for k, told in enumerate(found.values()):
+    for name, record in on_base_parameters(fitted).items():
+        joints[name] |= record
+    for k, record in enumerate(joints.values()):
         gain = DRIVE_GAINS[k]
-        told["published"] = {key: round(gain * x[k], 3) for key, x in PUBLISHED.items()}
+        record["published"] = {key: round(gain * x[k], 3) for key, x in PUBLISHED.items()}
     bodies = fitted.as_json()["bodies"]
     result = {
         "seed": SEED,
@@ -212,10 +222,10 @@ def main() -> None:
             "rms": {name: round(x, 4) for name, x in played.rms.items()},
             "held": {name: round(x, 3) for name, x in played.held.items()},
         },
-        "joints": found,
+        "joints": joints,
     }
     text = json.dumps(result, indent=1, ensure_ascii=False)
-    (HERE / "result.json").write_text(f"{text}\n", encoding="utf-8")
+    (FOLDER / "result.json").write_text(f"{text}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""Fit twelve runs of the XL330, predict the four of the gain left out, for every gain.
+"""Fit twelve MEASURED runs of the XL330 and predict the four of each gain held out.
 
 ``python studies/xl330/held_out.py`` prints a row for each gain and noise, and writes
-``held_out.json``; ``--noises A B`` for less, of which the others are kept.
+``held_out.json``; ``--noises A B`` updates some noise models only.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NOISES = {
 
 
 def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
-    """Fit without the runs of a gain; name the noise, and say how they are predicted."""
+    """Fit without the runs of a gain; return the noise model and their validation record."""
     config = parse_config(PATH.read_text(encoding="utf-8"), PATH)
     tables = config.tables
     names = tuple(f"2026-01-15_{name}" for name in GAINS[gain])
@@ -45,16 +45,16 @@ def held_out(gain: int, noise: str) -> tuple[str, dict[str, Any]]:
         }
     )
     problem = Model.from_config(config.model_copy(update={"tables": tables}))
-    found = problem.estimates(("least-squares", "input-error"))
-    points = [dict(e.point) for e in found if e.point]
-    result = fit(problem.target(points[0]), tables.sampling, estimates=found)
+    estimates = problem.estimates(("least-squares", "input-error"))
+    points = [dict(estimate.point) for estimate in estimates if estimate.point]
+    result = fit(problem.target(points[0]), tables.sampling, estimates=estimates)
     predictions = predict_held_out(result.target, result.posterior, problem.held_out)
     record = validation_record(replace(result, held_out=predictions))
     return result.target.likelihood.noise.description, record
 
 
 def main() -> None:
-    """Print a row for each gain and noise, and keep it."""
+    """Print and save a row for each gain and noise model."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--noises", nargs="*", default=list(NOISES), choices=list(NOISES))
     options = parser.parse_args()
@@ -65,19 +65,19 @@ def main() -> None:
     for noise in options.noises:
         for gain in GAINS:
             description, record = held_out(gain, noise)
-            p = record["pooled"]
-            result.setdefault(noise, {})[str(gain)] = p
+            pooled = record["pooled"]
+            result.setdefault(noise, {})[str(gain)] = pooled
             path.write_text(json.dumps(jsonable(result), indent=1) + "\n", encoding="utf-8")
             shares = " | ".join(
-                f"{100 * c['share']:.0f} ± {100 * c['standard_error']:.0f} %"
-                for c in p["coverage"].values()
+                f"{100 * coverage['share']:.0f} ± {100 * coverage['standard_error']:.0f} %"
+                for coverage in pooled["coverage"].values()
             )
-            off = p["discrepancy"]
-            low, high = off["interval"]
+            discrepancy = pooled["discrepancy"]
+            low, high = discrepancy["interval"]
             print(
-                f"| {gain} | {noise} ({description}) | {p['outputs']} | {shares} | "
-                f"{p['residual_rms']:.4f} | {p['predictive_sd']:.4f} | "
-                f"{off['value']:.4f} [{low:.4f}, {high:.4f}] |",
+                f"| {gain} | {noise} ({description}) | {pooled['outputs']} | {shares} | "
+                f"{pooled['residual_rms']:.4f} | {pooled['predictive_sd']:.4f} | "
+                f"{discrepancy['value']:.4f} [{low:.4f}, {high:.4f}] |",
                 flush=True,
             )
 

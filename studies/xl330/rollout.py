@@ -1,8 +1,8 @@
-"""MEASURED runs of the XL330 played to the joint, in the closed loop that they were made in.
+"""Simulate MEASURED runs of the XL330 in closed loop from a posterior of other runs.
 
-``python studies/xl330/rollout.py`` fits the runs of three position gains, plays the targets of the
-fourth, for every gain and two models, and writes ``rollout.json``; then fits all sixteen runs
-by their targets in place of their voltage. Minutes on one core.
+``python studies/xl330/rollout.py`` fits the runs of three position gains and simulates the fourth
+by its targets, for every gain and two models. Then it fits all sixteen runs
+by targets in place of voltage. Writes ``rollout.json``. Minutes on one core.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bayesfric.problem.config_text import document_text
 from bayesfric.report.summary.rows import rollout_part
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")
-# What `bayesfric explain` asks for first on these runs.
+# Terms that `bayesfric explain` names first on these runs.
 MODELS: dict[str, dict[str, Any]] = {
     "the preset": {},
     "with cogging 6 times a turn and the square of the load": {
@@ -32,7 +32,7 @@ MODELS: dict[str, dict[str, Any]] = {
 
 
 def model(held_out: tuple[str, ...], elements: dict[str, Any], effort: str = "voltage") -> bf.Model:
-    """Fit all runs but some; ``effort`` is where the torque is taken from."""
+    """Build the model of all runs but some; ``effort`` is the source of the torque."""
     document = tomllib.loads(PATH.read_text(encoding="utf-8"))
     if elements:
         document["mechanism"]["elements"] = elements
@@ -44,16 +44,16 @@ def model(held_out: tuple[str, ...], elements: dict[str, Any], effort: str = "vo
 
 
 def played(gain: int, elements: dict[str, Any]) -> dict[str, Any]:
-    """Play the runs of a gain to what the others determine."""
-    begun = process_time()
+    """Simulate the runs of a gain from the posterior of the others."""
+    start = process_time()
     sampled = model(GAINS[gain], elements).sample()
     fitted = process_time()
-    found = rollout_part(bf.rollout(sampled)).as_dict()
-    return found | {"fit_seconds": fitted - begun, "rollout_seconds": process_time() - fitted}
+    rolled = rollout_part(bf.rollout(sampled)).as_dict()
+    return rolled | {"fit_seconds": fitted - start, "rollout_seconds": process_time() - fitted}
 
 
 def fitted(effort: str) -> dict[str, Any]:
-    """Fit all runs by their voltage or their targets; give medians and intervals."""
+    """Fit all runs by voltage or targets; return medians and intervals."""
     summary = bf.summary(model((), {}, effort).sample())
     rows = {
         name: {"median": row.median, "interval": [row.told.low, row.told.high], "sd": row.told.sd}
@@ -63,14 +63,14 @@ def fitted(effort: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print a row for each gain and model, and what either source of torque gives."""
-    found: dict[str, Any] = {"rollouts": {}, "fits": {}}
+    """Print a row for each gain and model, and the fits by either source of torque."""
+    result: dict[str, Any] = {"rollouts": {}, "fits": {}}
     print("| model | gain played | MAE (mrad) | RMSE (mrad) | inside 90 % | parameters alone |")
     print("|---|---|---|---|---|---|")
     for name, elements in MODELS.items():
         for gain in GAINS:
-            one = found["rollouts"].setdefault(name, {})[str(gain)] = played(gain, elements)
-            e = one["pooled"]["position"]
+            rolled = result["rollouts"].setdefault(name, {})[str(gain)] = played(gain, elements)
+            e = rolled["pooled"]["position"]
             print(
                 f"| {name} | {gain} | {1e3 * e['mae']:.1f} | {1e3 * e['rmse']:.1f} | "
                 f"{100 * e['inside']:.0f} % | {100 * e['inside_alone']:.0f} % |",
@@ -78,8 +78,8 @@ def main() -> None:
             )
     print("\n| quantity | by voltage | by targets |\n|---|---|---|")
     for effort in ("voltage", "target"):
-        found["fits"][effort] = fitted(effort)
-    a, b = (found["fits"][effort]["parameters"] for effort in ("voltage", "target"))
+        result["fits"][effort] = fitted(effort)
+    a, b = (result["fits"][effort]["parameters"] for effort in ("voltage", "target"))
     for name, row in a.items():
         cells = [
             f"{x['median']:.4g} [{x['interval'][0]:.4g}, {x['interval'][1]:.4g}]"
@@ -87,7 +87,7 @@ def main() -> None:
         ]
         print(f"| {name} | {' | '.join(cells)} |")
     path = PATH.with_name("rollout.json")
-    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ TURN = 2 * np.pi
 def recipes():
     """Recordings of the reference's section on logs, by their files."""
     text = (REPOSITORY / "studies/reference/recordings.md").read_text(encoding="utf-8")
-    section = text.partition("## Logs that are read\n")[2].partition("\n## ")[0]
+    section = text.partition("## Log formats\n")[2].partition("\n## ")[0]
     found = [tomllib.loads(one) for one in re.findall(r"```toml\n(.*?)```", section, re.DOTALL)]
     return {one["recordings"][0]["file"]: one["recordings"][0] for one in found}
 

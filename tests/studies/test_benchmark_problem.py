@@ -115,13 +115,17 @@ def test_the_density_that_gradient_samplers_get_is_the_targets(written, problem,
     u[100:] += sds * np.random.default_rng(1).standard_normal((200, sds.size))
     u = u[reduced.distance(target.to_parameters(u)[0]) < density.RADIUS]
     assert len(u) > 100
-    assert density.check(target(u), np.array([reduced.one(x)[0] for x in u])) < 1e-8
+    assert density.check(target(u), np.array([reduced.with_gradient(x)[0] for x in u])) < 1e-8
     for x in u[:: len(u) // 20]:
         steps = 1e-4 * np.diag(sds)
-        up, down = (np.array([reduced.one(x + sign * s)[0] for s in steps]) for sign in (1, -1))
+        up, down = (
+            np.array([reduced.with_gradient(x + sign * s)[0] for s in steps]) for sign in (1, -1)
+        )
         by_differences = (up - down) / 2e-4
         # kinks and the third derivative of a density whose sds are one in these units
-        np.testing.assert_allclose(reduced.one(x)[1] * sds, by_differences, rtol=1e-4, atol=1e-2)
+        np.testing.assert_allclose(
+            reduced.with_gradient(x)[1] * sds, by_differences, rtol=1e-4, atol=1e-2
+        )
 
 
 @pytest.mark.slow

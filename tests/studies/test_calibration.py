@@ -58,7 +58,7 @@ def test_every_case_makes_recordings_that_its_truth_explains(study):
 @pytest.mark.parametrize(("case", "honest"), [("AR(1)", True), (CONTROLS[0], False)])
 def test_a_few_recordings_again(study, case, honest):
     n = 24
-    rows = [study.one((case, i)) for i in range(n)]
+    rows = [study.run_case((case, i)) for i in range(n)]
     j = rows[0]["names"].index("total_drive.inertia" if honest else "noise.sigma")
     covered = sum(row["covered"][j] for row in rows)
     if honest:

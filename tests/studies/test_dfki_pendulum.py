@@ -26,7 +26,7 @@ def right_or_not_data(row, cad):
 @pytest.fixture(scope="module")
 def fit_of(study):
     """Give what the README quotes of a recording's fit, fitted once."""
-    return cache(lambda name: study.told(study.fitted(study.configuration(name))))
+    return cache(lambda name: study.key_numbers(study.fitted(study.configuration(name))))
 
 
 # Nothing says that a hand pushes in these two, and they are called identified.

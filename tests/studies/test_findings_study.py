@@ -34,6 +34,6 @@ def test_what_is_missing_is_found_and_named(result):
 
 @pytest.mark.slow
 def test_again(study):
-    assert not [s for n in range(500, 503) for s in study.one(("plain", n))["steps"][1:]]
-    steps = study.one(("torque constant sags by 0.05", 500))["steps"]
+    assert not [s for n in range(500, 503) for s in study.run_case(("plain", n))["steps"][1:]]
+    steps = study.run_case(("torque constant sags by 0.05", 500))["steps"]
     assert steps[0]["kind"] == "saturation"

@@ -26,7 +26,7 @@ def test_friction_that_takes_a_third_biases_no_inertia(result):
 
 @pytest.mark.slow
 def test_again(study):
-    found = study.judged([study.one(("slow", n)) for n in range(12)])
+    found = study.judged([study.run_case(("slow", n)) for n in range(12)])
     rms = {way: found[way]["numbers"]["motor.inertia"]["z_rms"] for way in study.MOTIONS}
     # of 12 standard normals the rms is below 1.6 in 999 of 1000
     assert rms["refined"] < 1.6 * 1.33

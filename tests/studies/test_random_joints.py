@@ -29,7 +29,7 @@ def test_what_is_missing_is_put_in_and_little_else(result):
 
 @pytest.mark.slow
 def test_a_few_joints_again(study):
-    found = study.judged([study.one(number) for number in range(5000, 5012)])
+    found = study.judged([study.run_case(number) for number in range(5000, 5012)])
     # one of twenty at most: three of six have a chance of 0.2 %
     assert found["false_finds"] <= 2
     assert found["found"] > 0.6 * found["terms"]

@@ -1,15 +1,15 @@
 """Dynesty's static nested sampling with its defaults for this dimension.
 
-``dynesty_nested.py PROBLEM RESULT [--seconds S] [--warm-up N] [--seed N]``; ``--warm-up`` is not
-a warm-up here, nested sampling has none: it is the number of live points. All its time counts.
-It stops after ``--seconds`` whether it is done or not, and says which.
+``dynesty_nested.py PROBLEM RESULT [--seconds S] [--warm-up N] [--seed N]``; ``--warm-up`` is
+the number of live points here, as nested sampling has no warm-up. All its time counts.
+It stops after ``--seconds``; ``settled`` states whether it was done.
 """
 
 from __future__ import annotations
 
 import time
 
-import result  # first: it asks for one core
+import result  # first: it limits the process to one core
 
 # isort: split
 
@@ -18,11 +18,12 @@ import numpy as np
 import posterior
 from scipy.special import ndtr, ndtri
 
-BLOCK = 200  # iterations between looks at the clock
+BLOCK = 200  # iterations between time checks
 DLOGZ = 0.1  # evidence left in the live points
 
 
 def main() -> None:
+    """Run dynesty and write the result."""
     options = result.arguments(__doc__)
     problem = posterior.read(options.problem)
     sd = problem.prior_sd
@@ -55,20 +56,20 @@ def main() -> None:
         iterations = sampler.it
     sampler.run_nested(dlogz=DLOGZ, maxiter=0, add_live=True, print_progress=False)
     seconds = time.perf_counter() - begin
-    found = sampler.results
+    results = sampler.results
     result.write(
         options.result,
         "dynesty, static nested sampling",
-        result.of_weights(problem.names, found.samples, found.logwt),
+        result.of_weights(problem.names, results.samples, results.logwt),
         seconds=seconds,
         warm_up_seconds=0.0,
-        evaluations=int(np.sum(found.ncall)),
+        evaluations=int(np.sum(results.ncall)),
         difference=difference,
         versions={"dynesty": dynesty.__version__},
         live_points=int(options.warm_up),
         settled=finished,
-        log_evidence=float(found.logz[-1]),
-        log_evidence_error=float(found.logzerr[-1]),
+        log_evidence=float(results.logz[-1]),
+        log_evidence_error=float(results.logzerr[-1]),
     )
 
 

@@ -1,4 +1,4 @@
-"""emcee as its documentation shows it: stretch move, one NumPy evaluation a walker.
+"""emcee as in its documentation: stretch move, one NumPy evaluation per walker.
 
 ``emcee_plain.py PROBLEM RESULT [--seconds S] [--warm-up S] [--seed N]``
 """
@@ -9,7 +9,7 @@ import time
 from argparse import Namespace
 from collections.abc import Callable
 
-import result  # first: it asks for one core
+import result  # first: it limits the process to one core
 
 # isort: split
 
@@ -17,12 +17,12 @@ import emcee
 import numpy as np
 import posterior
 
-WALKERS = 32  # the documentation's number, and more than twice the dimension
-BLOCK = 25  # steps between looks at the clock
+WALKERS = 32  # as in the documentation, more than twice the dimension
+BLOCK = 25  # steps between time checks
 
 
 def run(sampler: emcee.EnsembleSampler, state: object, seconds: float) -> tuple[object, float]:
-    """Sample for a time; give the state and the seconds it took."""
+    """Sample for a time; return the state and the elapsed seconds."""
     begin = time.perf_counter()
     while (spent := time.perf_counter() - begin) < seconds:
         state = sampler.run_mcmc(state, BLOCK)
@@ -65,6 +65,7 @@ def sample(
 
 
 def main() -> None:
+    """Run emcee and write the result."""
     options = result.arguments(__doc__)
     problem = posterior.read(options.problem)
     difference = problem.check(problem.log_density)

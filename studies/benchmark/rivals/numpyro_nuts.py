@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import result  # first: it asks for one core
+import result  # first: it limits the process to one core
 
 # isort: split
 
@@ -21,13 +21,13 @@ import posterior
 from numpyro.infer import MCMC, NUTS
 from numpyro.infer.hmc import HMCState
 
-BLOCK = 10  # draws between looks at the clock
+BLOCK = 10  # draws between time checks
 
 jax.config.update("jax_enable_x64", True)
 
 
 def potential(problem: posterior.Posterior) -> Callable[[jax.Array], jax.Array]:
-    """Write minus the log density of one vector of logarithms."""
+    """Return minus the log density of a vector of logarithms as a function."""
     # rows, not columns: XLA is twice as fast this way
     motor, leg = jnp.asarray(problem.motor.T.copy()), jnp.asarray(problem.leg.T.copy())
     sign, torque = jnp.asarray(problem.sign), jnp.asarray(problem.torque)
@@ -47,12 +47,13 @@ def potential(problem: posterior.Posterior) -> Callable[[jax.Array], jax.Array]:
 
 
 def main() -> None:
+    """Run NumPyro and write the result."""
     options = result.arguments(__doc__)
     problem = posterior.read(options.problem)
     energy = potential(problem)
     difference = problem.check(jax.jit(lambda x: -energy(x)))
-    # at the default 0.8 one trial run had divergences (56 of 2060 draws) and
-    # sds far too small along the ridge; that is faster, but not this posterior
+    # at the default 0.8 a trial run had divergences (56 of 2060 draws) and standard deviations
+    # far too small along the ridge: faster, but not this posterior
     kernel = NUTS(potential_fn=energy, dense_mass=True, target_accept_prob=0.95)
     begin = time.perf_counter()
     sampler = MCMC(kernel, num_warmup=int(options.warm_up), num_samples=1, progress_bar=False)
@@ -60,20 +61,20 @@ def main() -> None:
     sampler.warmup(jax.random.PRNGKey(options.seed), init_params=start)
     state = sampler.last_state
 
-    # MCMC.run would compile anew at every call; this is what it runs, compiled once
-    def one(state: HMCState, _: None) -> tuple[HMCState, tuple[jax.Array, ...]]:
+    # MCMC.run compiles at every call; this is its loop, compiled once
+    def step(state: HMCState, _: None) -> tuple[HMCState, tuple[jax.Array, ...]]:
         state = kernel.sample(state, (), {})
         return state, (state.z, state.num_steps, state.diverging)
 
-    many = jax.jit(lambda state: jax.lax.scan(one, state, None, length=BLOCK))
-    state, _ = jax.block_until_ready(many(state))
+    block_of_steps = jax.jit(lambda state: jax.lax.scan(step, state, None, length=BLOCK))
+    state, _ = jax.block_until_ready(block_of_steps(state))
     warm_up = time.perf_counter() - begin
     blocks, steps, divergent = [], 0, 0
     begin = time.perf_counter()
     while (seconds := time.perf_counter() - begin) < options.seconds:
-        state, (block, number, bad) = jax.block_until_ready(many(state))
+        state, (block, number, flags) = jax.block_until_ready(block_of_steps(state))
         blocks.append(np.asarray(block))
-        steps, divergent = steps + int(number.sum()), divergent + int(bad.sum())
+        steps, divergent = steps + int(number.sum()), divergent + int(flags.sum())
     draws = np.concatenate(blocks)[None]
     result.write(
         options.result,

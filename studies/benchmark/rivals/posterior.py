@@ -37,7 +37,7 @@ ORDER = (
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """What a sampler needs.
+    """The problem as arrays.
 
     The torque is ``motor @ (Jm, fm, Cm1, Cm2) + lambda1 T + lambda2 sign |T|`` with the torque at
     the gearbox ``T = leg @ (Jc, fc, Cc1, Cc2, ml)``, ``lambda1 = 1 + (mu1 - mu2)/2`` and
@@ -116,25 +116,19 @@ class Posterior:
         return np.where((x > self.upper).any(axis=1), -np.inf, density)
 
     def check(self, log_density: Callable[[np.ndarray], float]) -> float:
-        """Compare a log density with the reference; give the largest difference.
-
-        Raises
-        ------
-        AssertionError
-            If it is not the same posterior.
-        """
-        found = np.array([float(log_density(x)) for x in self.reference_logarithms])
-        wanted = self.reference_log_density
-        top = int(np.argmax(wanted))
-        difference = np.abs((found - found[top]) - (wanted - wanted[top]))
-        allowed = TOLERANCE * np.maximum(1.0, wanted[top] - wanted)
+        """Return the largest difference from the reference log density; raise if it differs."""
+        densities = np.array([float(log_density(x)) for x in self.reference_logarithms])
+        reference = self.reference_log_density
+        top = int(np.argmax(reference))
+        difference = np.abs((densities - densities[top]) - (reference - reference[top]))
+        allowed = TOLERANCE * np.maximum(1.0, reference[top] - reference)
         if not np.all(difference <= allowed):
             raise AssertionError(f"not the same posterior: log densities differ by {difference}")
         return float(np.max(difference * TOLERANCE / allowed))
 
 
 def read(path: Path) -> Posterior:
-    """Read what ``problem.py`` wrote."""
+    """Read the file of ``problem.py``."""
     with np.load(path, allow_pickle=False) as file:
         names = tuple(str(name) for name in file["names"])
         if names != ORDER:

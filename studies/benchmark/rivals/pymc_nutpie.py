@@ -1,15 +1,15 @@
 """PyMC's model sampled by nutpie: NUTS in Rust, log parameters.
 
 ``pymc_nutpie.py PROBLEM RESULT [--seconds S] [--warm-up N] [--seed N]``; ``--warm-up`` is a
-number of draws, and counts into the seconds. Low-rank mass matrix: nutpie's own answer to
-correlated posteriors. Time is shared out between warm-up and sampling by leapfrog steps.
+number of draws, and counts into the seconds. Low-rank mass matrix, nutpie's option for
+correlated posteriors. Time is divided between warm-up and sampling by leapfrog steps.
 """
 
 from __future__ import annotations
 
 import time
 
-import result  # first: it asks for one core
+import result  # first: it limits the process to one core
 
 # isort: split
 
@@ -38,6 +38,7 @@ def build(problem: posterior.Posterior) -> pm.Model:
 
 
 def main() -> None:
+    """Run nutpie and write the result."""
     options = result.arguments(__doc__)
     problem = posterior.read(options.problem)
     model = build(problem)
@@ -53,8 +54,8 @@ def main() -> None:
         cores=1,
         seed=options.seed,
         low_rank_modified_mass_matrix=True,
-        # at the default 0.8 one trial run had divergences (109 of 2369 draws) and
-        # sds far too small along the ridge; that is faster, but not this posterior
+        # at the default 0.8 a trial run had divergences (109 of 2369 draws) and standard
+        # deviations far too small along the ridge: faster, but not this posterior
         target_accept=0.95,
         save_warmup=True,
         progress_bar=False,

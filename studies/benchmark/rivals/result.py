@@ -1,4 +1,4 @@
-"""What a rival reports, computed in the same way for all of them."""
+"""Compute and write the results of a rival, in the same way for all."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-# One core for everyone, before any library starts its threads.
-_ONE = (
+# One core each, set before any library starts its threads.
+_THREADS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
     "NUMBA_NUM_THREADS",
     "RAYON_NUM_THREADS",
 )
-os.environ.update(dict.fromkeys(_ONE, "1"))
+os.environ.update(dict.fromkeys(_THREADS, "1"))
 os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 if hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
@@ -29,18 +29,18 @@ warnings.filterwarnings("ignore", "\\s*ArviZ is undergoing", FutureWarning)
 import arviz as az
 import numpy as np
 
-# Longer chains are thinned to this before ESS is computed: enough to see every autocorrelation
-# time met here, and some of these chains are very long.
+# Longer chains are thinned to this before ESS is computed: enough for every autocorrelation time
+# here.
 _LONGEST = 4000
 # Windows of Sokal's estimator: the variance of tau is about 2 (2 M + 1) / n, with M = 5 tau.
 _SOKAL = 10.0
-# Chains that agree to this R-hat give an ESS worth quoting.
+# Largest R-hat of chains with a meaningful ESS.
 _SETTLED = 1.01
 _KEYS = ("mean", "sd", "mean_error", "sd_error", "ess", "rhat")
 
 
 def arguments(description: str | None) -> Namespace:
-    """Read the command line that every rival has."""
+    """Read the command line, common to all rivals."""
     parser = ArgumentParser(description=description)
     parser.add_argument("problem", type=Path)
     parser.add_argument("result", type=Path)
@@ -54,20 +54,20 @@ def of_chains(names: tuple[str, ...], draws: np.ndarray) -> dict[str, Any]:
     """Summarise chains of logarithms, ``(chains, draws, d)``.
 
     ESS is ArviZ's rank-normalised bulk ESS, which is the same for a parameter and its logarithm;
-    means and sds are the parameter's own.
+    means and standard deviations are the parameter's.
     """
     thin = -(-draws.shape[1] // _LONGEST)
-    kept = np.exp(draws[:, ::thin])
+    thinned = np.exp(draws[:, ::thin])
     rows = {}
     for j, name in enumerate(names):
-        x = np.ascontiguousarray(kept[:, :, j])
+        x = np.ascontiguousarray(thinned[:, :, j])
         rows[name] = _of_one(x) if np.ptp(x) > 0.0 else dict.fromkeys(_KEYS, None) | {"ess": 0.0}
     return rows
 
 
 def _of_one(x: np.ndarray) -> dict[str, float]:
     sd = float(x.std(ddof=1))
-    # not az.mcse: ArviZ 0.23.4's fails on NumPy 2.4 for sds
+    # not az.mcse: of ArviZ 0.23.4, it fails on NumPy 2.4 for standard deviations
     squares = (x - x.mean()) ** 2
     return {
         "mean": float(x.mean()),
@@ -80,7 +80,7 @@ def _of_one(x: np.ndarray) -> dict[str, float]:
 
 
 def _parts(chain: np.ndarray) -> np.ndarray:
-    """Cut a lone chain into four, so that R-hat has something to compare."""
+    """Cut a single chain into four, for R-hat."""
     quarter = chain.size // 4
     return chain[: 4 * quarter].reshape(4, quarter)
 
@@ -88,7 +88,7 @@ def _parts(chain: np.ndarray) -> np.ndarray:
 def of_weights(names: tuple[str, ...], draws: np.ndarray, log_weights: np.ndarray) -> dict:
     """Summarise weighted logarithms, ``(n, d)`` and ``(n,)``.
 
-    ESS is Kish's, ``(sum w)² / sum w²``. It does not know of any dependence between draws.
+    ESS is Kish's, ``(sum w)² / sum w²``, which ignores dependence between draws.
     """
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
@@ -121,34 +121,14 @@ def write(
     difference: float,
     versions: Mapping[str, str],
     settled: bool | None = None,
-    **more: Any,
+    **extra: Any,
 ) -> None:
-    """Write what every rival reports.
+    """Write the result of a rival.
 
-    Parameters
-    ----------
-    path
-        JSON file to write.
-    sampler
-        In words.
-    parameters
-        From :func:`of_chains` or :func:`of_weights`.
-    seconds
-        Of sampling alone: neither compiling nor warm-up.
-    warm_up_seconds
-        Of everything before.
-    evaluations
-        Of the log density or its gradient, while sampling.
-    difference
-        Largest difference to the reference log density, from ``Posterior.check``.
-    versions
-        Of the libraries.
-    settled
-        Whether the sampler came to its end; by R-hat if left out. Where it did not, its ESS says
-        little: ArviZ counts walkers that never mixed as one draw each, so its rate is at best an
-        upper bound.
-    more
-        Anything a sampler has to say besides.
+    ``parameters`` come from :func:`of_chains` or :func:`of_weights`. ``seconds`` and
+    ``evaluations`` are of sampling alone, ``warm_up_seconds`` of compilation and warm-up.
+    ``settled`` is by R-hat unless given; without convergence the rate is at best an upper bound,
+    as ArviZ counts walkers that never mixed as one draw each.
     """
     worst = min(parameters, key=lambda name: parameters[name]["ess"])
     ess = float(parameters[worst]["ess"])
@@ -166,7 +146,7 @@ def write(
         "seconds": seconds,
         "warm_up_seconds": warm_up_seconds,
         "ess_per_second": rate,
-        # an ESS of ten is known to within a factor of two or so, and no better
+        # an ESS of ten is uncertain by a factor of about two
         "ess_per_second_relative_error": (_SOKAL / ess) ** 0.5 if ess > 0.0 else None,
         "ess_per_second_with_warm_up": ess / (seconds + warm_up_seconds),
         "cpu_seconds_in_all": time.process_time(),
@@ -175,7 +155,7 @@ def write(
         "log_density_difference": difference,
         "versions": {"numpy": np.__version__, "arviz": az.__version__, **versions},
         "cores": 1,
-        **more,
+        **extra,
         "parameters": parameters,
     }
     path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

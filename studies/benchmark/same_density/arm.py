@@ -16,7 +16,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 warnings.filterwarnings("ignore", "\\s*ArviZ is undergoing", FutureWarning)
 
-from given import Given
+from given import Setup
 
 MODULES = {
     "ours": ("ours",),
@@ -27,13 +27,14 @@ MODULES = {
 
 
 def main() -> None:
-    name, given_path, out, ess, seed = sys.argv[1:]
+    """Run the arm and write its result."""
+    name, setup_path, result_path, ess, seed = sys.argv[1:]
     module = next(m for m, begin in MODULES.items() if name.startswith(begin))
-    given = Given.read(Path(given_path))
-    given.target(given.target.from_parameters(given.pilot))  # compiled for everyone
-    measured = importlib.import_module(module).ARMS[name](given, int(seed))
-    summary = measured.summary(given.target.names, given.reference, float(ess))
-    Path(out).write_text(json.dumps(summary), encoding="utf-8")
+    setup = Setup.read(Path(setup_path))
+    setup.target(setup.target.from_parameters(setup.pilot))  # compile before timing
+    outcome = importlib.import_module(module).ARMS[name](setup, int(seed))
+    summary = outcome.summary(setup.target.names, setup.reference, float(ess))
+    Path(result_path).write_text(json.dumps(summary), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""What every arm of ``whose.py`` is given: target, starts, and the long run's quantiles.
+"""Common setup of all arms of ``whose.py``: target, starts, and quantiles of a long run.
 
-A target does not travel between processes, so each arm builds it anew from the draws of a pilot
-fit; nobody pays for that, nor for compiling what ``bayesfric`` compiles.
+Each arm builds the target in its process, from the draws of a pilot fit. Neither this nor
+``bayesfric``'s compilation is timed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from bayesfric.inference.target import Target
 Array = NDArray[np.float64]
 
 QUANTILES = (0.05, 0.5, 0.95)
-PREPARED = 500  # draws that moments are made around, as many as sampling takes
+PREPARED = 500  # draws for the moments, as many as sampling uses
 STARTS = 1024
 
 
 @dataclass(frozen=True)
-class Given:
+class Setup:
     """The posterior as ``bayesfric`` samples it."""
 
     target: Target
@@ -34,44 +34,44 @@ class Given:
     reference: Array  # (3, 12) quantiles of the long run
 
     @classmethod
-    def read(cls, path: Path) -> Given:
-        """Build the target from what :func:`write` left."""
+    def read(cls, path: Path) -> Setup:
+        """Build the target from the file of :func:`write`."""
         with np.load(path) as file:
             return cls(built(file["pilot"]), file["pilot"], file["reference"])
 
     def start(self, target: Target) -> Start:
-        """Mode and spread in a target's coordinates, as ``fit`` finds them."""
+        """Return mode and spread in a target's coordinates, as in ``fit``."""
         rng = np.random.default_rng(7)
-        prior = np.stack([one.draw(500, rng) for one in target.priors], axis=1)
+        prior = np.stack([density.draw(500, rng) for density in target.priors], axis=1)
         mode = climb(target, target.from_parameters(self.pilot[:50]), climbs=1)
         return gauss_newton(target, mode, target.from_parameters(prior))
 
     def whitened(self) -> tuple[Array, Array]:
-        """Mode ``(12,)`` and Cholesky factor of the normal that ``bayesfric`` itself begins from.
+        """Return mode ``(12,)`` and Cholesky factor of the normal that ``bayesfric`` starts from.
 
-        Coordinates have units, and sds from 1e-7 to 1; gradient samplers walk in whitened ones.
+        Gradient samplers need whitened coordinates: standard deviations differ by up to 1e7.
         """
         start = self.start(self.target)
         return start.mode, np.linalg.cholesky(start.covariance)
 
     def starts(self, seed: int) -> Array:
-        """Over-dispersed starts beside the posterior in coordinates, ``(1024, 12)``."""
+        """Draw over-dispersed starts in coordinates, ``(1024, 12)``."""
         rng = np.random.default_rng(seed)
         return self.start(self.target).draw(STARTS, self.target, rng, spread=1.0)
 
 
 def built(draws: Array) -> Target:
-    """Make the target with coordinates and moments for posterior draws ``(n, 12)``."""
+    """Build the target with coordinates and moments for posterior draws ``(n, 12)``."""
     target = problem.target().with_widths(draws.std(axis=0))
     return target.prepared(target.from_parameters(draws[:PREPARED]))
 
 
 def write(path: Path, ess: float) -> float:
-    """Fit, sample long, and keep what arms need; give the long run's smallest ESS."""
+    """Sample a long run and save the setup; return its smallest ESS."""
     settings = Sampling(seed=99, min_ess=ess, walkers=512, max_rhat=1.005)
-    found = fit(problem.target(), settings).posterior
-    flat = found.flat()
+    posterior = fit(problem.target(), settings).posterior
+    flat = posterior.flat()
     reference = np.quantile(flat, QUANTILES, axis=0)
     pilot = flat[:: len(flat) // 2000][:2000]
     np.savez(path, pilot=np.random.default_rng(3).permutation(pilot), reference=reference)
-    return float(found.diagnostics.ess.min())
+    return float(posterior.diagnostics.ess.min())

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from density import Reduced, check
-from given import Given
+from given import Setup
 from measured import Measured
 from one_at_a_time import beyond, reduced
 
@@ -28,23 +28,23 @@ TRIED = 120
 
 @dataclass(frozen=True)
 class _Whitened:
-    """The density in whitened coordinates, and starts there."""
+    """The density in whitened coordinates, and starts."""
 
-    given: Given
-    made: Reduced
+    setup: Setup
+    reduced_density: Reduced
     density: Callable[[Any], Any]
     mode: np.ndarray
     root: np.ndarray
     starts: Any
 
     @classmethod
-    def of(cls, given: Given, seed: int) -> _Whitened:
-        made, (mode, root) = reduced(given), given.whitened()
-        density = made.in_jax()
-        u = given.target.from_parameters(given.pilot[:300])
-        check(given.target(u), np.asarray(jax.jit(jax.vmap(density))(u)))
-        starts = np.linalg.solve(root, (given.starts(seed) - mode).T).T
-        return cls(given, made, lambda z: density(mode + root @ z), mode, root, jnp.asarray(starts))
+    def of(cls, setup: Setup, seed: int) -> _Whitened:
+        reduced_density, (mode, root) = reduced(setup), setup.whitened()
+        density = reduced_density.in_jax()
+        u = setup.target.from_parameters(setup.pilot[:300])
+        check(setup.target(u), np.asarray(jax.jit(jax.vmap(density))(u)))
+        starts = jnp.asarray(np.linalg.solve(root, (setup.starts(seed) - mode).T).T)
+        return cls(setup, reduced_density, lambda z: density(mode + root @ z), mode, root, starts)
 
     def measured(
         self,
@@ -56,17 +56,18 @@ class _Whitened:
         note: str = "",
     ) -> Measured:
         u = self.mode + z.reshape(-1, z.shape[2]) @ self.root.T
-        draws = self.given.target.to_parameters(u)[0].reshape(z.shape)
-        said = [note, beyond(self.made, draws), f"{divergent} divergences" if divergent else ""]
+        draws = self.setup.target.to_parameters(u)[0].reshape(z.shape)
+        divergences = f"{divergent} divergences" if divergent else ""
+        notes = [note, beyond(self.reduced_density, draws), divergences]
         return Measured(
-            draws, warm_up, sampling, evaluations, None, len(z), "; ".join(filter(None, said))
+            draws, warm_up, sampling, evaluations, None, len(z), "; ".join(filter(None, notes))
         )
 
 
-def nuts(given: Given, seed: int) -> Measured:
-    """Four chains one after the other, dense mass matrix, window adaptation."""
-    here = _Whitened.of(given, seed)
-    density, starts = here.density, here.starts
+def nuts(setup: Setup, seed: int) -> Measured:
+    """Sample four chains sequentially, with dense mass matrix and window adaptation."""
+    whitened = _Whitened.of(setup, seed)
+    density, starts = whitened.density, whitened.starts
     begin = time.process_time()
     key, *keys = jax.random.split(jax.random.key(seed), CHAINS + 1)
     warm = blackjax.window_adaptation(blackjax.nuts, density, is_mass_matrix_diagonal=False)
@@ -84,24 +85,24 @@ def nuts(given: Given, seed: int) -> Measured:
     compiled = chain.lower(keys[0], starts[0]).compile()
     warm_up = time.process_time() - begin
     begin = time.process_time()
-    found = [jax.block_until_ready(compiled(k, starts[1 + i])) for i, k in enumerate(keys)]
+    chains = [jax.block_until_ready(compiled(k, starts[1 + i])) for i, k in enumerate(keys)]
     spent = time.process_time() - begin
-    u = np.stack([np.asarray(one[0]) for one in found])[:, 50:]
-    steps = float(sum(int(one[1].sum()) for one in found))
-    bad = int(sum(int(one[2].sum()) for one in found))
-    return here.measured(u, warm_up, spent, steps, bad)
+    u = np.stack([np.asarray(positions) for positions, *_ in chains])[:, 50:]
+    steps = float(sum(int(lengths.sum()) for _, lengths, _ in chains))
+    divergent = int(sum(int(flags.sum()) for *_, flags in chains))
+    return whitened.measured(u, warm_up, spent, steps, divergent)
 
 
-def hmc(given: Given, seed: int) -> Measured:
-    """128 chains in step; the length of the trajectory by trial, in warm-up."""
-    here = _Whitened.of(given, seed)
-    density, starts = here.density, here.starts[:MANY]
+def hmc(setup: Setup, seed: int) -> Measured:
+    """Sample 64 chains in parallel; choose the trajectory's length in warm-up."""
+    whitened = _Whitened.of(setup, seed)
+    density, starts = whitened.density, whitened.starts[:MANY]
     begin = time.process_time()
     key, tuning, *keys = jax.random.split(jax.random.key(seed), len(LENGTHS) + 3)
-    warm = blackjax.window_adaptation(
+    adaptation = blackjax.window_adaptation(
         blackjax.hmc, density, is_mass_matrix_diagonal=False, num_integration_steps=4
     )
-    (_, settings), _ = warm.run(tuning, starts[0], WARM_UP)
+    (_, settings), _ = adaptation.run(tuning, starts[0], WARM_UP)
     mass, size = settings["inverse_mass_matrix"], settings["step_size"]
 
     def runner(length: int, steps: int) -> Any:
@@ -113,26 +114,26 @@ def hmc(given: Given, seed: int) -> Measured:
                 state, info = jax.vmap(kernel.step)(jax.random.split(key, MANY), state)
                 return state, (state.position, info.is_divergent)
 
-            begun = jax.vmap(kernel.init)(positions)
-            return jax.lax.scan(step, begun, jax.random.split(key, steps))[1]
+            states = jax.vmap(kernel.init)(positions)
+            return jax.lax.scan(step, states, jax.random.split(key, steps))[1]
 
         return run
 
-    worth = {}
-    for length, one in zip(LENGTHS, keys, strict=False):
-        u = np.asarray(runner(length, TRIED)(one, starts)[0])
+    efficiency = {}
+    for length, trial_key in zip(LENGTHS, keys, strict=False):
+        u = np.asarray(runner(length, TRIED)(trial_key, starts)[0])
         starts = jnp.asarray(u[-1])
         ess = min(float(az.ess(c.T)) for c in np.moveaxis(u[TRIED // 3 :], 2, 0))
-        worth[length] = ess / length
-    best = max(worth, key=lambda length: worth[length])
+        efficiency[length] = ess / length
+    best = max(efficiency, key=lambda length: efficiency[length])
     compiled = runner(best, STEPS).lower(key, starts).compile()
     warm_up = time.process_time() - begin
     begin = time.process_time()
-    u, bad = jax.block_until_ready(compiled(key, starts))
+    u, divergent = jax.block_until_ready(compiled(key, starts))
     spent = time.process_time() - begin
     u = np.swapaxes(np.asarray(u), 0, 1)
     evaluations = float(STEPS * MANY * best)
-    return here.measured(u, warm_up, spent, evaluations, int(bad.sum()), f"L = {best}")
+    return whitened.measured(u, warm_up, spent, evaluations, int(divergent.sum()), f"L = {best}")
 
 
 ARMS = {"blackjax NUTS": nuts, "blackjax HMC": hmc}

@@ -1,4 +1,4 @@
-"""What an arm of ``whose.py`` reports, reckoned the same way for all."""
+"""Compute the result of an arm of ``whose.py``, in the same way for all."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Array = NDArray[np.float64]
 
 # Longer chains are thinned to this for the diagnostics.
 _LONGEST = 4000
-# An answer is called right up to here; of 36 numbers the largest exceeds 3.2 once in twenty.
+# Largest error of a correct result; of 36 numbers the largest exceeds 3.2 once in twenty.
 RIGHT = 4.0
 SETTLED = 1.01
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Draws of parameters, ``(chains, steps, 12)``, and CPU seconds of the process, both kinds."""
+    """Draws of parameters ``(chains, steps, 12)``, and user plus system CPU seconds."""
 
     draws: Array
     warm_up: float  # adaptation and burn-in, with compiling
@@ -32,7 +32,7 @@ class Measured:
     note: str = ""
 
     def summary(self, names: tuple[str, ...], reference: Array, reference_ess: float) -> dict:
-        """Give rates, and how far quantiles are from the reference ``(3, 12)``."""
+        """Return rates, and errors of quantiles from the reference ``(3, 12)``."""
         if self.weights is None:
             ess, rhat, off = self._of_chains(reference, reference_ess)
         else:
@@ -58,11 +58,11 @@ class Measured:
 
     def _of_chains(self, reference: Array, known: float) -> tuple[Array, float, float]:
         x = self.draws[:, :: -(-self.draws.shape[1] // _LONGEST)]
-        if len(x) == 1:  # so that R-hat has something to compare
+        if len(x) == 1:  # for R-hat
             quarter = x.shape[1] // 4
             x = x[0, : 4 * quarter].reshape(4, quarter, -1)
         ess = np.array([az.ess(c, method="bulk") for c in np.moveaxis(x, 2, 0)], dtype=float)
-        rhat = max(float(az.rhat(c)) for c in np.moveaxis(_together(x), 2, 0))
+        rhat = max(float(az.rhat(c)) for c in np.moveaxis(_grouped(x), 2, 0))
         off = 0.0
         for p, places in zip(QUANTILES, reference, strict=True):
             for c, place in zip(np.moveaxis(x, 2, 0), places, strict=True):
@@ -73,7 +73,7 @@ class Measured:
         return ess, rhat, float(off)
 
     def _of_weights(self, reference: Array, known: float) -> tuple[Array, None, float]:
-        """Take Kish's ESS, which knows of no dependence between the draws."""
+        """Use Kish's ESS, which ignores dependence between draws."""
         assert self.weights is not None
         w = self.weights / self.weights.sum()
         n = 1.0 / float(w @ w)
@@ -83,10 +83,10 @@ class Measured:
         return np.full(self.draws.shape[2], n), None, float(np.max(np.abs(below - p) / error))
 
 
-def _together(x: Array) -> Array:
-    """Put many short chains ``(chains, steps, d)`` together to four long ones, in time's order.
+def _grouped(x: Array) -> Array:
+    """Group many short chains ``(chains, steps, d)`` into four long ones, in order of time.
 
-    R-hat of single walkers with a hundred draws each says 1.005 of perfect ones.
+    R-hat of single walkers with a hundred draws each is 1.005 even for perfect ones.
     """
     chains, steps, d = x.shape
     if chains <= 4:

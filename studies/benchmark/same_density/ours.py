@@ -1,4 +1,4 @@
-"""``bayesfric``, whole and with one of its parts switched off."""
+"""``bayesfric``, complete and without one of its parts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from copy import copy
 
 import numpy as np
-from given import Given
+from given import Setup
 from measured import Measured
 from numpy.typing import NDArray
 
@@ -20,15 +20,15 @@ Array = NDArray[np.float64]
 
 
 class FullLength(TorqueLikelihood):
-    """Every sample for every draw, in Numba, several draws a call."""
+    """Likelihood of all samples for every draw, in Numba, several draws a call."""
 
     def prepared(self, draws: Array) -> TorqueLikelihood:  # noqa: ARG002
-        """Stay as it is."""
+        """Return itself, without moments."""
         return self
 
 
 class OneByOne(Target):
-    """One call for every walker, as a sampler makes that knows no vectorised densities."""
+    """Target that evaluates one walker per call."""
 
     def __call__(self, u: Array) -> Array:
         """See :class:`Target`."""
@@ -36,37 +36,38 @@ class OneByOne(Target):
         return np.concatenate([call(row[None]) for row in u])
 
 
-def whole(given: Given, seed: int) -> Measured:
-    """Nothing switched off."""
-    return _sampled(given, given.target, seed, 512, 200_000.0)
+def full(setup: Setup, seed: int) -> Measured:
+    """Sample with all parts."""
+    return _sampled(setup, setup.target, seed, 512, 200_000.0)
 
 
-def logarithms(given: Given, seed: int) -> Measured:
-    """Switch the coordinates off: the logarithm of each parameter, normal quantile of mu_2."""
-    target = copy(given.target)
-    own = target.priors[: len(target.free)]
-    target.coordinates = BoundedCoordinates([p.lower for p in own], [p.upper for p in own])
-    return _sampled(given, target, seed, 512, 20_000.0, max_steps=6000)
+def logarithms(setup: Setup, seed: int) -> Measured:
+    """Sample without coordinates: logarithms, and the normal quantile of mu_2."""
+    target = copy(setup.target)
+    joint_priors = target.priors[: len(target.free)]
+    lower, upper = ([getattr(p, side) for p in joint_priors] for side in ("lower", "upper"))
+    target.coordinates = BoundedCoordinates(lower, upper)
+    return _sampled(setup, target, seed, 512, 20_000.0, max_steps=6000)
 
 
-def full_length(given: Given, seed: int) -> Measured:
-    """Switch the moments off."""
-    target, known = copy(given.target), given.target.likelihood
+def full_length(setup: Setup, seed: int) -> Measured:
+    """Sample without moments."""
+    target, known = copy(setup.target), setup.target.likelihood
     target.likelihood = FullLength(known.chain, known.observations)
-    return _sampled(given, target, seed, 128, 20_000.0)
+    return _sampled(setup, target, seed, 128, 20_000.0)
 
 
-def one_by_one(given: Given, seed: int) -> Measured:
-    """Switch vectorising off; with fewer walkers, which cost nothing more each here."""
-    target = copy(given.target)
+def one_by_one(setup: Setup, seed: int) -> Measured:
+    """Sample without vectorisation, with fewer walkers."""
+    target = copy(setup.target)
     target.__class__ = OneByOne
-    return _sampled(given, target, seed, 64, 10_000.0)
+    return _sampled(setup, target, seed, 64, 10_000.0)
 
 
 def _sampled(
-    given: Given, target: Target, seed: int, walkers: int, ess: float, max_steps: int = 20_000
+    setup: Setup, target: Target, seed: int, walkers: int, ess: float, max_steps: int = 20_000
 ) -> Measured:
-    start = given.start(target)
+    start = setup.start(target)
     marks: dict[str, float] = {}
 
     def mark(progress: Progress) -> None:
@@ -88,7 +89,7 @@ def _sampled(
 
 
 ARMS = {
-    "ours": whole,
+    "ours": full,
     "ours, logarithms for coordinates": logarithms,
     "ours, full-length likelihood": full_length,
     "ours, one evaluation a walker": one_by_one,
