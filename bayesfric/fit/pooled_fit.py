@@ -18,7 +18,7 @@ from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point
-from bayesfric.results.verdict import Outcome, verdict
+from bayesfric.results.reported import Outcome, verdict
 
 LEVEL = 0.9
 # Runs that a joint posterior has room for.

@@ -50,7 +50,7 @@ def left_out(runs: dict[str, tuple[Summary, RunDraws]]) -> dict[str, list[dict[s
                 continue
             if row.verdict == "data" or row.doubted:
                 # the run is not known exactly either
-                middle, half = one.pool.following, 0.5 * (row.told.high - row.told.low)
+                middle, half = one.pool.following, 0.5 * (row.printed.high - row.printed.low)
                 low = middle.median - np.hypot(middle.median - middle.low, half)
                 high = middle.median + np.hypot(middle.high - middle.median, half)
                 found.setdefault(one.name, []).append(
@@ -71,7 +71,7 @@ def main() -> None:
     result = {
         one.name: {
             "runs": len(one.runs),
-            "unit": one.told.unit,
+            "unit": one.row.unit,
             "mean": vars(one.pool.mean),
             "spread": vars(one.pool.spread),
             "next": vars(one.pool.following),

@@ -22,10 +22,9 @@ QUANTILES, PRINTED = (0.1, 0.25, 0.5, 0.75, 0.95), (0.1, 0.5, 0.95)
 
 
 def friction_part(fit: Fit, summary: Summary) -> Friction | None:
-    """Tabulate friction at recorded speeds; ``None`` where nothing of it was sampled.
+    """Tabulate friction at recorded speeds; ``None`` where none of its parameters was sampled.
 
-    ``summary`` has the doubts already: where one concerns a parameter of friction, it concerns
-    friction.
+    A doubt in ``summary`` about a parameter of friction concerns friction.
     """
     wide, rotary = fit.wide, fit.chain.motor_motion == "rotary"
     curves = friction_curves(wide, QUANTILES)
@@ -66,9 +65,9 @@ def friction_part(fit: Fit, summary: Summary) -> Friction | None:
 
 
 def friction_cells(friction: Friction | None, medium: Medium) -> Iterator[tuple[str, ...]]:
-    """Word what is printed: speed, load, value, interval and status of each row.
+    """Write speed, load, value, interval and status of the rows to print.
 
-    Both directions are one row where the law takes them for the same.
+    Both directions share a row where the law is symmetric.
     """
     rows = [r for r in friction.rows if r.quantile in PRINTED] if friction else []
     by_place = {(row.speed, row.load): row for row in rows}

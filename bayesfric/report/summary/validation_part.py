@@ -1,4 +1,4 @@
-"""How well a posterior predicts what its likelihood did not see, in numbers and words."""
+"""How well a posterior predicts held-out outputs."""
 
 from __future__ import annotations
 
@@ -23,22 +23,19 @@ from bayesfric.report.words import line_of
 LEVELS = (0.5, 0.9, 0.99)
 # Coverage of the 90 % intervals that passes.
 _JUDGED, _PASSES = 0.9, (0.85, 0.95)
-# Standard errors from the nominal share, outside those limits, that make a verdict.
+# Standard errors from the nominal share, outside those limits, that decide.
 _SURE = 2.0
 # Level of the interval of the discrepancy.
 _LEVEL = 0.9
 
 
 def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
-    """Count a share, with a standard error that knows that neighbours go together.
+    """Estimate the share of autocorrelated outputs inside an interval, with its standard error.
 
-    The variance of the sum comes from the autocorrelation of the indicator (Andrews,
-    Econometrica 59, 1991), never less than for independent outputs. The error is that of
-    Agresti and Coull (The American Statistician 52, 1998) for the effective number,
-    which does not vanish where all outputs or none are inside.
-
-    ``at`` is the place of each on an even grid of time, ``fallback`` ``(M,)`` of mean zero what
-    counts for the correlation where the indicator never changes.
+    The variance of the sum comes from the autocorrelation of the indicator (Andrews, Econometrica
+    59, 1991), never less than for independent outputs; the error is that of Agresti and Coull (The
+    American Statistician 52, 1998) for the effective number. ``at`` is the place of each on an even
+    grid of time, ``fallback`` ``(M,)`` has the autocorrelation where the indicator never changes.
     """
     n = inside.size
     share = float(inside.mean())
@@ -52,12 +49,12 @@ def share_of(inside: Flags, at: NDArray[np.int64], fallback: Array) -> Coverage:
 
 
 def validation_record(fit: Fit) -> dict[str, Any]:
-    """Put predictions of what was held out beside what was measured, for ``summary.json``."""
+    """Compare predictions with held-out outputs, for ``summary.json``."""
     outputs = fit.target.likelihood.outputs[0]
-    borrowed = sorted({what for p in fit.held_out for what in p.borrowed})
+    borrowed = sorted({quantity for p in fit.held_out for quantity in p.borrowed})
     how = (
-        "each output by itself: every draw's inverse model along the measured motion, and one "
-        "residual of its noise, whose memory of neighbouring outputs is not used"
+        "each output separately: every draw's inverse model along the measured motion, and one "
+        "residual of its noise; its autocorrelation is not used"
     )
     if borrowed:
         how += (
@@ -93,17 +90,17 @@ def _numbers(predictions: Sequence[Prediction], outputs: Outputs) -> dict[str, A
     shares = {level: share_of(out <= level / 2.0, at, centred) for level in LEVELS}
     numbers: dict[str, Any] = {
         "outputs": residual.size,
-        "coverage": {f"{level:g}": told.as_dict() for level, told in shares.items()},
+        "coverage": {f"{level:g}": share.as_dict() for level, share in shares.items()},
         "residual_rms": rms_of(residual),
         "predictive_sd": math.sqrt(float(variance.mean())),
         "discrepancy": _discrepancy(residual**2 - variance, at),
     }
     verdict = _verdict(shares[_JUDGED], numbers["discrepancy"])
     share, off = shares[_JUDGED], numbers["discrepancy"]
-    told = {"covers": share.text, "effective": share.effective_outputs}
+    words = {"covers": share.text, "effective": share.effective_outputs}
     if off["interval"][0] > 0.0:
-        told["beyond"] = f"{off['value']:.3g} {outputs.unit}"
-    says = line_of(verdict, told | {"quantity": outputs.quantity})
+        words["beyond"] = f"{off['value']:.3g} {outputs.unit}"
+    says = line_of(verdict, words | {"quantity": outputs.quantity})
     return numbers | {"verdict": verdict, "says": says}
 
 
