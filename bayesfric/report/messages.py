@@ -68,7 +68,10 @@ def _of_model(
         if finding.severity == "note":  # else it is a doubt
             yield "missing", finding.message("missing")
     if summary.fit.rests:
-        yield "rests", {"rests": [rest.place for rest in summary.fit.rests]}
+        yield (
+            "rests",
+            {"rests": [f"{rest.recording} at {rest.start:.3g} s" for rest in summary.fit.rests]},
+        )
     test = summary.noise.innovation_whiteness
     if test is not None and not test.white:
         # where the order was chosen, auto itself found that no autoregression helps

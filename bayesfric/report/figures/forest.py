@@ -26,7 +26,7 @@ from bayesfric.report.figures.style import Look, power_of_ten, remark_below, sho
 from bayesfric.report.result_row import ResultRow
 from bayesfric.report.summary.derived_quantities import LEVEL
 
-# Up to so many panels stand below each other in one column of a paper.
+# Up to so many panels are below each other in one column of a paper.
 _FEW = 4
 _ACROSS = 3
 _HIGHEST = 9.0
@@ -40,7 +40,7 @@ _THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _THIN: Look = {"linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7}
 _SPAN: Look = {"linewidth": 0.9, "linestyle": style.DOTTED}
 
-# Estimates in greys, posteriors in colours; shapes tell them apart once more.
+# Estimates in greys, posteriors in colours, each with its own shape.
 _ESTIMATES = {
     "least-squares": ("s", "#8c8c8c"),
     "input-error": ("^", "#5e5e5e"),

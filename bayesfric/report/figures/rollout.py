@@ -32,7 +32,7 @@ def rollout_figure(rollout: RollOut) -> Figure:
             ax.plot(one.time, one.position, label="measured", **line)
             ax.set(xlim=(float(one.time[0]), float(one.time[-1])), ylabel=f"position ({one.unit})")
             share = f"{100 * one.at_position.inside:.0f} % inside"
-            share += " a band too wide to tell" if one.wide else ""
+            share += " a band too wide to judge" if one.wide else ""
             ax.set_title(f"{shortened(one.name)}: {share}", fontsize=style.SMALL, pad=2.5)
             few_ticks(ax.yaxis, 4)
             few_ticks(ax.xaxis, 6)

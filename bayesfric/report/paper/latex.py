@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
 from importlib.resources import files
 
 from bayesfric.base import __version__
@@ -49,18 +48,6 @@ def symbol(latex: str, name: str) -> str:
 
     shown = mathtext(latex, name) if latex else ""
     return shown if shown.startswith("$") else rf"\texttt{{{escaped(name)}}}"
-
-
-def with_symbols(text: str, symbols: Mapping[str, str]) -> str:
-    """Put symbols in place of quantities' names in escaped text.
-
-    Names of one word, such as offset, stay: they may as well be that word.
-    """
-    known = {escaped(name): symbol(tex, name) for name, tex in symbols.items() if "." in name}
-    if not known:
-        return text
-    either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))
-    return re.sub(rf"(?<![\w.])({either})(?![\w\\])", lambda m: known[m[1]], text)
 
 
 def unit(text: str) -> str:

@@ -91,21 +91,18 @@ def parameters_latex(table: ParameterTable) -> str:
     share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}}"
     head = ["Symbol", "Quantity", "Value", f"{share} interval", "Unit", "Determined by"]
     columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    symbols = {r.name: r.symbol for r in table.rows}
     layout = {"columns": columns, "head": head, "lines": lines, "headings": _GROUPS}
-    return _table("Parameters of the joint", "parameters", table.notes(), symbols, layout)
+    return _table("Parameters of the joint", "parameters", table.notes(), layout)
 
 
 def _table(
     caption: str,
     label: str,
     notes: Sequence[str],
-    symbols: Mapping[str, str],
     layout: Mapping[str, Any],
 ) -> str:
-    """Fill the template of tables; notes have ``symbols`` for names, as its lines have."""
+    """Fill the template of tables."""
     below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
-    below = latex.with_symbols(below, symbols)
     return filled("table.tex.j2", caption=caption, label=label, notes=below, **layout) + "\n"
 
 
@@ -127,7 +124,7 @@ def methods_latex(compared: Comparison) -> str:
     columns = f"@{{}}ll{'l' * len(compared.columns)}@{{}}"
     title = "Runs side by side" if compared.several else "Estimates by method"
     label = "runs" if compared.several else "methods"
-    return _table(title, label, notes, {}, {"columns": columns, "head": head, "lines": lines})
+    return _table(title, label, notes, {"columns": columns, "head": head, "lines": lines})
 
 
 def _cell(cell: ResultRow | None) -> str:

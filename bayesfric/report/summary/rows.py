@@ -256,7 +256,7 @@ class BackEmfPart(Part):
 
 
 class RestsPart(Part):
-    """Standstills of one recording that violate the stiction of the law."""
+    """Standstills of one recording that violate the stiction of the law, as ``RestsBeyond``."""
 
     recording: str
     share: Share
@@ -264,11 +264,6 @@ class RestsPart(Part):
     stop: FiniteFloat
     beyond: NotNegative
     held: NotNegative
-
-    @property
-    def place(self) -> str:
-        """Where it is, in words."""
-        return f"{self.recording} at {self.start:.3g} s"
 
 
 class Residual(Part):
