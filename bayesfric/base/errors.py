@@ -28,15 +28,15 @@ class BadInput(Exception):
     parts as attributes.
     """
 
-    def __init__(self, where: str, what: str, mend: str) -> None:
+    def __init__(self, where: str, what: str, hint: str) -> None:
         self.where = _one_line(where)
         self.what = _one_line(what)
-        self.mend = _one_line(mend)
-        super().__init__(f"{self.where}: {self.what}; {self.mend}")
+        self.hint = _one_line(hint)
+        super().__init__(f"{self.where}: {self.what}; {self.hint}")
 
     def __reduce__(self) -> tuple[type[BadInput], tuple[str, str, str]]:
         # an exception is made again from its message alone, in another process too
-        return type(self), (self.where, self.what, self.mend)
+        return type(self), (self.where, self.what, self.hint)
 
 
 class Unfit(ValueError):
