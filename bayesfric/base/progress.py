@@ -21,10 +21,10 @@ class Progress:
     rhat: float = math.nan
 
 
-Shown = Callable[[Progress], None]
+ProgressCallback = Callable[[Progress], None]
 
 
-class Spent:
+class Timer:
     """Time since it was started: wall clock, and CPU time with that of child processes."""
 
     def __init__(self) -> None:
@@ -42,10 +42,10 @@ class Spent:
 
     def __str__(self) -> str:
         """Write both."""
-        return spent_text(self)
+        return time_text(self)
 
 
-def spent_text(of: Any) -> str:
+def time_text(of: Any) -> str:
     """Write wall-clock and CPU time."""
     return f"{of.seconds:.1f} s by the clock, {of.cpu_seconds:.1f} s of CPU time"
 
@@ -55,20 +55,20 @@ def _cpu_seconds() -> float:
     return now.user + now.system + now.children_user + now.children_system
 
 
-def silent(_: Progress) -> None:
+def no_progress(_: Progress) -> None:
     """Ignore progress."""
 
 
-def by_method(progress: Shown) -> Callable[[str], None]:
+def by_method(progress: ProgressCallback) -> Callable[[str], None]:
     """Report by the name of a method of estimation that it begins."""
     return lambda method: progress(Progress(f"{method} estimate"))
 
 
 @contextmanager
-def progress_shown(wanted: bool | Shown) -> Iterator[Shown]:
+def progress_shown(wanted: bool | ProgressCallback) -> Iterator[ProgressCallback]:
     """Give a callback for progress: a bar, a function of the caller's, or none."""
     if callable(wanted) or not wanted:
-        yield wanted or silent
+        yield wanted or no_progress
         return
     from rich.console import Console
     from rich.progress import Progress as Bar

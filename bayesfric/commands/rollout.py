@@ -9,7 +9,7 @@ from typing import Any
 
 from bayesfric.base.atomic_write import add_files, write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Shown
+from bayesfric.base.progress import ProgressCallback
 from bayesfric.base.safe_read import read_text
 from bayesfric.commands.report import report
 from bayesfric.report.figures.registry import read_captions
@@ -29,7 +29,7 @@ def rollout(
     draws: int,
     seed: int | None = None,
     every: bool = False,
-    progress: Shown,
+    progress: ProgressCallback,
 ) -> RollOutPart:
     """Play recordings to a run's posterior, and add what comes of it to the run.
 

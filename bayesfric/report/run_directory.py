@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayesfric.base.atomic_write import new_folder
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
@@ -31,7 +31,7 @@ def write_run(
     draws: int | None = None,
     *,
     paper: bool = False,
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
 ) -> None:
     """Write a run directory.
 
@@ -73,7 +73,9 @@ def write_run(
         (partial / "report.html").write_text(page, encoding="utf-8")
 
 
-def draw(folder: Path, run: FinishedRun, kinds: Sequence[str], progress: Shown) -> list[Declared]:
+def draw(
+    folder: Path, run: FinishedRun, kinds: Sequence[str], progress: ProgressCallback
+) -> list[Declared]:
     """Draw a run's figures into ``folder``, and return those that show anything."""
     folder.mkdir(exist_ok=True)
     drawn = []

@@ -12,7 +12,7 @@ from typing import Any
 
 from jinja2 import Environment
 
-from bayesfric.base.progress import spent_text
+from bayesfric.base.progress import time_text
 from bayesfric.base.templates import environment, percent, placed, two
 from bayesfric.report.numbers import p_text
 
@@ -140,7 +140,7 @@ FILTERS = {
     "p": p_text,
     "white": lambda white: "pass as white" if white else "do NOT pass as white",
     "listed": listed,
-    "spent": spent_text,
+    "spent": time_text,
     "what": lambda kind: words_of(kind).what,
 }
 

@@ -26,7 +26,7 @@ sys.path.insert(0, str(HERE.parents[1]))
 
 import bayesfric as bf
 from bayesfric.arm.arm_rollout import rollout
-from bayesfric.base.progress import Spent
+from bayesfric.base.progress import Timer
 from tests.arm.bench import GRAVITY, rigid_torque
 
 URDF = HERE.parents[2] / "shared" / "data" / "ur10-arm" / "ur10.urdf"
@@ -147,7 +147,7 @@ def main() -> None:
         parser.add_argument(f"--{key}", type=kind, default=value)
     parser.add_argument("--rollout", action="store_true")
     told = parser.parse_args()
-    rows, arms, spent = [], [], Spent()
+    rows, arms, spent = [], [], Timer()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST, FIRST + told.arms):
             found, arm = one_arm(Path(folder), seed, told)
