@@ -45,8 +45,8 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
     summary = summarise(found, problem.references(), start.choice, derived)
     summary = add_model_error(summary, found, derived)
     summary = _with_back_emf(summary, examined.back_emf, len(problem.recordings))
-    update = {"rests": [RestsPart.model_validate(vars(rests)) for rests in examined.rests]}
-    summary = summary.model_copy(update={"fit": summary.fit.model_copy(update=update)})
+    changed = {"rests": [RestsPart.model_validate(vars(rests)) for rests in examined.rests]}
+    summary = summary.model_copy(update={"fit": summary.fit.model_copy(update=changed)})
     summary = _with_findings(summary, examined.explained, examined.taken)
     doubts = find_doubts(found, summary, examined.contradicted)
     if examined.self_check is not None:

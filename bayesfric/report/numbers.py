@@ -69,7 +69,7 @@ def _with_ends(
 # Media write an exact `number`; a `value` with its sd, or for a skewed posterior with its distances
 # to the `ends` of an interval; and an `interval`: an uncertainty sets the last digit of all.
 # `limits` are the signs of an upper and a lower limit, `none` is for no number, and `sds` is
-# whether tables have room for sds in addition to intervals.
+# whether tables have sds in addition to intervals.
 
 
 class _Text:

@@ -20,7 +20,7 @@ from bayesfric.report.summary.rows import (
 )
 
 Determination = Literal["determined", "undetermined", "bound", "limit", "known"]
-# Determined by what, in words that a column of a paper has room for.
+# What determined a number, short enough for a column of a paper.
 _DETERMINED_BY = {
     "data": "data",
     "weak": "data and prior",

@@ -126,7 +126,7 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float]) -> None:
 
 
 def _moves(draws: Array) -> bool:
-    """Whether draws differ by more than rounding, which leaves no room for a histogram."""
+    """Whether draws differ by more than rounding, too little for a histogram."""
     return bool(np.ptp(draws) > 1e-12 * np.abs(draws).max())
 
 

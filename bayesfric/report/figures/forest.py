@@ -32,7 +32,7 @@ _ACROSS = 3
 _HIGHEST = 9.0
 # Inches: between lines, for the axis below a panel, for the legend.
 _LINE, _AXIS, _LEGEND = 0.155, 0.40, 0.3
-# Letters that there is room for: of a column's name, of a reference's.
+# Letters that fit: of a column's name, of a reference's.
 _LETTERS, _SOURCE = 24, 22
 _MARGIN = 0.65  # lines above the first and below the last
 _REFERENCE = style.PALETTE[2]
@@ -129,9 +129,7 @@ def _drawable(compared: Comparison) -> list[Quantity]:
     for least in (2, 1):
         if rows := [row for row in compared.rows if drawable(row) >= least]:
             return rows
-    raise BadInput(
-        "forest", "no quantity is determined by any of the columns", "see what a fit says of them"
-    )
+    raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
 
 
 def _panel(ax: Axes, row: Quantity, lines: list[_Line]) -> None:

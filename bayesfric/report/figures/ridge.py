@@ -56,7 +56,7 @@ class Ridge:
 def ridge(fit: Fit) -> Ridge | None:
     """Follow the first scaling of a fit's chain through the posterior's median.
 
-    ``None`` for a chain without an element of two load losses.
+    ``None`` for a chain without an element with load-dependent friction by direction.
     """
     found = scalings(fit.chain)
     if not found:

@@ -108,7 +108,7 @@ def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KIN
     """Write a figure as ``<stem>.pdf``, ``.svg`` and ``.png`` (300 dpi), or some of them."""
     with paper_style():
         for kind in kinds:
-            drawn = io.BytesIO()  # where the disk is full, Matplotlib fails in words of its own
+            drawn = io.BytesIO()  # on a full disk Matplotlib fails with another error
             figure.savefig(drawn, format=kind, **_UNDATED[kind])
             (folder / f"{stem}.{kind}").write_bytes(drawn.getvalue())
 
