@@ -24,9 +24,9 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.rendering import render
+from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import Validation
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import listed
 

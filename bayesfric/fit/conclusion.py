@@ -18,10 +18,9 @@ from bayesfric.problem.problem import Problem, StartingPoint
 from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
-from bayesfric.report.summary.friction_part import friction_part
+from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
 from bayesfric.report.summary.rows import BackEmfPart, RestsPart
-from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
 

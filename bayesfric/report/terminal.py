@@ -18,9 +18,8 @@ from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.friction_part import friction_cells
+from bayesfric.report.summary.parts import friction_cells, off_rows
 from bayesfric.report.summary.record import Friction, Message, Readable, Summary, of_noise
-from bayesfric.report.summary.self_check_part import off_rows
 from bayesfric.report.words import filled
 from bayesfric.results.reported import ORDER, Outcome, Reported
 

@@ -12,8 +12,8 @@ from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
+from bayesfric.report.summary.parts import self_check_doubts, self_check_part
 from bayesfric.report.summary.record import ModelError
-from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.made_summaries import concluded

@@ -22,7 +22,7 @@ from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
-from bayesfric.report.summary.friction_part import friction_cells
+from bayesfric.report.summary.parts import friction_cells
 from bayesfric.report.summary.record import Readable, RemedyRow, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief

@@ -31,9 +31,9 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
+from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import EstimatedRow
-from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
 
