@@ -20,7 +20,7 @@ from bayesfric.arm.arm_options import ArmOptions, JointOptions
 from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint, directions, resolution
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, Shown, progress_shown
+from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import checked_toml, parse_config, read_toml
 from bayesfric.problem.config_text import document_text, recording_table, toml_value
@@ -83,7 +83,7 @@ class Arm:
         *,
         predict: Path | str | None = None,
         seed: int | None = None,
-        progress: bool | Shown = False,
+        progress: bool | ProgressCallback = False,
     ) -> FittedArm:
         """Fit each joint that moves and has an effort.
 
@@ -198,7 +198,7 @@ class Arm:
         felt: _Felt,
         held_out: Sequence[str],
         seed: int | None,
-        tell: Shown,
+        tell: ProgressCallback,
     ) -> FittedJoint:
         told = FittedJoint(joint, self._own(joint.name).gear_ratio)
         if isinstance(effort, BadInput):

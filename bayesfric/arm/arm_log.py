@@ -216,7 +216,7 @@ class ArmLog:
         try:
             return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
-            mend = f"{error.mend}; or say where it is held: joints.{joint.name}.held = 0.0"
+            mend = f"{error.hint}; or say where it is held: joints.{joint.name}.held = 0.0"
             raise BadInput(error.where, f"joint {joint.name!r}: {error.what}", mend) from None
 
     def _moved(self, joint: UrdfJoint) -> Measurement | float:

@@ -23,7 +23,7 @@ from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.report.words import listed
 
@@ -105,7 +105,7 @@ def rollout(
     seconds: float = 1.0,
     draws: int = 40,
     seed: int | None = None,
-    tell: Shown = silent,
+    tell: ProgressCallback = no_progress,
 ) -> ArmRollOut:
     """Play the efforts of the last log, the one to be predicted if there is one.
 

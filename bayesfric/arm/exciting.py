@@ -28,7 +28,7 @@ from scipy.optimize import minimize
 from bayesfric.arm.bodies import Bodies, Doubt
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.recordings.arrays import Array
 
 # Numbers of a joint, and those that can be asked for.
@@ -200,7 +200,7 @@ def exciting(
     harmonics: int = 5,
     seed: int | None = None,
     tries: int | None = None,
-    tell: Shown = silent,
+    tell: ProgressCallback = no_progress,
 ) -> Excited:
     """Find a motion of all joints that leaves the least mean log sd of what is wanted.
 

@@ -24,10 +24,10 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT, p_text
 from bayesfric.report.page.rendering import render
+from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import Validation
 from bayesfric.report.summary.rows import PosteriorRow
-from bayesfric.report.summary.validation_part import validation_record
-from bayesfric.report.terminal import line_of_number
+from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import listed
 
 # Columns of the table, and which parameter is in them: the first that the joint has.
@@ -291,5 +291,6 @@ def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Write a number with its status, and its interval with the unit."""
     if row is None or row.reported is None:
         return TEXT.none, ""
-    told = line_of_number("", row.reported, row.unit, row.level)
-    return f"{told.value} {told.beside}".strip(), f"{told.interval} {told.unit}".strip()
+    printed = printed_row("", row.reported, row.unit, row.level)
+    value, interval = (printed.value, printed.status), (printed.interval, printed.unit)
+    return " ".join(value).strip(), " ".join(interval).strip()

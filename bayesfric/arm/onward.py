@@ -20,7 +20,7 @@ from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertia import OF_ONE, completed
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base import __version__
-from bayesfric.base.progress import Shown, silent
+from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
@@ -97,7 +97,7 @@ def next_motion(
     *,
     seconds: float = 20.0,
     seed: int | None = None,
-    tell: Shown = silent,
+    tell: ProgressCallback = no_progress,
 ) -> Excited:
     """Find the motion whose recording tells most beside the one there is.
 

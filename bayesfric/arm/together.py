@@ -132,7 +132,7 @@ class Felt:
         """Take the directions ``(n, k)`` out of draws, corrected as they are reported."""
         wide, found = self.fit.wide.posterior, []
         for name in (f"load.{one}" for one in signals(self.kept.shape[1])):
-            k, told = wide.names.index(name), self.rows[name].told
+            k, told = wide.names.index(name), self.rows[name].printed
             found.append(flat[:, k] + told.value - np.median(wide[name]))
         return np.stack(found, axis=1) if found else np.zeros((len(flat), 0))
 

@@ -1,4 +1,4 @@
-"""What every room uses: errors, files, progress, options; and the version of the package."""
+"""Errors, files, progress, options and templates for all rooms; and the version."""
 
 __version__ = "0.2.0"
 

@@ -1,7 +1,4 @@
-"""Write files and folders whole or not at all.
-
-They are made in a temporary folder next to their place and moved there at the end.
-"""
+"""Write files and folders atomically: in a temporary folder next to their place, then moved."""
 
 from __future__ import annotations
 
@@ -95,9 +92,9 @@ def check_output_folder(folder: Path, *, force: bool | None, marker: str = "summ
             marked = (folder / marker).is_file()
             if not (force and marked):
                 what = f"is not empty, and holds no '{marker}'" if force else "is not empty"
-                more = ", or replace it with --force" if marked and force is not None else ""
-                raise BadInput(str(folder), what, f"name another folder with -o{more}")
-        # rights, read-only disks and /proc all refuse in their own way: only trying tells
+                replace = ", or replace it with --force" if marked and force is not None else ""
+                raise BadInput(str(folder), what, f"name another folder with -o{replace}")
+        # rights, read-only disks and /proc all refuse differently: try it
         parent = next(p for p in absolute(folder).parents if os.path.lexists(p))
         TemporaryFile(dir=parent).close()
     except OSError as error:
@@ -110,6 +107,6 @@ def absolute(path: Path) -> Path:
 
 
 def unwritable(path: Path, error: OSError, kind: str) -> BadInput:
-    """Say why a ``file`` or ``folder`` cannot be written."""
+    """Word why a ``file`` or ``folder`` cannot be written."""
     reason = error.strerror or str(error)
     return BadInput(str(path), f"cannot be written ({reason})", f"name another {kind} with -o")

@@ -1,4 +1,4 @@
-"""Tables of a configuration, and what is wrong with one in words for a person."""
+"""Tables of a configuration, and messages about errors in them."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ class Options(BaseModel):
 
 
 def configuration_error(
-    prefix: str, whole: str, error: ValidationError, document: Any, model: Any
+    prefix: str, name: str, error: ValidationError, document: Any, model: Any
 ) -> BadInput:
-    """Word the first thing wrong with a configuration or another document, or a part of one.
+    """Word the first error in a configuration or another document, or a part of one.
 
-    ``prefix`` goes before the key complained about, ``whole`` names the part itself; ``model`` is
-    what it was checked against, for the keys it could have held.
+    ``prefix`` goes before the key at fault, ``name`` is that of the document; ``model`` is what it
+    was checked against, for the keys it could have held.
     """
-    found = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
-    # A misspelt key often causes further complaints: name it first.
-    place, first = min(found, key=lambda pair: pair[1]["type"] != "extra_forbidden")
-    # Of the ways a value could have been meant, the one that got furthest tells most.
-    deeper = [pair for pair in found if pair[0][: len(place)] == place]
+    errors = [(_place(e["loc"], document), e) for e in error.errors(include_url=False)]
+    # a misspelt key often causes further complaints: name it first.
+    place, first = min(errors, key=lambda pair: pair[1]["type"] != "extra_forbidden")
+    # of a union of types, the one that got furthest says most
+    deeper = [pair for pair in errors if pair[0][: len(place)] == place]
     if first["type"] not in ("extra_forbidden", "missing"):
         place, first = max(deeper, key=lambda pair: len(pair[0]))
     words = [str(part + 1) if isinstance(part, int) else part for part in place]
     if first["type"] == "missing" and isinstance(key := first["loc"][-1], str):
         where = prefix + ".".join([*words, key])
         return BadInput(where, "is missing", f"add {key!r} ('bayesfric init' shows how)")
-    where = prefix + (".".join(words) or whole)
+    where = prefix + (".".join(words) or name)
     if first["type"] == "extra_forbidden":
         return BadInput(where, "unknown key", nearest(words[-1], _known_keys(place, model)))
-    what, mend = _worded(first, [e["msg"] for p, e in deeper if p == place])
-    return BadInput(where, what, mend)
+    what, hint = _worded(first, [e["msg"] for p, e in deeper if p == place])
+    return BadInput(where, what, hint)
 
 
 def _place(location: Sequence[int | str], document: Any) -> list[int | str]:
-    """Keys of the document; pydantic puts the types it tried between and behind them."""
+    """Keys of the document; pydantic adds the types it tried."""
     place: list[int | str] = []
     for part in location:
         try:
@@ -58,7 +58,7 @@ def _place(location: Sequence[int | str], document: Any) -> list[int | str]:
 
 
 def _worded(first: Any, messages: Sequence[str]) -> tuple[str, str]:
-    """Say what is wrong with one value, and what to give instead, by pydantic's messages."""
+    """Say what is wrong with a value, and what to give instead, by pydantic's messages."""
     got = f"got {_shown(first['input'])}"
     if first["type"] == "value_error":
         error = first["ctx"]["error"]
@@ -69,10 +69,10 @@ def _worded(first: Any, messages: Sequence[str]) -> tuple[str, str]:
         if choices and "True" not in first["ctx"]["expected"]:
             return got, nearest(first["input"], choices)
     wanted = [message.removeprefix("Input should be ") for message in messages]
-    mend = f"it should be {' or '.join(dict.fromkeys(wanted))}"
+    hint = f"it should be {' or '.join(dict.fromkeys(wanted))}"
     for pydantic, toml in (("True", "true"), ("False", "false"), ("an object", "a table")):
-        mend = mend.replace(pydantic, toml)
-    return got, "give more values" if first["type"] == "missing" else mend
+        hint = hint.replace(pydantic, toml)
+    return got, "give more values" if first["type"] == "missing" else hint
 
 
 def _shown(value: Any) -> str:
@@ -84,10 +84,10 @@ def _shown(value: Any) -> str:
 
 
 def _known_keys(place: Sequence[int | str], model: Any) -> list[str]:
-    """Keys that could have stood where an unknown one was found."""
+    """Keys allowed in the place of an unknown one."""
     for part in place[:-1]:
         if part not in getattr(model, "model_fields", {}):
-            continue  # a number, or a name of the user's own, such as an element's
+            continue  # a number, or a name that the user chose, such as an element's
         model = _model_in(model.model_fields[part].annotation)
     return list(getattr(model, "model_fields", {}))
 
@@ -96,4 +96,4 @@ def _model_in(annotation: Any) -> Any:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     inner = map(_model_in, getattr(annotation, "__args__", ()))
-    return next((found for found in inner if found is not None), None)
+    return next((model for model in inner if model is not None), None)

@@ -1,4 +1,4 @@
-"""How far long work has come, shown on stderr, and what time it took."""
+"""Progress of long work, on stderr, and the time it takes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Progress:
-    """How far work has come, for a progress bar; of sampling, the worst parameter's diagnostics."""
+    """Progress for a bar; of sampling, the worst parameter's diagnostics."""
 
     phase: str
     steps: int = 0
@@ -21,32 +21,32 @@ class Progress:
     rhat: float = math.nan
 
 
-Shown = Callable[[Progress], None]
+ProgressCallback = Callable[[Progress], None]
 
 
-class Spent:
-    """Time since it was made: by the clock, and of all processors, second processes included."""
+class Timer:
+    """Time since it was started: wall clock, and CPU time with that of child processes."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter(), _cpu_seconds()
 
     @property
     def seconds(self) -> float:
-        """By the clock."""
+        """Wall-clock time."""
         return time.perf_counter() - self._began[0]
 
     @property
     def cpu_seconds(self) -> float:
-        """Of processors: more than by the clock where several worked, less where others did."""
+        """CPU time of all processors."""
         return _cpu_seconds() - self._began[1]
 
     def __str__(self) -> str:
-        """Word both."""
-        return spent_text(self)
+        """Write both."""
+        return time_text(self)
 
 
-def spent_text(of: Any) -> str:
-    """Word what time was taken."""
+def time_text(of: Any) -> str:
+    """Write wall-clock and CPU time."""
     return f"{of.seconds:.1f} s by the clock, {of.cpu_seconds:.1f} s of CPU time"
 
 
@@ -55,22 +55,20 @@ def _cpu_seconds() -> float:
     return now.user + now.system + now.children_user + now.children_system
 
 
-def silent(_: Progress) -> None:
-    """Tell nobody how far work has come."""
+def no_progress(_: Progress) -> None:
+    """Ignore progress."""
 
 
-def by_method(progress: Shown) -> Callable[[str], None]:
-    """Tell by the name of a method of estimation that it begins."""
+def by_method(progress: ProgressCallback) -> Callable[[str], None]:
+    """Report by the name of a method of estimation that it begins."""
     return lambda method: progress(Progress(f"{method} estimate"))
 
 
 @contextmanager
-def progress_shown(
-    wanted: bool | Shown,
-) -> Iterator[Shown]:
-    """Give what to call as work goes on: a bar where it is wanted, or what was given."""
+def progress_shown(wanted: bool | ProgressCallback) -> Iterator[ProgressCallback]:
+    """Give a callback for progress: a bar, a function of the caller's, or none."""
     if callable(wanted) or not wanted:
-        yield wanted or silent
+        yield wanted or no_progress
         return
     from rich.console import Console
     from rich.progress import Progress as Bar

@@ -1,7 +1,4 @@
-"""Read files that a user names: ordinary ones of bounded size, else bad input in one line.
-
-A pipe would wait for ever, a device never ends, and a wrong file may be larger than the memory.
-"""
+"""Read ordinary files of bounded size; everything else is bad input, in one line."""
 
 from __future__ import annotations
 
@@ -90,7 +87,7 @@ def check_size(size: int) -> None:
 
 
 def read_array(dataset: h5py.Dataset) -> NDArray[Any]:
-    """Read a dataset whole; ``ValueError`` where it is a group, or too large."""
+    """Read a dataset; ``ValueError`` where it is a group, or too large."""
     import h5py
 
     if not isinstance(dataset, h5py.Dataset):
@@ -100,7 +97,7 @@ def read_array(dataset: h5py.Dataset) -> NDArray[Any]:
 
 
 def unreadable(path: Path, error: OSError | ValueError) -> BadInput:
-    """Say why the system does not open a file that exists."""
+    """Word why a file that exists cannot be opened."""
     if isinstance(error, PermissionError):
         return BadInput(str(path), "no permission to read it", "change the file's permissions")
     why = getattr(error, "strerror", None) or str(error)

@@ -20,7 +20,7 @@ from typer import Argument, Option
 
 from bayesfric.base import LINEAR_ALGEBRA_THREADS, __version__
 from bayesfric.base.errors import BadInput, Interrupted
-from bayesfric.base.progress import Spent, progress_shown
+from bayesfric.base.progress import Timer, progress_shown
 from bayesfric.estimates.point_estimate import METHODS
 
 if TYPE_CHECKING:
@@ -408,7 +408,7 @@ def _fit(
     config: Path | None, folder: Path, as_json: bool, *, verbose: bool, **options: Any
 ) -> None:
     """Fit a configuration, or the demo's."""
-    spent = Spent()  # before what it imports, which takes time, too
+    spent = Timer()  # before what it imports, which takes time, too
     with ExitStack() as bars:
         from bayesfric.commands.fit import demo_config, fit_text
         from bayesfric.commands.fit import fit as run

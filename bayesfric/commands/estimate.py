@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.base.progress import Shown, silent
+from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.fit.model import Model
@@ -18,7 +18,7 @@ _TOO_SMALL = 2.0
 
 
 def estimate(
-    model: Model, method: str = "all", *, progress: Shown = silent
+    model: Model, method: str = "all", *, progress: ProgressCallback = no_progress
 ) -> tuple[dict[str, Any], list[str]]:
     """Estimate by a method, or ``all``; give what ``--json`` prints, and words line by line."""
     methods: Sequence[Any] = METHODS if method == "all" else [method]

@@ -8,7 +8,7 @@ from typing import Any
 
 from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Shown, silent
+from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.fit.model import Model
@@ -17,7 +17,7 @@ from bayesfric.report.words import clause, doubt_text, filled, line_of
 
 
 def explain(
-    model: Model, output: Path | None = None, *, progress: Shown = silent
+    model: Model, output: Path | None = None, *, progress: ProgressCallback = no_progress
 ) -> tuple[dict[str, Any], list[str]]:
     """Give what ``--json`` prints, and words: what is found, and what this motion does not tell.
 

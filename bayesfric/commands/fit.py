@@ -12,7 +12,7 @@ from filelock import FileLock, Timeout
 
 from bayesfric.base.atomic_write import absolute, check_output_folder, unwritable
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import Config, read_config
 from bayesfric.report.summary.record import Summary
@@ -27,7 +27,7 @@ def fit(
     force: bool = False,
     output_error: bool = False,
     paper: bool = False,
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
     found: Callable[[Summary], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration, write the run directory, and return what ``summary.json`` holds.

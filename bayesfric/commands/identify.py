@@ -13,14 +13,16 @@ import numpy as np
 
 from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Shown, silent
+from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.diagnostics.before_a_fit import little_explained
 from bayesfric.fit.model import Model
 from bayesfric.identifiability.next_recording import ASSUMPTION, Ranking
 from bayesfric.report.words import doubt_text, filled
 
 
-def identify(model: Model, *, progress: Shown = silent) -> tuple[dict[str, Any], list[str]]:
+def identify(
+    model: Model, *, progress: ProgressCallback = no_progress
+) -> tuple[dict[str, Any], list[str]]:
     """Give what ``--json`` prints, infinite as ``None``; and words, what cannot be told first."""
     found = model.identification(progress=progress)
     doubts, warned = _doubts(model)
@@ -36,7 +38,7 @@ def advise(
     path: Path | None = None,
     *,
     force: bool = False,
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
 ) -> tuple[dict[str, Any], list[str]]:
     """Say what to record next to know a quantity, and write the torque to play where asked.
 

@@ -8,13 +8,15 @@ from typing import Any
 
 from bayesfric.base.atomic_write import add_files, write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.summary.record import read_summary_file
 
 
-def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[str, Any]:
+def report(
+    run: Path, *, paper: bool = False, progress: ProgressCallback = no_progress
+) -> dict[str, Any]:
     """Make ``report.html`` and what follows from ``summary.json`` again; nothing is sampled.
 
     ``paper`` has the figures drawn again, as PDF and PNG, for which the recordings are read, and
@@ -40,7 +42,9 @@ def report(run: Path, *, paper: bool = False, progress: Shown = silent) -> dict[
     return {"run": str(run), "written": sorted([*texts, *drawn])}
 
 
-def _for_paper(run: Path, name: str, texts: dict[str, str], progress: Shown) -> list[str]:
+def _for_paper(
+    run: Path, name: str, texts: dict[str, str], progress: ProgressCallback
+) -> list[str]:
     """Add texts to write, and draw; give the files drawn."""
     from bayesfric.fit.finished_run import fit_of
     from bayesfric.report.figures.registry import FinishedRun

@@ -9,13 +9,13 @@ from typing import Any
 
 from bayesfric.base.atomic_write import add_files, write_files
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Shown
+from bayesfric.base.progress import ProgressCallback
 from bayesfric.base.safe_read import read_text
 from bayesfric.commands.report import report
-from bayesfric.report.alerts import roll_out_alerts
 from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
+from bayesfric.report.messages import roll_out_messages
 from bayesfric.report.summary.record import read_summary_file
 from bayesfric.report.summary.rows import RollOutPart, rollout_part
 from bayesfric.report.words import filled, line_of
@@ -29,7 +29,7 @@ def rollout(
     draws: int,
     seed: int | None = None,
     every: bool = False,
-    progress: Shown,
+    progress: ProgressCallback,
 ) -> RollOutPart:
     """Play recordings to a run's posterior, and add what comes of it to the run.
 
@@ -63,4 +63,4 @@ def rollout(
 def rollout_text(found: RollOutPart) -> Iterator[str]:
     """Word it for a terminal, line by line."""
     yield from filled("rollout.txt.j2", found=found).splitlines()
-    yield from (f"WARNING: {line_of(*one)}" for one in roll_out_alerts(found).items())
+    yield from (f"WARNING: {line_of(*one)}" for one in roll_out_messages(found).items())

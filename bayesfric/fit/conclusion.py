@@ -17,10 +17,9 @@ from bayesfric.problem.problem import Problem, StartingPoint
 from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import find_doubts, put_doubts
-from bayesfric.report.summary.friction_part import friction_part
+from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
 from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
 from bayesfric.report.summary.rows import BackEmfPart, RestsPart
-from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
 
@@ -44,8 +43,8 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
     summary = summarise(found, problem.references(), start.choice, derived)
     summary = add_model_error(summary, found, derived)
     summary = _with_back_emf(summary, examined.back_emf, len(problem.recordings))
-    rests = [RestsPart.model_validate(vars(one)) for one in examined.rests]
-    summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
+    changed = {"rests": [RestsPart.model_validate(vars(rests)) for rests in examined.rests]}
+    summary = summary.model_copy(update={"fit": summary.fit.model_copy(update=changed)})
     summary = _with_findings(summary, examined.explained, examined.taken)
     doubts = find_doubts(found, summary, examined.contradicted)
     if examined.self_check is not None:

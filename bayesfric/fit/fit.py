@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, Shown
+from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.self_check import Checked, self_check
@@ -29,7 +29,7 @@ def fit(
     sampling: Sampling,
     *,
     output_error: bool,
-    progress: Shown,
+    progress: ProgressCallback,
 ) -> Result:
     """Sample a problem as it was read, and sum it up; see :meth:`bayesfric.Model.fit`."""
     tables = problem.config.tables
@@ -82,7 +82,7 @@ def _examine(
     found: Fit,
     explained: Explanation,
     taken: Sequence[Finding],
-    progress: Shown,
+    progress: ProgressCallback,
 ) -> Examination:
     target, median, recordings = found.target, found.posterior.median, problem.recordings
     usable = found.posterior.diagnostics.status != "unusable"

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, Shown, by_method, progress_shown, silent
+from bayesfric.base.progress import (
+    Progress,
+    ProgressCallback,
+    by_method,
+    no_progress,
+    progress_shown,
+)
 from bayesfric.estimates.descent import few_threads
 from bayesfric.estimates.methods import estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Method
@@ -129,7 +135,7 @@ class Model(Problem):
         """Tabulate what :meth:`identification` finds, a row for each parameter."""
         return self.identification().frame
 
-    def identification(self, *, progress: Shown = silent) -> Identification:
+    def identification(self, *, progress: ProgressCallback = no_progress) -> Identification:
         """Tell what these recordings can and cannot determine, before anything is sampled.
 
         The likelihood is looked at where an estimate is.
@@ -144,7 +150,7 @@ class Model(Problem):
             speed = speed_term(target, point, self.recordings)
             return identify(target, point, speed=speed)
 
-    def advise(self, name: str, *, progress: Shown = silent) -> Ranking:
+    def advise(self, name: str, *, progress: ProgressCallback = no_progress) -> Ranking:
         """Rank recordings to make next by what they would leave of one quantity.
 
         Parameters
@@ -176,7 +182,7 @@ class Model(Problem):
                 progress=lambda stage: progress(Progress(stage)),
             )
 
-    def _at_estimate(self, progress: Shown) -> tuple[Target, Array]:
+    def _at_estimate(self, progress: ProgressCallback) -> tuple[Target, Array]:
         """Look at the likelihood at an estimate by the method that it belongs to.
 
         Load losses are held by their priors there. Where the load never drives the motor,
@@ -247,7 +253,7 @@ class Model(Problem):
         *,
         seed: int | None = None,
         output_error: bool = False,
-        progress: Shown = silent,
+        progress: ProgressCallback = no_progress,
     ) -> Result:
         """Sample the posterior, and sum it up.
 
@@ -275,7 +281,7 @@ class Model(Problem):
             progress=progress,
         )
 
-    def pool(self, *, seed: int | None = None, progress: Shown = silent) -> Pooled:
+    def pool(self, *, seed: int | None = None, progress: ProgressCallback = no_progress) -> Pooled:
         """Say what recordings of which some parameters differ tell together.
 
         ``vary``, or the table ``pooling``, names these parameters; ``seed`` replaces that of the
@@ -295,7 +301,7 @@ class Model(Problem):
         *,
         seed: int | None = None,
         output_error: bool = False,
-        progress: bool | Shown = False,
+        progress: bool | ProgressCallback = False,
     ) -> xr.DataTree:
         """Sample the posterior as ``bayesfric fit`` does.
 

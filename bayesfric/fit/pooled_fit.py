@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, Shown, Spent
+from bayesfric.base.progress import Progress, ProgressCallback, Timer
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.fit.check_report import check
@@ -18,7 +18,7 @@ from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point
-from bayesfric.results.verdict import Outcome, verdict
+from bayesfric.results.reported import Outcome, verdict
 
 LEVEL = 0.9
 # Runs that a joint posterior has room for.
@@ -66,7 +66,7 @@ class Pooled:
         return asdict(self)
 
 
-def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
+def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Pooled:
     """Fit every recording alone, then all together, as a model's configuration says.
 
     ``seed`` replaces the configuration's.
@@ -74,7 +74,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     BadInput for fewer than two recordings, too many for one posterior, names that the joint does
     not have or that are known, and an output-error likelihood.
     """
-    spent = Spent()
+    spent = Timer()
     tables = problem.config.tables
     settings, vary = tables.sampling, list(tables.pooling.vary)
     if seed is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesfric.base.atomic_write import check_output_folder
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Shown, silent
+from bayesfric.base.progress import ProgressCallback, no_progress
 from bayesfric.inference.fitting import Fit
 from bayesfric.problem.config_text import saved_name
 from bayesfric.problem.problem import Problem
@@ -57,7 +57,7 @@ class Result:
         *,
         draws: int | None = None,
         paper: bool = False,
-        progress: Shown = silent,
+        progress: ProgressCallback = no_progress,
     ) -> Summary:
         """Write a run directory, and give what its ``summary.json`` holds.
 

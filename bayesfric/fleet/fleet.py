@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
-from bayesfric.base.progress import Progress, Shown, progress_shown
+from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
 from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
 from bayesfric.fleet.fleet_units import read_units, units_of
 from bayesfric.fleet.plan import (
@@ -135,7 +135,7 @@ class Fleet:
         workers: int | None = None,
         scheduler: Any = None,
         resume: bool = False,
-        progress: bool | Shown = False,
+        progress: bool | ProgressCallback = False,
     ) -> FleetRun:
         """Fit every unit that is not done.
 
@@ -178,7 +178,9 @@ class Fleet:
             what = f"cannot be written ({error.strerror or error})"
             raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
 
-    def _run(self, folder: Path, options: ClusterOptions, tell: Shown, began: float) -> FleetRun:
+    def _run(
+        self, folder: Path, options: ClusterOptions, tell: ProgressCallback, began: float
+    ) -> FleetRun:
         """Fit what is missing, and sum all units up: the table, figures, the page."""
         from bayesfric.fleet.page import fleet_page
 

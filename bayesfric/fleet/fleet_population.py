@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesfric.population.outliers import WithOutliers, with_outliers
-from bayesfric.report.comparison.between_runs import Told, read_draws, told_by_runs
+from bayesfric.report.comparison.between_runs import SharedQuantity, read_draws, shared_quantities
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 
@@ -84,14 +84,14 @@ def fleet_population(folder: Path, runs: Mapping[str, Summary]) -> FleetPopulati
     draws = {unit: read_draws(folder / unit, summary) for unit, summary in runs.items()}
     quantities = [
         _pooled(one)
-        for one in told_by_runs(runs, draws)
+        for one in shared_quantities(runs, draws)
         # what a scaling of leg and gearbox changes is a unit's own only where its data tell
         if next(iter(one.runs.values())).gauge_free is not False
     ]
     return FleetPopulation(quantities)
 
 
-def _pooled(one: Told) -> FleetQuantity:
+def _pooled(one: SharedQuantity) -> FleetQuantity:
     level = next(iter(one.runs.values())).level
     pool = with_outliers(list(one.likelihoods.values()), level)
     outlying = dict(zip(one.likelihoods, pool.outlying, strict=True))

@@ -146,7 +146,7 @@ def _distribution(quantities: Sequence[FleetQuantity]) -> Figure:
 def _panel(ax: Axes, one: FleetQuantity) -> list[Artist]:
     names = sorted(one.units, key=lambda name: one.units[name].value)
     x = np.arange(1.0, len(names) + 1.0)
-    ends = np.array([(told.low, told.high) for told in (one.units[name].told for name in names)])
+    ends = np.array([(told.low, told.high) for told in (one.units[name].printed for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
     y = np.array([one.units[name].value for name in names]) / scale

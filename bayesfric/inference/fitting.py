@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.estimates.methods import ESTIMATORS
 from bayesfric.estimates.point_estimate import Estimate
@@ -261,7 +261,7 @@ def fit(
     sampling: Sampling,
     *,
     estimates: Sequence[Estimate] = (),
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 

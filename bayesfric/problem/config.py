@@ -189,7 +189,7 @@ class Config(BaseModel):
             yield
         except BadInput as error:
             where = ": ".join(part for part in (str(self.path), place, error.where) if part)
-            raise BadInput(where, error.what, error.mend) from None
+            raise BadInput(where, error.what, error.hint) from None
 
 
 def read_config(path: Path) -> Config:

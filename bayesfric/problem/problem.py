@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.base.progress import Progress, Shown, by_method, silent
+from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
 from bayesfric.diagnostics.explanation import Explanation, explain, unasked
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import MOST
@@ -128,7 +128,7 @@ class Problem:
         return found
 
     def estimates(
-        self, methods: Sequence[Method] = METHODS, *, progress: Shown = silent
+        self, methods: Sequence[Method] = METHODS, *, progress: ProgressCallback = no_progress
     ) -> list[Estimate]:
         """Estimate the parameters by one or more of the paper's methods.
 
@@ -176,7 +176,7 @@ class Problem:
         estimates: Sequence[Estimate] = (),
         *,
         seed: int | None = None,
-        progress: Shown = silent,
+        progress: ProgressCallback = no_progress,
     ) -> Explanation:
         """Ask what else explains the torque, judged by simulated twins of these recordings.
 
@@ -202,7 +202,7 @@ class Problem:
             self.config.tables.sampling.seed if seed is None else seed,
         )
 
-    def _point(self, estimates: Sequence[Estimate], progress: Shown) -> dict[str, float]:
+    def _point(self, estimates: Sequence[Estimate], progress: ProgressCallback) -> dict[str, float]:
         """Give the first of the estimates that has all parameters, or one of the input error."""
         found = next((dict(one.point) for one in estimates if one.point), None)
         return found or dict(self.estimates(["input-error"], progress=progress)[0].point)
@@ -216,7 +216,7 @@ class Problem:
         return contradicted(e.chain, e.observations, e.knowledge, e.options, start)
 
     def completed(
-        self, *, progress: Shown = silent
+        self, *, progress: ProgressCallback = no_progress
     ) -> tuple[Self, tuple[Finding, ...], Explanation]:
         """Put in what else explains the torque, one term after the other, until nothing is left.
 
@@ -258,7 +258,7 @@ class Problem:
             else:
                 return model, tuple(taken), left
 
-    def _candidate(self, progress: Shown) -> FittedModel:
+    def _candidate(self, progress: ProgressCallback) -> FittedModel:
         return FittedModel(self.evidence, self.estimates(["input-error"], progress=progress)[0])
 
     def _with(self, one: Finding) -> Self | None:
@@ -349,7 +349,7 @@ class StartingPoint:
 
 
 def starting_point(
-    problem: Problem, *, output_error: bool = False, progress: Shown = silent
+    problem: Problem, *, output_error: bool = False, progress: ProgressCallback = no_progress
 ) -> StartingPoint:
     """Estimate, choose the noise, and make the log-posterior that is sampled.
 

@@ -1,1 +1,1 @@
-"""What we tell: tables, figures, pages. Called, it writes a run directory."""
+"""Reports: terminal, tables, figures, pages. Called, it writes a run directory."""

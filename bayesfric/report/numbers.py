@@ -1,6 +1,6 @@
 r"""How numbers are written, as plain text, in LaTeX (siunitx 3) and in HTML.
 
-An uncertainty has two digits, and sets the last digit of everything beside it; of a skewed
+An uncertainty has two digits, and sets the last digit of its value and interval; of a skewed
 posterior the nearer end of its interval does (:func:`finer`).
 """
 
@@ -12,7 +12,7 @@ from decimal import ROUND_HALF_EVEN, Decimal
 
 from markupsafe import Markup, escape
 
-# Two digits of an uncertainty; a third tells nothing.
+# Digits of an uncertainty; a third says nothing.
 _DIGITS = 2
 # Of the distance to the farther end of an interval; finer than that a nearer one sets no digits.
 _FINEST = 1e-3
@@ -21,7 +21,7 @@ _PLAIN = (-3, 4)
 
 
 def last_digit(uncertainty: float) -> int:
-    """Power of ten of the last digit to print beside an uncertainty."""
+    """Power of ten of the last digit to print, by an uncertainty."""
     if not (math.isfinite(uncertainty) and uncertainty > 0.0):
         raise ValueError(f"{uncertainty} is no uncertainty")
     place = math.floor(math.log10(uncertainty)) - (_DIGITS - 1)
@@ -34,18 +34,18 @@ def last_digit(uncertainty: float) -> int:
 def finer(middle: float, low: float, high: float, sd: float) -> float:
     """Give what to round by: the sd, or if less the distance to the nearer end of the interval.
 
-    A long tail makes the sd larger than all that the other side of the median has.
+    A long tail makes the sd larger than the distance to the end on the other side.
     """
     near, far = sorted((abs(middle - low), abs(high - middle)))
     return min(sd, max(near, _FINEST * far)) or sd
 
 
 def _aligned(
-    sd: float, values: Sequence[float], more: Sequence[float] = ()
+    sd: float, values: Sequence[float], others: Sequence[float] = ()
 ) -> tuple[list[Decimal], int]:
-    """Round to the last digit that an sd sets, over a shared power of ten, which is returned too.
+    """Round ``values`` and ``others`` to the last digit that an sd sets.
 
-    ``values`` set that power; ``more`` are written next to them.
+    Over a shared power of ten, set by ``values``, which is returned too.
     """
     last = last_digit(sd)
     largest = max(map(abs, values))
@@ -53,7 +53,7 @@ def _aligned(
     # digits that are not known must not be written as zeros
     exponent = 0 if last <= 0 and _PLAIN[0] <= at < _PLAIN[1] else at
     unit = Decimal(1).scaleb(last)
-    rounded = [Decimal(repr(x)).quantize(unit, ROUND_HALF_EVEN) for x in (*values, *more)]
+    rounded = [Decimal(repr(x)).quantize(unit, ROUND_HALF_EVEN) for x in (*values, *others)]
     # 0.0 has no sign
     return [(x if x else abs(x)).scaleb(-exponent) for x in rounded], exponent
 
@@ -68,8 +68,8 @@ def _with_ends(
 
 # Media write an exact `number`; a `value` with its sd, or for a skewed posterior with its distances
 # to the `ends` of an interval; and an `interval`: an uncertainty sets the last digit of all.
-# `limits` are the signs of an upper and a lower limit, `none` stands for no number, and `sds` is
-# whether tables have room for sds beside intervals.
+# `limits` are the signs of an upper and a lower limit, `none` is for no number, and `sds` is
+# whether tables have sds in addition to intervals.
 
 
 class _Text:
@@ -92,8 +92,8 @@ def text_rounded(value: float, sd: float | None) -> str:
     """Print a value to the last digit that a standard deviation sets, exponent and all."""
     if not sd:
         return f"{value:.5g}"
-    (shown,), exponent = _aligned(sd, (value,))
-    return f"{shown:f}{_power(exponent)}" if shown else "0"
+    (digits,), exponent = _aligned(sd, (value,))
+    return f"{digits:f}{_power(exponent)}" if digits else "0"
 
 
 def p_text(p_value: float) -> str:
@@ -111,28 +111,27 @@ def _power(exponent: int) -> str:
 
 
 class _Latex:
-    limits, none = (r"$\leq$ ", r"$\geq$ "), "---"
-    sds = False
+    limits, none, sds = (r"$\leq$ ", r"$\geq$ "), "---", False
 
     def number(self, value: float, digits: int = 4) -> str:
         return rf"\num{{{value:.{min(digits, 4)}g}}}"
 
     def value(self, value: float, sd: float) -> str:
-        (shown, error), exponent = _aligned(sd, (value, sd))
+        (middle, error), exponent = _aligned(sd, (value, sd))
         # the uncertainty in parentheses counts last digits
         digits = "".join(map(str, error.as_tuple().digits))
-        return rf"\num{{{shown:f}({digits}){_power(exponent)}}}"
+        return rf"\num{{{middle:f}({digits}){_power(exponent)}}}"
 
     def ends(self, value: float, low: float, high: float, sd: float) -> str:
         middle, above, below, exponent = _with_ends(value, low, high, sd)
-        shown = rf"\num{{{middle:f}}}^{{+\num{{{above:f}}}}}_{{-\num{{{below:f}}}}}"
-        return f"${shown}$" if not exponent else rf"$({shown})\times 10^{{{exponent}}}$"
+        text = rf"\num{{{middle:f}}}^{{+\num{{{above:f}}}}}_{{-\num{{{below:f}}}}}"
+        return f"${text}$" if not exponent else rf"$({text})\times 10^{{{exponent}}}$"
 
     def interval(self, low: float, high: float, sd: float) -> str:
-        shown, exponent = _aligned(sd, (low, high))
-        # \num groups digits as it does in the value beside it
-        ends = ", ".join(rf"\num{{{end:f}}}" for end in shown)
-        return f"$[{ends}]$" if not exponent else rf"$[{ends}]\times 10^{{{exponent}}}$"
+        ends, exponent = _aligned(sd, (low, high))
+        # \num groups digits as in the value
+        text = ", ".join(rf"\num{{{end:f}}}" for end in ends)
+        return f"$[{text}]$" if not exponent else rf"$[{text}]\times 10^{{{exponent}}}$"
 
 
 class _Html:
@@ -144,19 +143,18 @@ class _Html:
         return html_number(f"{value:.{digits}g}")
 
     def value(self, value: float, sd: float) -> Markup:
-        shown, exponent = _aligned(sd, (value, sd))
-        return _scaled(Markup("{} ± {}").format(*map(_signed, shown)), exponent)
+        pair, exponent = _aligned(sd, (value, sd))
+        return _scaled(Markup("{} ± {}").format(*map(_signed, pair)), exponent)
 
     def ends(self, value: float, low: float, high: float, sd: float) -> Markup:
         middle, above, below, exponent = _with_ends(value, low, high, sd)
-        ends = Markup('<span class="ends"><sup>+{}</sup><sub>\u2212{}</sub></span>')
-        shown = Markup("{} {}").format(_signed(middle), ends.format(*map(_signed, (above, below))))
-        return _scaled(shown, exponent)
+        ends = Markup('{} <span class="ends"><sup>+{}</sup><sub>\u2212{}</sub></span>')
+        return _scaled(ends.format(*map(_signed, (middle, above, below))), exponent)
 
     def interval(self, low: float, high: float, sd: float) -> Markup:
-        shown, exponent = _aligned(sd, (low, high))
-        ends = Markup("[{}, {}]").format(*map(_signed, shown))
-        return _scaled(ends, exponent, brackets=False)
+        pair, exponent = _aligned(sd, (low, high))
+        text = Markup("[{}, {}]").format(*map(_signed, pair))
+        return _scaled(text, exponent, brackets=False)
 
 
 Medium = _Text | _Latex | _Html
@@ -164,7 +162,7 @@ TEXT, LATEX, HTML = _Text(), _Latex(), _Html()
 
 
 def html_number(text: str) -> Markup:
-    """Set a number such as ``-1.2e-05`` with a minus sign and a power of ten."""
+    """Write a number such as ``-1.2e-05`` with a minus sign and a power of ten."""
     digits, _, power = text.partition("e")
     return _scaled(escape(_signed(Decimal(digits))), int(power or 0), brackets=False)
 
@@ -184,8 +182,8 @@ def _signed(number: Decimal) -> str:
     return f"{number:f}".replace("-", "\u2212")
 
 
-def _scaled(shown: Markup, exponent: int, *, brackets: bool = True) -> Markup:
+def _scaled(text: Markup, exponent: int, *, brackets: bool = True) -> Markup:
     if not exponent:
-        return shown
+        return text
     power = Markup("\u00a0×\u00a010<sup>{}</sup>").format(_signed(Decimal(exponent)))
-    return (Markup("({})").format(shown) if brackets else shown) + power
+    return (Markup("({})").format(text) if brackets else text) + power

@@ -21,10 +21,10 @@ from bayesfric.report.summary.derived_quantities import Group, coefficients
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow
 
-# Draws kept of the groups that hold a number for every draw and every output: at most, at least,
+# Draws of the groups that hold a number for every draw and every output: at most, at least,
 # and between them as many as make so many numbers.
 _POINTWISE_DRAWS, _LEAST_DRAWS, _POINTWISE = 400, 12, 1_000_000
-# Draws kept that allow for model discrepancy.
+# Draws that allow for model discrepancy.
 _WIDENED_DRAWS = 4000
 # Groups whose variables are parameters and derived quantities, in their units.
 _IN_UNITS = ("posterior", "derived", "prior", "widened")
@@ -42,13 +42,12 @@ def posterior_tree(
 ) -> xr.DataTree:
     """Put the groups of ``posterior.nc`` together.
 
-    ``posterior`` holds every kept draw, a walker being a chain, and ``derived`` what follows from
-    it; their variables carry units, symbol, meaning and verdict. ``widened`` holds both with model
+    ``posterior`` holds every draw, a walker being a chain, and ``derived`` the derived quantities;
+    their variables carry units, symbol, meaning and verdict. ``widened`` holds both with model
     discrepancy, where recordings show any: the draws that simulations use. ``log_prior`` has the
     log density of each parameter's prior at each draw. ``ensemble`` of ``sample_stats`` numbers the
     ensemble of a walker. ``log_likelihood`` and ``posterior_predictive`` hold a number for each
-    output and a subset of the draws. A light run has so many ``draws`` of the posterior, with what
-    follows from them, and of its prior.
+    output and a subset of the draws. A light run has so many ``draws`` of posterior and prior.
     """
     posterior, outputs = fit.posterior, fit.target.likelihood.outputs
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(1,)))
@@ -109,7 +108,7 @@ def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str,
     def by_chain(arrays: Mapping[str, NDArray[Any]]) -> Arrays:
         return {name: x.reshape(chains) for name, x in arrays.items()}
 
-    # totals as least squares would see them need the recordings, and are in the summary only
+    # totals of least squares need the recordings, and are in the summary only
     coefficient_draws = derived.named(flat)
     return {
         "posterior": by_chain(named),
@@ -123,10 +122,10 @@ def _every_draw(fit: Fit, derived: Group, rng: np.random.Generator) -> dict[str,
 
 
 def _subset(posterior: Posterior, derived: Group, draws: int) -> Arrays:
-    """Take so many draws of every parameter and of what follows from it, ``(1, draws)`` each."""
-    kept = posterior.flat(draws)
-    parameters = dict(zip(posterior.names, kept.T, strict=True))
-    return {name: x[None] for name, x in (parameters | derived.named(kept)).items()}
+    """Thin the draws of parameters and derived quantities, ``(1, draws)`` each."""
+    flat = posterior.flat(draws)
+    parameters = dict(zip(posterior.names, flat.T, strict=True))
+    return {name: x[None] for name, x in (parameters | derived.named(flat)).items()}
 
 
 def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[Arrays, Arrays]:
@@ -160,7 +159,7 @@ def _pointwise(fit: Fit, rng: np.random.Generator) -> tuple[Arrays, Arrays]:
 def _provenance(
     fit: Fit, summary: Summary, config_text: str, recordings: list[Measurement]
 ) -> dict[str, str]:
-    """Say what is needed to repeat a run."""
+    """Gather what is needed to repeat a run."""
     return {
         "bayesfric": __version__,
         "versions": json.dumps(
@@ -178,7 +177,7 @@ def _provenance(
 
 
 def _description(row: PosteriorRow) -> dict[str, str]:
-    """Say what a variable is: unit, symbol, meaning, verdict and doubts."""
+    """Give unit, symbol, meaning, verdict and doubts of a variable."""
     texts = {"units": row.unit or "1", "symbol": row.symbol, "long_name": row.meaning}
     texts |= {"verdict": row.verdict, "doubted": ", ".join(row.doubted)}
     return {key: text for key, text in texts.items() if text}

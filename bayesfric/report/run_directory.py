@@ -1,4 +1,4 @@
-"""A run directory: made beside, moved into place when it is whole."""
+"""Write a run directory: in a temporary folder, moved into place when complete."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bayesfric.base.atomic_write import new_folder
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
@@ -31,23 +31,21 @@ def write_run(
     draws: int | None = None,
     *,
     paper: bool = False,
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
 ) -> None:
-    """Write a run directory that :func:`check_output_folder` let pass.
+    """Write a run directory.
 
-    ``config_text`` is the configuration as read; of ``recordings`` it keeps the SHA-256; what
-    the folder ``saved`` holds belongs into it. With a number of ``draws`` it is a light one:
-    so many are kept, and neither figures, tables nor page are made, as of one of hundreds nobody
-    looks at. ``paper`` adds what a paper wants: tables in LaTeX, references, and figures as PDF and
-    PNG.
+    The contents of the folder ``saved`` are copied into it. With a number of ``draws`` it is a
+    light one: so many are kept, and neither figures, tables nor page are made. ``paper`` adds
+    tables in LaTeX, references, and figures as PDF and PNG.
     """
     summary = Summary.read(summary)
-    with new_folder(folder) as beside:
+    with new_folder(folder) as partial:
         if saved is not None:
-            shutil.copytree(saved, beside, dirs_exist_ok=True)
-        (beside / "config.toml").write_text(config_text, encoding="utf-8")
+            shutil.copytree(saved, partial, dirs_exist_ok=True)
+        (partial / "config.toml").write_text(config_text, encoding="utf-8")
         indent = 1 if draws is None else None
-        (beside / "summary.json").write_text(
+        (partial / "summary.json").write_text(
             json.dumps(summary.as_dict(), indent=indent, ensure_ascii=False, allow_nan=False)
             + "\n",
             encoding="utf-8",
@@ -55,38 +53,35 @@ def write_run(
         progress(Progress("draws"))
         tree = posterior_tree(fit, summary, config_text, recordings, draws)
         # in memory first: on a full disk HDF5 would end the process
-        (beside / "posterior.nc").write_bytes(tree.to_netcdf(engine="h5netcdf"))
+        (partial / "posterior.nc").write_bytes(tree.to_netcdf(engine="h5netcdf"))
         if draws is not None:
             return
         run = FinishedRun(fit, summary)
         kinds = ALL_KINDS if paper else ON_PAGE
-        drawn = draw(beside / "figures", run, kinds, progress)
+        drawn = draw(partial / "figures", run, kinds, progress)
         texts = summary_texts(summary, folder.name) | {
             "text/captions.md": captions(run, drawn),
         }
         if paper:
             texts |= latex_texts(summary, folder.name)
         for name, text in texts.items():
-            (beside / name).parent.mkdir(exist_ok=True)
-            (beside / name).write_text(text, encoding="utf-8")
+            (partial / name).parent.mkdir(exist_ok=True)
+            (partial / name).write_text(text, encoding="utf-8")
         progress(Progress("page"))
-        # last: it is made from what lies there
-        page = run_page(beside, summary, folder.name)
-        (beside / "report.html").write_text(page, encoding="utf-8")
+        # last: it is made from these files
+        page = run_page(partial, summary, folder.name)
+        (partial / "report.html").write_text(page, encoding="utf-8")
 
 
 def draw(
-    folder: Path,
-    run: FinishedRun,
-    kinds: Sequence[str],
-    progress: Shown,
+    folder: Path, run: FinishedRun, kinds: Sequence[str], progress: ProgressCallback
 ) -> list[Declared]:
-    """Draw a run's figures into ``folder``, and give those that show anything."""
+    """Draw a run's figures into ``folder``, and return those that show anything."""
     folder.mkdir(exist_ok=True)
     drawn = []
-    for stem, one in FIGURES.items():
+    for stem, declared in FIGURES.items():
         progress(Progress(f"figure {stem}"))
-        if (figure := one.draw(run)) is not None:
+        if (figure := declared.draw(run)) is not None:
             save(figure, folder, stem, kinds)
-            drawn.append(one)
+            drawn.append(declared)
     return drawn

@@ -1,4 +1,4 @@
-"""What terminal, page and print say: ``words.toml`` by kind, and texts out of templates."""
+"""Wording of every message by its kind (``words.toml``), and texts from templates."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ from typing import Any
 
 from jinja2 import Environment
 
-from bayesfric.base.progress import spent_text
+from bayesfric.base.progress import time_text
 from bayesfric.base.templates import environment, percent, placed, two
 from bayesfric.report.numbers import p_text
 
 
 @dataclass(frozen=True)
 class Words:
-    """Of one kind: what it is, and what to do about it; either may be empty.
-
-    ``instead`` is what to do where a value of that name is told.
-    """
+    """Of one kind: what it is, and what to do about it; either may be empty."""
 
     what: str
     do: str
-    instead: Mapping[str, str]
+    instead: Mapping[str, str]  # what to do instead where there is a value of that name
+    section: str  # of the page, which says more; may be empty
 
 
 @cache
@@ -37,30 +35,32 @@ def words() -> Mapping[str, Words]:
         kind: Words(
             entry.pop("what"),
             entry.pop("do", ""),
-            {key.removeprefix("do_"): do for key, do in entry.items()},
+            section=entry.pop("section", ""),
+            instead={key.removeprefix("do_"): do for key, do in entry.items()},
         )
         for kind, entry in tomllib.loads(text).items()
     }
 
 
 def words_of(kind: str) -> Words:
-    """Give what is said of a kind; one that only another version knows by name and parameters."""
-    return words().get(kind, Words("{kind}", "{parameters}", {}))
+    """Give the words of a kind; of one from another version its name and parameters."""
+    return words().get(kind, Words("{kind}", "{parameters}", {}, ""))
 
 
 def line_of(kind: str, values: Mapping[str, Any] | None = None) -> str:
-    """Say one thing in a line without a full stop: what it is, and what to do.
+    """Word a message in a line without a full stop: what it is, and what to do.
 
-    Of a finding the ``values`` tell its share of the torque (rms), and the key that puts it in.
+    Of a finding the ``values`` give its share of the torque (rms), and the key that adds it.
     """
-    told = {"kind": kind, **(values or {})}
+    values = {"kind": kind, **(values or {})}
     if kind == "put in":
-        return f"added: {line_of(told['kind'], told)}"
-    known = words_of(_kind(kind, told))
-    do = next((text for key, text in known.instead.items() if told.get(key)), known.do)
-    what, do = (_FILL.vformat(text, (), told) for text in (known.what, do))
-    if "hint" in told:
-        what, do = _found(what, do, told)
+        added = values.get("what", values["kind"])
+        return f"added: {line_of(added, values | {'kind': added})}"
+    known = words_of(_kind(kind, values))
+    do = next((text for key, text in known.instead.items() if values.get(key)), known.do)
+    what, do = (_FILL.vformat(text, (), values) for text in (known.what, do))
+    if "hint" in values:
+        what, do = _finding(what, do, values)
     return f"{what}: {do}" if do else what
 
 
@@ -70,11 +70,11 @@ def doubt_text(doubt: Mapping[str, Any]) -> str:
 
 
 def clause(kind: str, values: Mapping[str, Any] | None = None) -> str:
-    """Say what it is alone, as behind "because"."""
-    told = {"kind": kind, **(values or {})}
-    what = _FILL.vformat(words_of(_kind(kind, told)).what, (), told)
+    """Say what it is, without what to do, as behind "because"."""
+    values = {"kind": kind, **(values or {})}
+    what = _FILL.vformat(words_of(_kind(kind, values)).what, (), values)
     if kind == "missing":
-        what += f" ({percent(told['share'])} % rms)"
+        what += f" ({percent(values['share'])} % rms)"
     return what
 
 
@@ -85,28 +85,28 @@ def listed(parts: Sequence[str]) -> str:
 
 
 def _kind(kind: str, values: Mapping[str, Any]) -> str:
-    """Give a finding by its own kind, which a doubt has as ``what``."""
+    """Give the kind of a finding, which a doubt has as ``what``."""
     return str(values.get("what", kind)) if kind == "missing" else kind
 
 
-def _found(what: str, do: str, told: Mapping[str, Any]) -> tuple[str, str]:
-    share = f"({percent(told['share'])} % rms)"
-    if told.get("span"):
-        low, high = told["span"]
-        return f"{what} {share}", f"exclude = [[{low:.1f}, {high:.1f}]] of {told['recording']}"
-    if not told.get("physical", True):
+def _finding(what: str, do: str, values: Mapping[str, Any]) -> tuple[str, str]:
+    share = f"({percent(values['share'])} % rms)"
+    if values.get("span"):
+        low, high = values["span"]
+        return f"{what} {share}", f"exclude = [[{low:.1f}, {high:.1f}]] of {values['recording']}"
+    if not values.get("physical", True):
         return f"{what} of the wrong sign {share}", "something that is on no list"
-    if told["hint"]:
-        table, line = placed(told["hint"])
+    if values["hint"]:
+        table, line = placed(values["hint"])
         do = f"{line} in [{table}]"
     return f"{what} {share}", do
 
 
 class _Fill(Formatter):
-    """Fills a line; what is not told is left out, a list is cut to three."""
+    """Fills a line; missing values are left out, a list is cut to three."""
 
-    def get_value(self, key: int | str, _: Sequence[Any], told: Mapping[str, Any]) -> Any:
-        value = told.get(str(key), "")
+    def get_value(self, key: int | str, _: Sequence[Any], values: Mapping[str, Any]) -> Any:
+        value = values.get(str(key), "")
         return percent(value) if key == "share" else value
 
     def format_field(self, value: Any, spec: str) -> str:
@@ -115,8 +115,8 @@ class _Fill(Formatter):
         if isinstance(value, Mapping):
             value = [f"{name} ({two(x)})" for name, x in value.items()]
         if isinstance(value, list | tuple):
-            more = f" and {len(value) - 3} more" if len(value) > 3 else ""
-            return ", ".join(map(str, value[:3])) + more
+            rest = f" and {len(value) - 3} more" if len(value) > 3 else ""
+            return ", ".join(map(str, value[:3])) + rest
         return two(value) if isinstance(value, float) else str(value)
 
 
@@ -124,30 +124,30 @@ _FILL = _Fill()
 
 
 def filled(template: str, **values: Any) -> str:
-    """Fill a template of plain text; lines that only hold markup leave nothing."""
+    """Fill a template of plain text."""
     return text_environment().get_template(template).render(**values)
 
 
 def csv_text(lines: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> str:
-    """Lay a table out as CSV, every number in full."""
-    import pandas as pd  # takes half a second, which not every command has to wait
+    """Write a table as CSV, every number in full."""
+    import pandas as pd  # slow to import
 
     return str(pd.DataFrame(list(lines), columns=list(columns)).to_csv(index=False))
 
 
-# What templates of text and of pages have in common.
+# Of templates of text and of pages.
 FILTERS = {
     "p": p_text,
     "white": lambda white: "pass as white" if white else "do NOT pass as white",
     "listed": listed,
-    "spent": spent_text,
-    "said": lambda kind: words_of(kind).what,
+    "spent": time_text,
+    "what": lambda kind: words_of(kind).what,
 }
 
 
 @cache
 def text_environment() -> Environment:
-    """Give the environment of templates that make plain text."""
-    made = environment("bayesfric.report")
-    made.filters |= FILTERS
-    return made
+    """Load the templates that make plain text."""
+    templates = environment("bayesfric.report")
+    templates.filters |= FILTERS
+    return templates

@@ -1,21 +1,17 @@
-"""One number as every view prints it, and how it came about.
-
-The value is the posterior's median; room for a model that is not exactly right widens its
-interval. Nothing else prints one.
-"""
+"""The one value, interval and status of a number that every view prints, and a run's verdict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
 Status = Literal["identified", "limit", "prior", "unidentified", "doubtful"]
 # Share of the posterior that every reported interval holds.
 LEVEL = 0.9
-# Who determined a number: the data, data and prior, or the prior; and what it is reported as.
+# What determined a number: the data, data and prior, or the prior; and what it is reported as.
 Determined = Literal["data", "weak", "prior"]
 KNOWN_BY: dict[Determined, Status] = {
     "data": "identified",
@@ -26,9 +22,8 @@ KNOWN_BY: dict[Determined, Status] = {
 ORDER: tuple[Status, ...] = ("identified", "doubtful", "limit", "prior", "unidentified")
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Value, ends of the interval and standard deviation of one step on the way."""
+class Spread(NamedTuple):
+    """Value, ends of the interval and standard deviation."""
 
     value: float
     low: float
@@ -37,14 +32,14 @@ class Spread:
 
 
 class How(BaseModel):
-    """What made the number: the posterior's own, and what was changed of it."""
+    """How a reported number was made: the posterior's own, and what was changed of it."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     posterior: list[FiniteFloat]  # value, low, high and sd, were the model right
-    widened: bool = False  # whether the interval has room for a model that is not exactly right
+    widened: bool = False  # whether the interval allows for model discrepancy
     findings: list[str] = []  # kinds that move it by more than its interval
-    converged: bool = True  # or the sampling of this number has not
+    converged: bool = True  # whether the sampling of this number converged
 
 
 class Reported(BaseModel):
@@ -52,8 +47,8 @@ class Reported(BaseModel):
 
     ``identified`` by the data; a ``limit``, which with a chance of half of one less the level lies
     beyond ``bound`` (``at_most`` or at least); ``prior``: by data and prior together;
-    ``unidentified``: the data say nothing, and value and interval are those of prior and bounds, or
-    the sampling has not converged; ``doubtful``: a finding moves it by more than its interval.
+    ``unidentified``: value and interval are those of prior and bounds, or the sampling has not
+    converged; ``doubtful``: a finding moves it by more than its interval.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -70,55 +65,78 @@ class Reported(BaseModel):
 def concluded(
     posterior: Spread,
     *,
-    verdict: Literal["data", "weak", "prior"],
+    verdict: Determined,
     own_prior: bool = False,
     converged: bool = True,
     widened: Spread | None = None,
     limit: Literal["lower", "upper"] | None = None,
     findings: Sequence[str] = (),
 ) -> Reported:
-    """Join the parts of one number.
+    """Join the parts of one number into what is reported.
 
-    Parameters
-    ----------
-    posterior
-        What the sampling gave, were the model right.
-    verdict
-        By what it is determined: the ``data``, data and prior (``weak``), or the ``prior``.
-    own_prior
-        Whether that prior was given by the user.
-    converged
-        Whether the sampling of this number has.
-    widened
-        With room for the model's error, where there is any.
-    limit
-        Bound that the data push it against.
-    findings
-        Kinds that make it doubtful.
+    ``own_prior`` is whether the user gave its prior, ``widened`` its spread with model discrepancy,
+    ``limit`` the bound that the data push it against, ``findings`` the kinds that make it doubtful.
     """
-    told = widened or posterior
-    how = How(
-        posterior=[posterior.value, posterior.low, posterior.high, posterior.sd],
-        widened=widened is not None,
-        findings=list(findings),
-        converged=converged,
-    )
+    printed = widened or posterior
     status: Status = KNOWN_BY[verdict]
     if verdict == "prior" and own_prior:
         status = "prior"
-    ends = {"lower": told.high, "upper": told.low}
     if limit is not None:
         status = "limit"
     if findings and status != "unidentified":
         status = "doubtful"
     if not converged:
         status, limit = "unidentified", None
+    bound = None if limit is None else printed.high if limit == "lower" else printed.low
     return Reported(
-        value=told.value,
-        sd=told.sd,
-        interval=[told.low, told.high],
+        value=printed.value,
+        sd=printed.sd,
+        interval=[printed.low, printed.high],
         status=status,
-        bound=None if limit is None else ends[limit],
+        bound=bound,
         at_most=None if limit is None else limit == "lower",
-        how=how,
+        how=How(
+            posterior=list(posterior),
+            widened=widened is not None,
+            findings=list(findings),
+            converged=converged,
+        ),
     )
+
+
+Outcome = Literal["good", "usable", "unchecked", "doubtful", "not converged"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a run can be used.
+
+    ``usable`` where the model lacks something that intervals allow for, ``unchecked`` where missing
+    effects could not be tested, ``doubtful`` where a finding moves numbers by more than their
+    intervals.
+    """
+
+    outcome: Outcome
+    explained: float | None  # share of the torque's variance that the model explains
+    asked: int  # number of candidate effects that were tested
+    doubtful: int  # number of quantities that a finding moves
+
+
+def verdict(
+    *,
+    converged: bool,
+    doubts: int,
+    doubtful: int,
+    asked: int | None,
+    explained: float | None,
+    lacking: bool = False,
+) -> Verdict:
+    """Give the verdict on a run; ``asked`` is ``None`` where no candidate could be tested."""
+    outcome: Outcome = "good" if asked is not None else "unchecked"
+    if lacking:
+        outcome = "usable"
+    if doubts:
+        outcome = "doubtful"
+    if not converged:
+        outcome = "not converged"
+    return Verdict(outcome, explained, asked or 0, doubtful)

@@ -1,4 +1,4 @@
-"""What roll-outs find: simulated motions beside the measured ones."""
+"""Results of roll-outs: simulated and measured motions."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Array = NDArray[np.float64]
-# What drives a recording, and what it was to the run.
+# Input of the simulation, and part of the run.
 Input = Literal["torque", "voltage", "target"]
 Part = Literal["fitted", "held out", "new"]
-# What is compared, and what its unit is per.
+# Quantities that are compared, and the denominator of their unit.
 Which = Literal["at_position", "at_speed"]
 WHICH: dict[Which, str] = {"at_position": "", "at_speed": "/s"}
 
 LEVEL = 0.9
-# Share of the time in which bands may be as wide as anything that moves, before they tell nothing.
+# Share of the time in which bands may be as wide as anything that moves, before they say nothing.
 BLIND = 0.2
-# Share of the plays that may go another way over the top, as few as a band leaves out, before
-# nothing can be judged by the others.
+# Share of the simulations that may go another way over the top, as few as a band leaves out.
 MOST_OVER = 1.0 - LEVEL
 
 
 def tells_nothing(blind: float, over: float) -> bool:
-    """Whether bands tell nothing, by the shares of :class:`Rolled`."""
+    """Whether bands are too wide to judge by, from the shares of :class:`Rolled`."""
     return blind > BLIND or over > MOST_OVER
 
 
@@ -45,7 +44,7 @@ class Error:
 
 @dataclass(frozen=True, eq=False)
 class Rolled:
-    """One recording played to draws of the posterior; arrays are ``(N,)``, NaN where not played."""
+    """One recording simulated with draws of the posterior; arrays are ``(N,)``, NaN elsewhere."""
 
     name: str
     part: Part
@@ -60,11 +59,11 @@ class Rolled:
     at_position: Error
     at_speed: Error
     runaway: float  # share of the draws that leave any range, or have no motion
-    # what a band of the position tells nothing beyond: how far the joint moved, or half a turn
-    # where gravity acts; and the share of the time in which it is wider
+    # largest useful width of a band of the position: how far the joint moved, or half a turn where
+    # gravity acts; and the share of the time in which it is wider
     room: float
     blind: float
-    # share of the plays that came half a turn or more away where gravity acts: few are left out of
+    # share of the simulations half a turn or more away where gravity acts: few are left out of
     # bands and middle
     over: float = 0.0
 
@@ -76,14 +75,14 @@ class Rolled:
 
 @dataclass(frozen=True, eq=False)
 class RollOut:
-    """Recordings played to a posterior."""
+    """Recordings simulated with a posterior."""
 
     run: str
     rolled: tuple[Rolled, ...]
     draws: int
     seed: int
-    # by how much the torque that the model leaves unexplained is multiplied for bands of each
-    # fitted recording to hold what they say; a draw takes that of one of them
+    # factor on the unexplained torque that calibrates the bands of each fitted recording; a draw
+    # takes that of one of them
     unexplained: dict[str, float]
     left: float  # root mean square of that torque before, N m or N
     torque_unit: str
@@ -91,14 +90,14 @@ class RollOut:
 
     @property
     def pooled(self) -> dict[Which, Error]:
-        """Means over the recordings; root mean squares of what is a root mean square."""
-        found: dict[Which, Error] = {}
+        """Mean errors over the recordings; root mean squares of the RMSE."""
+        pooled: dict[Which, Error] = {}
         for which in WHICH:
-            rows = [vars(getattr(one, which)) for one in self.rolled]
+            rows = [vars(getattr(rolled, which)) for rolled in self.rolled]
             mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
             mean["rmse"] = float(np.sqrt(np.mean([row["rmse"] ** 2 for row in rows])))
-            found[which] = Error(**mean)
-        return found
+            pooled[which] = Error(**mean)
+        return pooled
 
     @property
     def frame(self) -> pd.DataFrame:
@@ -108,12 +107,12 @@ class RollOut:
         rows = {}
         for which, per in WHICH.items():
             quantity = which.removeprefix("at_")
-            named = [(one.name, getattr(one, which)) for one in self.rolled]
+            named = [(rolled.name, getattr(rolled, which)) for rolled in self.rolled]
             for name, error in [*named, ("all together", self.pooled[which])]:
                 rows[name, quantity] = {"unit": self.rolled[0].unit + per, **vars(error)}
-        found = pd.DataFrame.from_dict(rows, orient="index")
-        found.index.names = ["recording", "quantity"]
-        return found
+        frame = pd.DataFrame.from_dict(rows, orient="index")
+        frame.index.names = ["recording", "quantity"]
+        return frame
 
     def __repr__(self) -> str:
         return self.frame.to_string()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
@@ -97,7 +97,7 @@ def rollout(
     every: bool = False,
     draws: int = 100,
     seed: int | None = None,
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
 ) -> RollOut:
     """Play recordings to the joint, as ``bayesfric rollout`` does, and compare its motion.
 

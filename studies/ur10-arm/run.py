@@ -16,7 +16,7 @@ import bayesfric as bf
 from bayesfric.arm.arm_rollout import rollout
 from bayesfric.arm.base_parameters import combinations
 from bayesfric.arm.fitted_arm import FittedArm
-from bayesfric.base.progress import Spent
+from bayesfric.base.progress import Timer
 from bayesfric.inference.predictive import Prediction, predict_held_out
 
 FOLDER = Path(__file__).parent
@@ -199,7 +199,7 @@ def compared(folder: Path, joints: list[str] | None = None) -> tuple[dict[str, d
 
 def main() -> None:
     """Fit, predict, simulate, and write ``result.json``."""
-    timer = Spent()
+    timer = Timer()
     with tempfile.TemporaryDirectory() as folder:
         joints, fitted = compared(Path(folder))
     seconds = round(timer.cpu_seconds, 1)

@@ -25,7 +25,7 @@ sys.path.insert(0, str(FOLDER.parents[1]))
 
 import bayesfric as bf
 from bayesfric.arm.arm_rollout import rollout
-from bayesfric.base.progress import Spent
+from bayesfric.base.progress import Timer
 from tests.arm.bench import GRAVITY, rigid_torque
 
 URDF = FOLDER.parents[2] / "shared" / "data" / "ur10-arm" / "ur10.urdf"
@@ -159,7 +159,7 @@ def main() -> None:
         parser.add_argument(f"--{key}", type=kind, default=value)
     parser.add_argument("--rollout", action="store_true")
     options = parser.parse_args()
-    rows, arms, timer = [], [], Spent()
+    rows, arms, timer = [], [], Timer()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST, FIRST + options.arms):
             arm_rows, arm = one_arm(Path(folder), seed, options)

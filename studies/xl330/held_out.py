@@ -17,7 +17,7 @@ from bayesfric.fit.model import Model
 from bayesfric.inference.fitting import fit
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.problem.config import parse_config
-from bayesfric.report.summary.validation_part import validation_record
+from bayesfric.report.summary.parts import validation_record
 
 PATH = Path(__file__).with_name("xl330-held-out.toml")
 GAINS = {

@@ -50,7 +50,10 @@ def left_out(runs: dict[str, tuple[Summary, RunDraws]]) -> dict[str, list[dict[s
                 continue
             if row.verdict == "data" or row.doubted:
                 # the excluded run has an uncertainty, too
-                predicted, half = quantity.pool.following, 0.5 * (row.told.high - row.told.low)
+                predicted, half = (
+                    quantity.pool.following,
+                    0.5 * (row.printed.high - row.printed.low),
+                )
                 low = predicted.median - np.hypot(predicted.median - predicted.low, half)
                 high = predicted.median + np.hypot(predicted.high - predicted.median, half)
                 intervals.setdefault(quantity.name, []).append(
@@ -74,7 +77,7 @@ def main() -> None:
     result = {
         quantity.name: {
             "runs": len(quantity.runs),
-            "unit": quantity.told.unit,
+            "unit": quantity.row.unit,
             "mean": vars(quantity.pool.mean),
             "spread": vars(quantity.pool.spread),
             "next": vars(quantity.pool.following),

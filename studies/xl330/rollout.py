@@ -56,7 +56,11 @@ def fitted(effort: str) -> dict[str, Any]:
     """Fit all runs by voltage or targets; return medians and intervals."""
     summary = bf.summary(model((), {}, effort).sample())
     rows = {
-        name: {"median": row.median, "interval": [row.told.low, row.told.high], "sd": row.told.sd}
+        name: {
+            "median": row.median,
+            "interval": [row.printed.low, row.printed.high],
+            "sd": row.printed.sd,
+        }
         for name, row in summary.parameters.items()
     }
     return {"parameters": rows, "residual_rms": summary.fit.residual_rms}

@@ -57,7 +57,7 @@ def test_what_is_missing_is_named_with_what_to_write(swing):
 def test_too_few_outputs_are_said_to_be(swing):
     more = '[processing]\ndecimate = 100\nband = "2 Hz"\n'
     swing.config(JOINT + recorded() + more)
-    has(swing.run("explain", "c.toml").out, "was not asked", "too few outputs")
+    has(swing.run("explain", "c.toml").out, "was not tested", "too few outputs")
 
 
 # -- terms = "auto", and a better configuration

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from bayesfric.base.progress import Spent
+from bayesfric.base.progress import Timer
 from bayesfric.commands.fit import fit
 from bayesfric.problem.config import read_config
 
@@ -117,7 +117,7 @@ def test_who_reads_only_the_first_lines_has_the_run(folder):
 
 
 def test_time_is_that_of_all_processes():
-    spent = Spent()
+    spent = Timer()
     program = "import time\nwhile time.process_time() < 0.3: pass"
     subprocess.run([sys.executable, "-c", program], check=True)
     time.sleep(0.2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.report.alerts import alerts_of
+from bayesfric.report.messages import messages_of
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
 
@@ -60,4 +60,4 @@ def test_which_numbers_hold_it_is_told(one, options):
     names = [n for n in found.summary.parameters if "viscous" in n]
     assert told.same_as_back_emf == names
     assert told.nominal == pytest.approx(KT**2 / R)
-    assert [a.kind for a in alerts_of(found.summary)].count("back-EMF") == 1
+    assert [a.kind for a in messages_of(found.summary)].count("back-EMF") == 1

@@ -51,4 +51,4 @@ def test_they_are_refused_before_anything_is_sampled():
     one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
     with pytest.raises(BadInput, match=r"cannot tell motor.load, gearbox.load apart") as refused:
         bf.Model(TWO, one).fit()
-    assert 'load_loss = "none"' in refused.value.mend
+    assert 'load_loss = "none"' in refused.value.hint

@@ -106,7 +106,7 @@ def test_a_part_of_a_turn_stays_where_it_is_and_a_distribution_is_cut_round_its_
     assert normal.cut_opposite(0.0) is normal
     with pytest.raises(BadInput, match="more than one turn") as caught:
         angle([0.0, 6.4])
-    assert caught.value.mend
+    assert caught.value.hint
 
 
 @pytest.mark.parametrize("preset", PRESETS)

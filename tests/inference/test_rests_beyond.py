@@ -5,7 +5,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.export.exported import export
-from bayesfric.report.alerts import alerts_of
+from bayesfric.report.messages import messages_of
 from tests.axis import AXIS, VALUES
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -35,7 +35,7 @@ def fitted(held, **processing):
 
 
 def told(result):
-    return [a.text for a in alerts_of(result.summary) if a.kind == "rests"]
+    return [a.text for a in messages_of(result.summary) if a.kind == "rests"]
 
 
 def static_friction(folder, form="isaac", name="friction"):

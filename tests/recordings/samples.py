@@ -80,7 +80,7 @@ def refused(folder, used=None, **more):
     assert "\n" not in message
     assert caught.value.where
     assert caught.value.what
-    assert caught.value.mend
+    assert caught.value.hint
     return message
 
 

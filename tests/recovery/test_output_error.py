@@ -67,6 +67,6 @@ def test_an_axis_that_often_sticks_is_refused_before_sampling(tmp_path):
     with pytest.raises(BadInput, match="cannot be linearised") as caught:
         fit(config, tmp_path / "run", progress=lambda p: told.append(p.phase))
     assert caught.value.where == f'{config.path}: likelihood.method = "output-error"'
-    assert "input-error" in caught.value.mend
+    assert "input-error" in caught.value.hint
     assert "warm-up" not in told
     assert not (tmp_path / "run").exists()

@@ -9,10 +9,10 @@ from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.conclusions import (
-    bound_mend,
+    bound_hint,
     bound_warning,
     noise_cut,
 )
@@ -69,7 +69,7 @@ def test_a_physical_bound_is_explained_and_not_warned_of(summaries):
         if summary is summaries["wide"]:
             assert (row["at_bound"], row["bound"], row["bound_physical"]) == ("lower", 0.0, True)
             (printed,) = (r for r in parameter_table(summary).rows if r.name == "motor.coulomb")
-            assert "cannot tell it from 0 N m" in printed.mend
+            assert "cannot distinguish it from 0 N m" in printed.hint
         assert not any(text.startswith("motor.coulomb") for text in summary["warnings"])
 
 
@@ -94,10 +94,10 @@ def test_what_the_prior_alone_makes_needs_no_other_bound():
     """A flat prior that the data say nothing to leans on both of its ends."""
     open_ = posterior_row("N m", 0.5, 0.29, verdict="prior", at_bound="upper", bound=1.0)
     open_ |= {"data_sd": None, "prior_sd": 0.29, "bound_physical": False}
-    assert bound_mend("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
+    assert bound_hint("motor.coulomb", PosteriorRow.model_validate(open_)) == ""
     assert bound_warning("motor.coulomb", PosteriorRow.model_validate(open_)) is None
     pushed = posterior_row("N m", 0.04, 0.01, verdict="prior", **HELD, bound_physical=False)
-    assert "widen" in bound_mend("motor.coulomb", PosteriorRow.model_validate(pushed))
+    assert "widen" in bound_hint("motor.coulomb", PosteriorRow.model_validate(pushed))
 
 
 @pytest.mark.parametrize(("bound", "physical"), [(0.95, False), (1.0, True)])
@@ -107,11 +107,11 @@ def test_a_memory_at_its_bound_is_no_friction_at_zero_and_needs_no_wider_prior(
 ):
     told = HELD | {"bound": bound, "bound_physical": physical}
     row = PosteriorRow.model_validate(posterior_row("", 0.94, 0.01, verdict="data", **told))
-    assert bound_mend(name, row) == ""
+    assert bound_hint(name, row) == ""
     assert bound_warning(name, row) is None
     # what the joint has keeps its own words, and so does another number of the noise
-    assert bound_mend("noise.sigma", row)
-    assert bound_mend("motor.pacf_1", row)
+    assert bound_hint("noise.sigma", row)
+    assert bound_hint("motor.pacf_1", row)
 
 
 @pytest.mark.parametrize(
@@ -144,6 +144,6 @@ def test_of_a_run_that_did_not_converge_what_is_sound_is_shown(summaries, status
     lost = set(brief(summary).lost)
     assert {"motor.viscous", "motor.coulomb"} <= lost <= names - set(sound)
     for row in parameter_table(summary).rows:
-        assert row.cell.converged == (row.name in sound)
-    for name, cell in posterior_cells(summary).items():
+        assert row.converged == (row.name in sound)
+    for name, cell in result_rows(summary).items():
         assert (cell.interval is not None) == (name in sound)

@@ -31,9 +31,9 @@ def test_what_the_model_leaves_is_of_the_torque(explained, left):
 def test_numbers_come_by_status_and_what_is_too_much_is_counted():
     told = brief(crowded())
     assert (len(told.lines), len(told.findings)) == (ROWS, FINDINGS)
-    assert told.more == 30 + len(brief(loaded()).lines) - ROWS
+    assert told.left_out == 30 + len(brief(loaded()).lines) - ROWS
     assert told.others >= 9
-    order = [one.beside for one in brief(every_kind()).lines]
+    order = [row.status for row in brief(every_kind()).lines]
     ranks = [ORDER.index({"needs the prior": "prior"}.get(x, x)) for x in order]
     assert ranks == sorted(ranks)
 

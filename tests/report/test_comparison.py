@@ -9,15 +9,15 @@ from dataclasses import replace
 
 import pytest
 
-from bayesfric.report.alerts import alerts_of
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import (
     comparison,
     comparison_csv,
     comparison_dict,
     comparison_text,
 )
+from bayesfric.report.messages import messages_of
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.result_row import result_rows
 
 from .made_summaries import (
     DERIVED,
@@ -96,7 +96,7 @@ def test_estimates_that_disagree_are_named():
     assert comparison({"knee": run}).contested == ()
     row["value"] += 1.0 * TOTALS["total.inertia"][4]
     assert comparison({"knee": run}).contested == ("total.inertia",)
-    (told,) = [one for one in alerts_of(run) if one.kind == "methods"]
+    (told,) = [one for one in messages_of(run) if one.kind == "methods"]
     assert "total.inertia" in told.text
 
 
@@ -169,10 +169,10 @@ def test_noise_accounts_for_correlation_where_it_has_a_memory(noise, method, acc
     run = knee() | {"noise": noise, "likelihood": {"method": method}}
     cell = comparison({"knee": run})["motor.inertia"].cells["posterior"]
     assert cell.accounts == accounts
-    assert posterior_cells(run)["motor.inertia"] == replace(cell, disagreement=None)
+    assert result_rows(run)["motor.inertia"] == replace(cell, disagreement=None)
     (row,) = (r for r in parameter_table(run).rows if r.name == "motor.inertia")
-    assert row.cell.accounts == accounts
-    assert (row.cell.sd_plain is None) == accounts
+    assert row.accounts == accounts
+    assert (row.sd_plain is None) == accounts
 
 
 # -- what is shown, in which order

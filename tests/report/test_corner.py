@@ -58,7 +58,7 @@ def test_what_is_open_has_neither_density_nor_interval(knee):
     figure = corner_figure(knee, Summary.read(summary))
     table = {row.name: row for row in parameter_table(summary).rows}
     every = (*corner.combinations(knee, summarise(knee)), *quantities(knee))
-    status = {q.symbol: table[q.name].cell.status for q in every}
+    status = {q.symbol: table[q.name].status for q in every}
     seen = set()
     for k in range(8):
         one = status[panels(figure)[7, k].get_xlabel().split("\n")[0]]

@@ -19,7 +19,7 @@ from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.numbers import HTML, TEXT
 from bayesfric.report.page.pages import run_page
-from bayesfric.report.summary.friction_part import QUANTILES, friction_cells, friction_part
+from bayesfric.report.summary.parts import QUANTILES, friction_cells, friction_part
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import fit_text
 

@@ -50,7 +50,7 @@ def test_at_its_bound_a_number_of_a_told_scale_is_a_limit_and_no_interval():
     read = weighed(motor__inertia=at_zero)
     assert read.parameters["motor.inertia"].given_by == ["load.first_moment"]
     row = next(r for r in parameter_table(read).rows if r.name == "motor.inertia")
-    assert (row.cell.status, row.cell.limit) == ("limit", 0.02)
+    assert (row.status, row.limit) == ("limit", 0.02)
     assert row.verdict == "data and prior, on one side"
     assert row.shown(TEXT) == ("≤ 0.02", "–")
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
 from tests.inference.test_discrepancy import fitted
@@ -41,9 +41,9 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
         wrong.summary, replace(wrong.fit, told=held), groups(wrong.fit)
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
-    assert posterior_cells(wrong.summary)[NAME].status == "determined"
+    assert result_rows(wrong.summary)[NAME].status == "determined"
     told = concluded(wrong.summary.with_rows({NAME: row.as_dict()}))
-    assert posterior_cells(told)[NAME].limit == row.model_error_interval[1]
+    assert result_rows(told)[NAME].limit == row.model_error_interval[1]
 
 
 def test_figures_show_what_the_tables_print(wrong):
@@ -56,11 +56,7 @@ def test_figures_show_what_the_tables_print(wrong):
     for ax in figure.axes:
         fills = [p for p in ax.patches if p.get_gid() == "posterior"]
         ends = [x.get_xdata()[0] for x in ax.lines if x.get_linewidth() == 0.7]
-        if (
-            fills
-            and len(ends) == 2
-            and np.allclose(sorted(ends), table[NAME].cell.interval, rtol=1e-9)
-        ):
+        if fills and len(ends) == 2 and np.allclose(sorted(ends), table[NAME].interval, rtol=1e-9):
             values, edges, _ = fills[0].get_data()
             middles = 0.5 * (edges[1:] + edges[:-1])
             mean = np.average(middles, weights=values)
@@ -75,7 +71,7 @@ def test_every_view_goes_by_the_wide_one(wrong):
     row = wrong.summary.parameters[NAME]
     assert row.reported.how.widened
     assert row.reported.interval == row.model_error_interval
-    cell = posterior_cells(wrong.summary)[NAME]
+    cell = result_rows(wrong.summary)[NAME]
     assert (cell.interval, cell.sd) == (tuple(row.model_error_interval), row.model_error_sd)
     told = wrong.summary.frame.set_index("name").loc[NAME]
     assert [told["low"], told["high"]] == row.model_error_interval

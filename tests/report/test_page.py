@@ -87,12 +87,12 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
     page = read_page(run_page(run if which == "fit" else tmp_path, told, which))
     rows, latex = lines(page), made_tables.lines(parameters_latex(table))
     assert set(rows) == {r.name for r in table.rows}
-    open_ = [r for r in table.rows if r.cell.status == "undetermined"]
+    open_ = [r for r in table.rows if r.status == "undetermined"]
     assert bool(open_) == (which != "loaded")
     for r, (_, _, value, ends, unit, verdict) in zip(table.rows, latex, strict=True):
-        row, cell = rows[r.name], r.cell
+        row = rows[r.name]
         assert (latex_of.escaped(r.verdict), latex_of.unit(r.unit)) == (verdict, unit)
-        if r.row is None:  # a value that is known
+        if r.posterior is None:  # a value that is known
             known = made_tables.num(value)[0]
             assert known == pytest.approx(told["fixed"][r.name]["value"], rel=1e-3)
             continue
@@ -104,8 +104,8 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
             assert row.attrs["data-verdict"] == "open"
             continue
         shown, last = number(cells(row, "value").text)
-        if cell.status == "limit":
-            assert shown[0] == pytest.approx(cell.limit, rel=5e-3)
+        if r.status == "limit":
+            assert shown[0] == pytest.approx(r.limit, rel=5e-3)
             assert shown[0] == pytest.approx(made_tables.num(value.split("$ ")[-1])[0], rel=1e-9)
             assert ends == "---"
             continue
@@ -127,7 +127,7 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
     for said in without_open(page):
         for pair in bracket.findall(said.replace("\u2212", "-")):
             for r in open_:
-                assert pair != tuple(f"{end:.3g}" for end in r.row.interval), (r.name, said)
+                assert pair != tuple(f"{end:.3g}" for end in r.posterior.interval), (r.name, said)
 
 
 def test_methods_are_those_of_the_comparison(summary, page):

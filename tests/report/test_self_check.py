@@ -5,15 +5,15 @@ import pytest
 from scipy.stats import norm
 
 from bayesfric.diagnostics.self_check import Checked, QuickFit
-from bayesfric.report.comparison.cell import posterior_cells
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import parameter_table
+from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.derived_quantities import groups
 from bayesfric.report.summary.doubts import put_doubts
+from bayesfric.report.summary.parts import self_check_doubts, self_check_part
 from bayesfric.report.summary.record import ModelError
-from bayesfric.report.summary.self_check_part import self_check_doubts, self_check_part
 from bayesfric.report.terminal import brief, fit_text
 from tests.diagnostics.bench import model
 from tests.report.made_summaries import concluded
@@ -52,7 +52,7 @@ def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
     check = summary.self_check.rows[NAME]
     assert check.bias == pytest.approx(2.0)
     assert check.bias_error == pytest.approx(0.0, abs=1e-6)
-    width = summary.parameters[NAME].told.sd / summary.parameters[NAME].sd
+    width = summary.parameters[NAME].printed.sd / summary.parameters[NAME].sd
     reach = 1.645 * width
     held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
     assert check.coverage == pytest.approx(held, abs=1e-3)
@@ -75,7 +75,7 @@ def test_what_filters_leave_of_the_torque_is_no_noise(result):
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
     assert half.unexplained == 0.5
     row = result.summary.parameters[NAME]
-    reach = 1.645 * np.sqrt(2.0) * row.told.sd / row.sd
+    reach = 1.645 * np.sqrt(2.0) * row.printed.sd / row.sd
     assert half.rows[NAME].coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
 
 
@@ -84,7 +84,7 @@ def test_the_whole_scatters_less_than_its_excerpts(result):
     check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
     assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
     row = result.summary.parameters[NAME]
-    reach, off = 1.645 * row.told.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
+    reach, off = 1.645 * row.printed.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
     held = norm.cdf(reach - off) - norm.cdf(-reach - off)
     assert check.coverage == pytest.approx(held, abs=1e-3)
 
@@ -111,12 +111,12 @@ def test_every_view_has_the_one_value_interval_and_status(tmp_path, result, wide
     assert one.status == ("doubtful" if doubted else "identified")
     table = parameter_table(summary)
     (line,) = (r for r in table.rows if r.name == NAME)
-    assert (line.cell.value, line.cell.interval, line.cell.sd) == (
+    assert (line.value, line.interval, line.sd) == (
         one.value,
         tuple(one.interval),
         one.sd,
     )
-    assert posterior_cells(summary)[NAME].interval == tuple(one.interval)
+    assert result_rows(summary)[NAME].interval == tuple(one.interval)
     (column,) = (c for c in comparison({"run": summary}).rows if c.name == NAME)
     assert column.cells["posterior"].value == one.value
     (printed,) = (x for x in brief(summary).lines if x.name == NAME)

@@ -11,7 +11,7 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.source import Processing
-from bayesfric.report.summary.validation_part import share_of, validation_record
+from bayesfric.report.summary.parts import share_of, validation_record
 
 from .conftest import NOISE, recording
 

@@ -9,7 +9,7 @@ import pytest
 from bayesfric.fit.model import Model
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.problem.config import read_config
-from bayesfric.report.summary.validation_part import validation_record
+from bayesfric.report.summary.parts import validation_record
 from tests.conftest import DATA, REPOSITORY
 
 from .bench import committed

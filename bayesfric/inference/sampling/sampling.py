@@ -24,7 +24,7 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from bayesfric.base.options import Options
-from bayesfric.base.progress import Progress, Shown, silent
+from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.sampling.convergence import LONG_ENOUGH, few, hopeless, nested_rhat
@@ -114,7 +114,7 @@ def sample(
     start: Start,
     settings: Sampling,
     *,
-    progress: Shown = silent,
+    progress: ProgressCallback = no_progress,
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
@@ -258,7 +258,7 @@ def _warm_up(
     learning: IndependenceMove,
     settings: Sampling,
     rng: np.random.Generator,
-    progress: Shown,
+    progress: ProgressCallback,
 ) -> tuple[Array, bool]:
     """Walk and learn; give the second half of the steps, and whether they had settled."""
     block, most = _block(warm.target, settings), settings.max_steps // 4
@@ -301,7 +301,7 @@ class _Look:
         return "tentative" if usable and self.ess.min() > 100.0 else "unusable"
 
 
-def _walk(main: _Ensembles, settings: Sampling, most: int, progress: Shown) -> _Look:
+def _walk(main: _Ensembles, settings: Sampling, most: int, progress: ProgressCallback) -> _Look:
     """Walk until every criterion is met, the steps are used up or it is hopeless."""
     block, seen, enough = _block(main.target, settings), [], math.inf
     while True:

@@ -1,7 +1,7 @@
-"""Side by side: every method, every run's posterior and what is known from elsewhere.
+"""Comparison of every method, every run's posterior and values from elsewhere.
 
-A number that the data leave open has no standard deviation and no interval here,
-whatever a file says: it says so in words. Nor is it measured against anything.
+A number that the data leave open has no standard deviation and no interval, whatever a file says:
+its remark says so. Nor is its distance to anything measured.
 """
 
 from __future__ import annotations
@@ -18,29 +18,25 @@ from bayesfric.base.templates import capital
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
 from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
 from bayesfric.mechanism.quantities import QUANTITIES
-from bayesfric.report.comparison.cell import (
-    Cell,
-    estimate_cell,
-    next_to,
-    posterior_cell,
-    turns_of,
-)
 from bayesfric.report.numbers import TEXT
+from bayesfric.report.result_row import ResultRow, estimate_row, known_row, posterior_row
 from bayesfric.report.summary.conclusions import put_reported
-from bayesfric.report.summary.record import Readable, Summary, of_noise
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import GAIN, Readable, Summary, of_noise
+from bayesfric.report.summary.rows import PosteriorRow, first_angles, unwrapped
 from bayesfric.report.words import csv_text, filled, line_of, listed
 
 REFERENCE = "reference"
-# Standard deviations of the posterior beyond which an estimate is another one.
+# Standard deviations of the posterior beyond which an estimate disagrees.
 _FAR = 3.0
-_GAIN = "drive.gain"
 # Of a terminal, and of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
 _WIDTH = 120
 _NARROWEST, _WIDEST = 24, 30
 _PLAIN = "†"
-_COLUMNS = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
+_CSV = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
     "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
+# What JSON has of each ResultRow.
+_JSON = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
+    "at_bound", "bound", "remark", "disagreement", "converged", "doubted", "alike")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,28 +47,23 @@ class Column:
     kind: Literal["estimate", "posterior", "reference"]
     run: str  # name of the run; empty for references
     method: Method | None = None  # of an estimate
-    told: str = ""  # what its numbers take for granted
-    widened: bool = False  # whether its sds and intervals have room for the model's error
+    told: str = ""  # what its numbers assume
+    widened: bool = False  # whether its sds and intervals allow for model discrepancy
 
 
 @dataclass
-class Row:
-    """One quantity; ``cells`` by column label, those that have it.
-
-    ``symbol`` is LaTeX without dollar signs, empty where no file tells it.
-    ``gauge_free`` is whether scaling leg parameters and alpha together leaves it, ``of_motion``
-    whether another motion of the same joint has another value.
-    """
+class Quantity:
+    """One quantity; ``cells`` by column label, those that have it."""
 
     name: str
     unit: str
-    symbol: str
+    symbol: str  # LaTeX without dollar signs, empty where no file has it
     meaning: str
     kind: Kind
-    told_by: str = ""  # the first run that tells its unit
-    gauge_free: bool | None = None
-    cells: dict[str, Cell] = field(default_factory=dict)
-    of_motion: bool = False
+    run: str = ""  # the first that has it
+    gauge_free: bool | None = None  # whether scaling leg parameters and alpha together leaves it
+    cells: dict[str, ResultRow] = field(default_factory=dict)
+    of_motion: bool = False  # whether another motion of the same joint has another value
 
 
 @dataclass(frozen=True)
@@ -81,9 +72,9 @@ class Comparison:
 
     # in the order to print them
     columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[Quantity, ...]
     baseline: str | None  # label of the posterior that disagreement is measured against, if any
-    notes: tuple[str, ...]  # what a reader must know besides, one sentence each
+    notes: tuple[str, ...]  # one sentence each
     # names of the rows in which an estimate of the first posterior's run is far from it
     contested: tuple[str, ...]
     # why numbers are doubtful, by run of which some are, a clause each
@@ -91,7 +82,7 @@ class Comparison:
     # the first notes: in what other runs are far from the first
     runs_apart: tuple[str, ...]
 
-    def __getitem__(self, name: str) -> Row:
+    def __getitem__(self, name: str) -> Quantity:
         return {row.name: row for row in self.rows}[name]
 
     @property
@@ -101,119 +92,105 @@ class Comparison:
 
 
 def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = None) -> Comparison:
-    """Put the results of one or several runs side by side.
+    """Compare the results of one or several runs, each by what its ``summary.json`` holds.
 
-    Parameters
-    ----------
-    summaries
-        What each ``summary.json`` holds, by name of the run.
-    estimates
-        Whether to show the runs' point estimates; if left out, of a single run only.
+    ``estimates`` is whether to show point estimates; by default of a single run only. Totals come
+    first, then what no scaling of leg parameters and alpha changes, then the rest. ``BadInput``
+    where units differ, or a run has no quantity in common with any other.
 
-    Returns
-    -------
-    Comparison
-        Totals first, then what no scaling of leg parameters and alpha changes, then
-        the rest. What did not converge, estimate or posterior, says so.
-
-    Raises
-    ------
-    BadInput
-        Where a summary lacks something or holds something else, where units differ,
-        or where a run has no quantity in common with any other.
-
-    Notes
-    -----
-    Disagreement is ``(value - median)/sd`` with both of the first posterior; of what is skewed
-    that sd is the one on the side of the other, and of a limit what its distance makes of one. The
-    variance of another posterior, and of a reference that has one, is added to that
-    of the first; runs on the same recording are not independent, and disagree more
-    than that says. An estimate of the same run saw the same data, so variances do not
-    add: the larger of the two standard deviations counts.
+    Disagreement is ``(value - median)/sd`` with both of the first posterior; of what is skewed that
+    sd is the one on the side of the other, and of a limit what its distance makes of one. The
+    variance of another posterior, and of a reference that has one, is added; runs on the same
+    recording are not independent, and disagree more than that says. An estimate of the same run
+    used the same data, so variances do not add: the larger of the two sds counts.
     """
     runs = {name: put_reported(Summary.read(one, name)) for name, one in summaries.items()}
-    shown = len(runs) == 1 if estimates is None else estimates
-    turns, rows = turns_of(runs.values()), dict[str, Row]()
+    with_estimates = len(runs) == 1 if estimates is None else estimates
+    angles = first_angles(run.parameters for run in runs.values())
+    quantities: dict[str, Quantity] = {}
     columns: list[Column] = []
-    for name, run in runs.items():
-        every = list(_columns(f"{name}: " if len(runs) > 1 else "", name, run))
-        mine = [column for column in every if shown or column.method is None]
-        if not mine:
-            raise BadInput(name, "holds no result to compare", "name a finished run")
-        columns += mine
+    for run, summary in runs.items():
+        every = list(_columns(f"{run}: " if len(runs) > 1 else "", run, summary))
+        shown = [column for column in every if with_estimates or column.method is None]
+        if not shown:
+            raise BadInput(run, "holds no result to compare", "name a finished run")
+        columns += shown
         for column in every:
-            for quantity, one in _told(column, run):
-                # what a number is, estimates say that are not shown, too
-                row = _row(rows, quantity, one, run, name)
-                if column in mine:
-                    turned = next_to(one, turns.get(quantity))
-                    row.cells[column.label] = _cell(quantity, turned, column, run)
-    for row in rows.values():
-        if row.gauge_free is None:
+            for name, row in _file_rows(column, summary):
+                # estimates describe quantities even where they are not shown
+                quantity = _quantity(quantities, name, row, summary, run)
+                if column in shown:
+                    aligned = unwrapped(row, angles.get(name))
+                    quantity.cells[column.label] = _cell(name, aligned, column, summary)
+    for quantity in quantities.values():
+        if quantity.gauge_free is None:
             # the data alone leave what a scaling changes without any sd
-            told = [run.parameters[row.name] for run in runs.values() if row.name in run.parameters]
-            row.gauge_free = all(one.data_sd is not None for one in told)
-    _check_common(rows.values(), columns)
-    notes = list(_of_runs(runs, rows))
-    if sources := _add_references(rows, runs, turns):
+            rows = [s.parameters.get(quantity.name) for s in runs.values()]
+            quantity.gauge_free = all(row.data_sd is not None for row in rows if row is not None)
+    _check_common(quantities.values(), columns)
+    notes = list(_of_runs(runs, quantities))
+    if sources := _add_references(quantities, runs, angles):
         columns.append(Column(REFERENCE, "reference", "", told=", ".join(sources)))
     baseline = next((c for c in columns if c.kind == "posterior"), None)
-    found = [row for row in rows.values() if any(c.status != "known" for c in row.cells.values())]
-    found.sort(key=_order)  # keeps the order of the files within each group
-    for row in found:
-        _measure(row, columns, baseline)
-    apart = _runs_apart(found, columns)
-    if len(runs) > 1 and not any(_told_twice(row, columns) for row in found):
+    compared = [
+        quantity
+        for quantity in quantities.values()
+        if any(cell.status != "known" for cell in quantity.cells.values())
+    ]
+    compared.sort(key=_order)  # keeps the order of the files within each group
+    for quantity in compared:
+        _measure(quantity, columns, baseline)
+    apart = _runs_apart(compared, columns)
+    if len(runs) > 1 and not any(_in_two_runs(quantity, columns) for quantity in compared):
         notes.insert(0, _note("nothing shared"))
-    far = _far_estimates(found, columns, baseline)
-    notes += [_note("far estimate", label=one, names=names) for one, names in far.items()]
+    far = _far_estimates(compared, columns, baseline)
+    notes += [_note("far estimate", label=label, names=names) for label, names in far.items()]
     return Comparison(
         tuple(columns),
-        tuple(found),
+        tuple(compared),
         baseline.label if baseline else None,
         (*apart, *notes),
-        tuple(row.name for row in found if any(row.name in names for names in far.values())),
-        {name: run.reasons for name, run in runs.items() if run.reasons},
+        tuple(q.name for q in compared if any(q.name in names for names in far.values())),
+        {run: summary.reasons for run, summary in runs.items() if summary.reasons},
         apart,
     )
 
 
 def _note(kind: str, **values: Any) -> str:
-    """Say what must be known besides; names are all given."""
+    """Word a note; names are all given."""
     values = {key: ", ".join(x) if isinstance(x, list) else x for key, x in values.items()}
     return f"{capital(line_of(kind, values))}."
 
 
-def _order(row: Row) -> int:
-    if row.kind == "total":
+def _order(quantity: Quantity) -> int:
+    if quantity.kind == "total":
         return 0
-    if row.gauge_free:
-        return 1 if row.kind == "derived" else 2
-    return 3 if row.kind == "parameter" else 4
+    if quantity.gauge_free:
+        return 1 if quantity.kind == "derived" else 2
+    return 3 if quantity.kind == "parameter" else 4
 
 
-def _columns(before: str, run: str, summary: Summary) -> Iterator[Column]:
+def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
     for method in METHODS:
-        if (one := summary.estimates.get(method)) is not None:
-            told = [one.assumption, *one.notes, _residual(one.residual_rms, one.residual_unit)]
-            yield Column(
-                f"{before}{method}", "estimate", run, method, "; ".join(filter(None, told))
-            )
+        if (table := summary.estimates.get(method)) is not None:
+            residual = _residual(table.residual_rms, table.residual_unit)
+            words = "; ".join(filter(None, [table.assumption, *table.notes, residual]))
+            yield Column(f"{prefix}{method}", "estimate", run, method, words)
     if summary.parameters or summary.derived:
         lag = summary.noise.residual_lag1
-        told = [summary.likelihood.method, f"noise {summary.noise.model}"]
-        told += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
-        told += [_residual(summary.fit.residual_rms, summary.fit.unit)]
-        words = "; ".join(filter(None, told))
-        yield Column(f"{before}posterior", "posterior", run, None, words, summary.widened)
+        parts = [summary.likelihood.method, f"noise {summary.noise.model}"]
+        parts += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
+        parts += [_residual(summary.fit.residual_rms, summary.fit.unit)]
+        words = "; ".join(filter(None, parts))
+        yield Column(f"{prefix}posterior", "posterior", run, None, words, summary.widened)
 
 
 def _residual(rms: float | None, unit: str) -> str:
     return "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
 
 
-def _told(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
-    """All that a column tells of its joint: names, and rows of the file."""
+def _file_rows(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
+    """Give the rows of the file that a column is made of, by name; none of the noise."""
     if column.method is not None:
         yield from summary.estimates[column.method].parameters.items()
         return
@@ -222,164 +199,173 @@ def _told(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
             yield name, row
 
 
-def _cell(name: str, row: Any, column: Column, summary: Summary) -> Cell:
+def _cell(name: str, row: Any, column: Column, summary: Summary) -> ResultRow:
     if isinstance(row, PosteriorRow):
-        return posterior_cell(row, summary.accounts)
+        return posterior_row(name, row, summary.accounts)
     if column.method is None:
-        return Cell(row.value, "known", remark="taken as known")
-    cell = estimate_cell(row, summary.estimates[column.method].converged)
-    why = _of_total(summary, name, row.unit) if column.method == "least-squares" else ""
+        return known_row(name, row.value, row)
+    cell = estimate_row(name, row, summary.estimates[column.method].converged)
+    why = _not_alike(summary, name, row.unit) if column.method == "least-squares" else ""
     return replace(cell, alike=False, remark=cell.remark or why) if why else cell
 
 
-def _row(rows: dict[str, Row], name: str, one: Any, summary: Summary, run: str) -> Row:
-    """Give the row of a quantity, with what one more file says it is."""
+def _quantity(
+    quantities: dict[str, Quantity], name: str, row: Any, summary: Summary, run: str
+) -> Quantity:
+    """Give a quantity, with the description that one more file has of it."""
     known = name in summary.parameters or name in summary.fixed
     kind: Kind = "parameter" if known else "derived"
-    kind = getattr(one, "kind", None) or ("total" if name.startswith("total.") else kind)
-    row = rows.setdefault(name, Row(name, one.unit, "", "", kind, run))
-    _check_unit(f"{run}: {name}", one.unit, row)
-    posterior = isinstance(one, PosteriorRow)
-    # the joint's own symbol before that of what least squares sees
-    row.symbol = one.symbol if posterior and one.symbol else row.symbol or one.symbol
-    row.meaning = row.meaning or one.meaning
-    row.of_motion |= posterior and one.of_motion
-    if (free := getattr(one, "gauge_free", None)) is not None:
-        row.gauge_free = free and row.gauge_free is not False
-    return row
+    kind = getattr(row, "kind", None) or ("total" if name.startswith("total.") else kind)
+    quantity = quantities.setdefault(name, Quantity(name, row.unit, "", "", kind, run))
+    _check_unit(f"{run}: {name}", row.unit, quantity)
+    posterior = isinstance(row, PosteriorRow)
+    # the joint's own symbol before that of least squares
+    quantity.symbol = row.symbol if posterior and row.symbol else quantity.symbol or row.symbol
+    quantity.meaning = quantity.meaning or row.meaning
+    quantity.of_motion |= posterior and row.of_motion
+    if (free := getattr(row, "gauge_free", None)) is not None:
+        quantity.gauge_free = free and quantity.gauge_free is not False
+    return quantity
 
 
-def _check_unit(where: str, unit: str, row: Row) -> None:
-    if unit != row.unit:
-        what = f"is in {unit or 'no unit'!r}, but in {row.unit or 'no unit'!r} in {row.told_by}"
+def _check_unit(where: str, unit: str, quantity: Quantity) -> None:
+    if unit != quantity.unit:
+        units = (unit or "no unit", quantity.unit or "no unit")
+        what = f"is in {units[0]!r}, but in {units[1]!r} in {quantity.run}"
         raise BadInput(where, what, "compare runs of the same kind of joint, in one unit")
 
 
-def _of_total(summary: Summary, name: str, unit: str) -> str:
+def _not_alike(summary: Summary, name: str, unit: str) -> str:
     """Say why a total of least squares is not what a posterior has by its name; else nothing."""
-    if _GAIN in summary.parameters and scales_with_torque(unit):
-        return "of the torque as told, without its gain"
-    # load losses bend the totals, or what shapes other terms
-    known = {one for one, row in summary.fixed.items() if row.value != 0.0}
-    rows = (QUANTITIES.get(quantity_of(one)) for one in {*summary.parameters, *known})
+    if GAIN in summary.parameters and scales_with_torque(unit):
+        return "of the torque as recorded, without its gain"
+    # load-dependent friction biases the totals, or what shapes other terms
+    known = {fixed for fixed, row in summary.fixed.items() if row.value != 0.0}
+    rows = (QUANTITIES.get(quantity_of(term)) for term in {*summary.parameters, *known})
     bent = sorted({row.bent_by for row in rows if row is not None and row.bends}, reverse=True)
     share = f"with the share of {listed(bent)} in it"
     return share if bent and name in summary.parameters else ""
 
 
-def _check_common(rows: Iterable[Row], columns: list[Column]) -> None:
-    """Refuse runs that tell nothing, or nothing that another tells, but what was taken as known."""
-    has: dict[str, set[str]] = {column.run: set() for column in columns}
-    for row in rows:
+def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None:
+    """Refuse runs without a result, or without any that another has, but for fixed parameters."""
+    names: dict[str, set[str]] = {column.run: set() for column in columns}
+    for quantity in quantities:
         for column in columns:
-            if column.label in row.cells and row.cells[column.label].status != "known":
-                has[column.run].add(row.name)
+            cell = quantity.cells.get(column.label)
+            if cell is not None and cell.status != "known":
+                names[column.run].add(quantity.name)
     # of two, the second is the one out of place
-    for run, names in reversed(has.items()):
-        others = set[str]().union(*(theirs for other, theirs in has.items() if other != run))
-        if len(has) > 1 and not names & others:
+    for run, own in reversed(names.items()):
+        others = set[str]().union(*(theirs for other, theirs in names.items() if other != run))
+        if len(names) > 1 and not own & others:
             what = "has no quantity in common with the other runs"
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
 
 
-def _of_runs(runs: Mapping[str, Summary], rows: Mapping[str, Row]) -> Iterator[str]:
-    """Say which runs are not to be relied on, and what is the motion's."""
-    for name, run in runs.items():
-        if run.sampler.status != "reliable":
-            yield _note("unsure run", run=name, status=run.sampler.status)
-    if names := [name for name, row in rows.items() if row.of_motion]:
+def _of_runs(runs: Mapping[str, Summary], quantities: Mapping[str, Quantity]) -> Iterator[str]:
+    """Say which runs are not reliable, and what depends on the motion."""
+    for run, summary in runs.items():
+        if summary.sampler.status != "reliable":
+            yield _note("unsure run", run=run, status=summary.sampler.status)
+    if names := [name for name, quantity in quantities.items() if quantity.of_motion]:
         yield _note("of motion", names=names, several=len(runs) > 1)
 
 
-def _told_twice(row: Row, columns: list[Column]) -> bool:
-    """Whether two runs tell a quantity, or its limit, and do not doubt it themselves."""
-    cells = [row.cells.get(c.label) for c in columns if c.kind == "posterior"]
-    told = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
-    return len(told) > 1
+def _in_two_runs(quantity: Quantity, columns: list[Column]) -> bool:
+    """Whether two runs determine a quantity, or its limit, and do not doubt it themselves."""
+    cells = [quantity.cells.get(c.label) for c in columns if c.kind == "posterior"]
+    usable = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
+    return len(usable) > 1
 
 
 def _far_estimates(
-    rows: list[Row], columns: list[Column], baseline: Column | None
+    quantities: list[Quantity], columns: list[Column], baseline: Column | None
 ) -> dict[str, list[str]]:
     """Name what estimates of the first posterior's run give otherwise, by label."""
-    mine = [c for c in columns if c.kind == "estimate" and baseline and c.run == baseline.run]
+    labels = [
+        c.label for c in columns if c.kind == "estimate" and baseline and c.run == baseline.run
+    ]
     far = {
-        c.label: [
-            row.name
-            for row in rows
-            if (one := row.cells.get(c.label)) is not None
-            and one.status == "determined"
-            and abs(one.disagreement or 0.0) > _FAR
+        label: [
+            quantity.name
+            for quantity in quantities
+            if (cell := quantity.cells.get(label)) is not None
+            and cell.status == "determined"
+            and abs(cell.disagreement or 0.0) > _FAR
         ]
-        for c in mine
+        for label in labels
     }
     return {label: names for label, names in far.items() if names}
 
 
-def _runs_apart(rows: list[Row], columns: list[Column]) -> tuple[str, ...]:
+def _runs_apart(quantities: list[Quantity], columns: list[Column]) -> tuple[str, ...]:
     """Say in what other runs' posteriors are too far from the first to be of one joint.
 
-    What a run doubts itself, as of a delay or too wide a band, is no news of the joint.
+    What a run doubts itself, as for a delay or too wide a band, is no news of the joint.
     """
     posteriors = [c for c in columns if c.kind == "posterior"]
-    said = []
+    notes = []
     for column in posteriors[1:]:
         first = posteriors[0]
         far = [
-            f"{row.name} ({cell.disagreement:+.1f} sd)"
-            for row in rows
-            if (cell := row.cells.get(column.label)) is not None
+            f"{quantity.name} ({cell.disagreement:+.1f} sd)"
+            for quantity in quantities
+            if (cell := quantity.cells.get(column.label)) is not None
             and abs(cell.disagreement or 0.0) > _FAR
-            and not (cell.doubted or row.cells[first.label].doubted)
+            and not (cell.doubted or quantity.cells[first.label].doubted)
         ]
-        said += [_note("runs apart", run=column.run, first=first.run, names=far)] if far else []
-    return tuple(said)
+        notes += [_note("runs apart", run=column.run, first=first.run, names=far)] if far else []
+    return tuple(notes)
 
 
 def _add_references(
-    rows: Mapping[str, Row], runs: Mapping[str, Summary], turns: Mapping[str, float]
+    quantities: Mapping[str, Quantity], runs: Mapping[str, Summary], angles: Mapping[str, float]
 ) -> list[str]:
     """Add values from elsewhere to what is shown, the first of each; give their sources."""
     sources: dict[str, None] = {}
     for run, summary in runs.items():
-        for name, told in summary.references.items():
-            if name not in rows or all(c.status == "known" for c in rows[name].cells.values()):
+        for name, reference in summary.references.items():
+            quantity = quantities.get(name)
+            if quantity is None or all(c.status == "known" for c in quantity.cells.values()):
                 continue
-            _check_unit(f"{run}: references.{name}", told.unit, rows[name])
-            value = next_to(told, turns.get(name)).value
-            cell = Cell(value, "known", sd=told.sd, remark=told.source)
-            rows[name].cells.setdefault(REFERENCE, cell)
-            sources[told.source] = None
+            _check_unit(f"{run}: references.{name}", reference.unit, quantity)
+            value = unwrapped(reference, angles.get(name)).value
+            cell = ResultRow(value, "known", sd=reference.sd, remark=reference.source)
+            quantity.cells.setdefault(REFERENCE, cell)
+            sources[reference.source] = None
     return list(sources)
 
 
-def _measure(row: Row, columns: list[Column], baseline: Column | None) -> None:
+def _measure(quantity: Quantity, columns: list[Column], baseline: Column | None) -> None:
     """Put the cells into the columns' order and measure them against the first posterior."""
-    row.cells = {c.label: row.cells[c.label] for c in columns if c.label in row.cells}
-    base = row.cells.get(baseline.label) if baseline else None
+    quantity.cells = {
+        c.label: quantity.cells[c.label] for c in columns if c.label in quantity.cells
+    }
+    base = quantity.cells.get(baseline.label) if baseline else None
     if baseline is None or base is None or base.status not in ("determined", "limit"):
         return
     for column in columns:
-        cell = row.cells.get(column.label)
+        cell = quantity.cells.get(column.label)
         if cell is None or column is baseline or not cell.alike:
             continue
         # two motions need not agree
-        if row.of_motion and column.run not in ("", baseline.run):
+        if quantity.of_motion and column.run not in ("", baseline.run):
             continue
         # an estimate has other limits than a posterior
         if column.kind == "estimate" and "limit" in (base.status, cell.status):
             continue
         sd = base.sd_towards(cell.value)
-        # what a run took as known is no finding, and what is open agrees with anything
+        # what a run fixed is no finding, and what is open agrees with anything
         if sd and (cell.status in ("determined", "bound", "limit") or column.kind == "reference"):
-            own = cell.sd_towards(base.value) or 0.0
+            other = cell.sd_towards(base.value) or 0.0
             # two estimates from one recording share its noise: their variances do not add
             same = column.kind == "estimate" and column.run == baseline.run
-            apart = (cell.value - base.value) / (max(sd, own) if same else math.hypot(sd, own))
-            row.cells[column.label] = replace(cell, disagreement=apart)
+            apart = (cell.value - base.value) / (max(sd, other) if same else math.hypot(sd, other))
+            quantity.cells[column.label] = replace(cell, disagreement=apart)
 
 
-def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
+def comparison_text(compared: Comparison, width: int = _WIDTH) -> Iterator[str]:
     """Lay a comparison out for a terminal; columns that do not fit come in further blocks."""
     from rich.box import SIMPLE_HEAD  # a page does without
     from rich.console import Console
@@ -387,70 +373,73 @@ def comparison_text(found: Comparison, width: int = _WIDTH) -> Iterator[str]:
     from rich.text import Text
 
     console = Console(width=width, file=StringIO(), color_system=None)
-    left = max((len(row.name) for row in found.rows), default=0)
-    each = max(1, (width - left) // (_NARROWEST + 2))
-    for first in range(0, len(found.columns), each):
-        columns = found.columns[first : first + each]
-        shown = Table(box=SIMPLE_HEAD, pad_edge=False)
-        shown.add_column(no_wrap=True)
+    left = max((len(row.name) for row in compared.rows), default=0)
+    across = max(1, (width - left) // (_NARROWEST + 2))
+    for first in range(0, len(compared.columns), across):
+        columns = compared.columns[first : first + across]
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        table.add_column(no_wrap=True)
         for column in columns:
-            shown.add_column(Text(column.label), max_width=_WIDEST)
+            table.add_column(Text(column.label), max_width=_WIDEST)
         group = None
-        for row in found.rows:
-            cells = ["\n".join(_cell_parts(row.cells.get(c.label))) for c in columns]
+        for row in compared.rows:
+            cells = ["\n".join(_cell_lines(row.cells.get(c.label))) for c in columns]
             if not any(cells):
                 continue
             if group is not None and group != (row.kind, row.gauge_free):
-                shown.add_row()
+                table.add_row()
             group = (row.kind, row.gauge_free)
             name = f"{row.name}\n  {row.unit}" if row.unit else row.name
-            shown.add_row(*map(Text, (name, *cells)))
+            table.add_row(*map(Text, (name, *cells)))
         with console.capture() as captured:
-            console.print(shown)
+            console.print(table)
         yield from (line.rstrip() for line in captured.get().splitlines())
-    for line in explained(found):
+    for line in explained(compared):
         yield from textwrap.wrap(line, width, subsequent_indent="  ")
 
 
-def comparison_csv(found: Comparison) -> str:
-    """Lay a comparison out as CSV text, one line for each quantity and column."""
-    lines: list[dict[str, Any]] = []
-    for row in found.rows:
-        for label, cell in row.cells.items():
-            low, high = cell.interval or (None, None)
-            told = asdict(cell) | {"low": low, "high": high}
-            told |= {"status": "doubtful"} if cell.doubted else {}
-            lines.append({"name": row.name, "unit": row.unit, "column": label} | told)
-    return csv_text(lines, _COLUMNS)
-
-
-def comparison_dict(found: Comparison) -> dict[str, Any]:
-    """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
-    quantities = {row.name: asdict(row) for row in found.rows}
-    for told in quantities.values():
-        del told["name"], told["told_by"]
-        told["columns"] = told.pop("cells")
-    return {
-        "baseline": found.baseline,
-        "columns": [asdict(column) for column in found.columns],
-        "quantities": quantities,
-        "notes": list(found.notes),
-    }
-
-
-def _cell_parts(cell: Cell | None) -> list[str]:
+def _cell_lines(cell: ResultRow | None) -> list[str]:
     parts = cell.parts(TEXT) if cell else ()
     return [f"{text}{_PLAIN}" if kind == "plain" else text for kind, text in parts]
 
 
-def explained(found: Comparison) -> Iterator[str]:
-    """Say what the numbers are and what they take for granted."""
-    cells = [cell for row in found.rows for cell in row.cells.values()]
+def comparison_csv(compared: Comparison) -> str:
+    """Lay a comparison out as CSV text, one line for each quantity and column."""
+    lines: list[dict[str, Any]] = []
+    for row in compared.rows:
+        for label, cell in row.cells.items():
+            low, high = cell.interval or (None, None)
+            line = vars(cell) | {"low": low, "high": high, "column": label}
+            line |= {"status": "doubtful"} if cell.doubted else {}
+            lines.append(line | {"name": row.name, "unit": row.unit})
+    return csv_text(lines, _CSV)
+
+
+def comparison_dict(compared: Comparison) -> dict[str, Any]:
+    """Put a comparison into strings, numbers, lists and dicts, ready for JSON."""
+    quantities = {}
+    for row in compared.rows:
+        keys = ("unit", "symbol", "meaning", "kind", "gauge_free", "of_motion")
+        cells = {
+            label: {key: getattr(cell, key) for key in _JSON} for label, cell in row.cells.items()
+        }
+        quantities[row.name] = {key: getattr(row, key) for key in keys} | {"columns": cells}
+    return {
+        "baseline": compared.baseline,
+        "columns": [asdict(column) for column in compared.columns],
+        "quantities": quantities,
+        "notes": list(compared.notes),
+    }
+
+
+def explained(compared: Comparison) -> Iterator[str]:
+    """Say what the numbers are and what they assume."""
+    cells = [cell for row in compared.rows for cell in row.cells.values()]
     yield from filled(
         "explained.txt.j2",
-        found=found,
+        compared=compared,
         plain=any(cell.plain for cell in cells),
         levels=sorted({cell.level for cell in cells if cell.interval is not None and cell.level}),
         dagger=_PLAIN,
     ).splitlines()
-    yield from found.notes
+    yield from compared.notes

@@ -13,7 +13,6 @@ from matplotlib.patches import Patch
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.report.comparison.cell import Cell, posterior_cells
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     DASHED,
@@ -32,9 +31,9 @@ from bayesfric.report.figures.style import (
     power_of_ten,
     scaled_unit,
 )
+from bayesfric.report.result_row import ResultRow, result_rows
 from bayesfric.report.summary.derived_quantities import LEVEL, coefficients
 from bayesfric.report.summary.record import Summary, of_noise
-from bayesfric.report.summary.rows import PosteriorRow
 
 # Combinations that come first; parameters want to be seen too.
 _COMBINATIONS = 5
@@ -49,7 +48,7 @@ _SMOOTH = 1.2
 _OPEN: Look = {
     "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH
 }  # fmt: skip
-_TOLD: Look = {
+_KNOWN: Look = {
     "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3
 }  # fmt: skip
 _PRIOR: Look = {"color": PRIOR, "linestyle": DASHED}
@@ -59,15 +58,11 @@ _END: Look = {"color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED}
 def corner_figure(fit: Fit, summary: Summary) -> Figure:
     """Draw marginal and pairwise posteriors of at most eight quantities, a page wide.
 
-    On the diagonal the posterior density is a histogram with the prior density of
-    parameters dashed on the same scale and the 90 % interval marked; below it contours
-    hold 50 % and 90 % of the draws. What the data leave open is hatched, without an
-    interval, and its pairs are not filled. Where the data leave parameters open, first come
-    combinations that they determine, then what they determine of the parameters; else the
-    parameters as sampled.
+    What the data leave open is hatched, without an interval, and its pairs are not filled. Where
+    they leave parameters open, combinations that they determine come first.
     """
     sampled, shown = quantities(fit.wide, summary), choice(fit.wide, summary)
-    left_out = [q.symbol for q in sampled if q.name not in {one.name for one in shown}]
+    left_out = [q.symbol for q in sampled if q.name not in {quantity.name for quantity in shown}]
     k = len(shown)
     with paper_figure(PAGE, PAGE, apart=0.02) as figure:
         grid = figure.add_gridspec(k, k)
@@ -87,26 +82,26 @@ def corner_figure(fit: Fit, summary: Summary) -> Figure:
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
         if left_out and k > 1:
             below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
-            said = f"not shown: {', '.join(left_out)}"
-            figure.text(0.98, below, said, ha="right", va="top", fontsize=SMALL)
+            words = f"not shown: {', '.join(left_out)}"
+            figure.text(0.98, below, words, ha="right", va="top", fontsize=SMALL)
     return figure
 
 
 def choice(fit: Fit, summary: Summary) -> list[Quantity]:
-    """Choose what to show: what the data tell before what they leave open."""
+    """Choose what to show: what the data determine before what they leave open."""
     sampled = quantities(fit, summary)
     joint = [q for q in sampled if not of_noise(q.name)]
     open_ = [q for q in joint if q.is_open]
     if not open_:
         return sampled[:_MOST]
-    told = [q for q in combinations(fit, summary) if q.cell.status == "determined"]
+    combined = [q for q in combinations(fit, summary) if q.row.status == "determined"]
     known = [q for q in joint if not q.is_open]
-    rest = [q for q in sampled if of_noise(q.name)]
-    return [*told[:_COMBINATIONS], *known, *open_, *rest][:_MOST]
+    noise = [q for q in sampled if of_noise(q.name)]
+    return [*combined[:_COMBINATIONS], *known, *open_, *noise][:_MOST]
 
 
 def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float]) -> None:
-    """Draw posterior and prior density of a quantity, both in one over the unit of the axis."""
+    """Draw posterior and prior density of a quantity."""
     highest = 0.0
     if q.prior is not None:
         grid = np.linspace(*limits, _GRID)
@@ -117,12 +112,11 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float]) -> None:
     if _moves(q.draws):
         height, edges = np.histogram(q.draws, bins=_BINS, range=limits)
         density = height / (q.draws.size * np.diff(edges))
-        gid, look = ("open", _OPEN) if q.is_open else ("posterior", _TOLD)
+        gid, look = ("open", _OPEN) if q.is_open else ("posterior", _KNOWN)
         ax.stairs(density, edges, fill=True, gid=gid, **look)
         ax.stairs(density, edges, color=POSTERIOR, linewidth=0.8)
         # those of the tables, to the digit; of a limit the end away from the bound
-        told = [q.cell.limit] if q.cell.limit is not None else q.cell.interval or ()
-        for end in told:
+        for end in [q.row.limit] if q.row.limit is not None else q.row.interval or ():
             ax.axvline(end, ymax=0.8, gid="interval", **_END)
         peak = float(density.max())
         # a prior may have a pole at its bound; it must not flatten the posterior
@@ -132,7 +126,7 @@ def _marginal(ax: Axes, q: Quantity, limits: tuple[float, float]) -> None:
 
 
 def _moves(draws: Array) -> bool:
-    """Whether draws differ by more than rounding, which leaves no room for a histogram."""
+    """Whether draws differ by more than rounding, too little for a histogram."""
     return bool(np.ptp(draws) > 1e-12 * np.abs(draws).max())
 
 
@@ -152,15 +146,15 @@ def _pair(
     few_ticks(ax.yaxis, 3, inner=True, exponent=pair[1].exponent)
 
 
-def _label(ax: Axes, below: Quantity | None, beside: Quantity | None) -> None:
+def _label(ax: Axes, below: Quantity | None, left: Quantity | None) -> None:
     """Label an outer panel, on two lines: a panel is hardly wider than a unit."""
     # upright: neighbours leave a number no room, and gaps stay equal
     ax.tick_params(axis="x", labelrotation=90, labelbottom=below is not None)
-    ax.tick_params(axis="y", labelleft=beside is not None)
+    ax.tick_params(axis="y", labelleft=left is not None)
     if below is not None:
         ax.set_xlabel(below.label("\n"), linespacing=1.3, fontsize=SMALL)
-    if beside is not None:
-        ax.set_ylabel(beside.label("\n"), linespacing=1.3, fontsize=SMALL)
+    if left is not None:
+        ax.set_ylabel(left.label("\n"), linespacing=1.3, fontsize=SMALL)
 
 
 def _handles() -> list[Artist]:
@@ -168,7 +162,7 @@ def _handles() -> list[Artist]:
     share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
     contours = f"contours around {share} % of the draws"
     return [
-        Patch(label="posterior", gid="posterior", **_TOLD),
+        Patch(label="posterior", gid="posterior", **_KNOWN),
         Patch(label="posterior that the data leave open", gid="open", **_OPEN),
         Line2D([], [], label="prior", gid="prior", **_PRIOR),
         Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", gid="interval", **_END),
@@ -180,11 +174,14 @@ def _handles() -> list[Artist]:
 class Quantity:
     """A sampled parameter, or a combination of them, as figures show it."""
 
-    name: str  # as in the summary
-    row: PosteriorRow
-    cell: Cell  # what may be said of it
+    row: ResultRow
     draws: Array  # `(n,)`; walkers that never moved are left out
     prior: Prior | None = None  # of the parameter; `None` of a combination
+
+    @property
+    def name(self) -> str:
+        """As in the summary."""
+        return self.row.name
 
     @property
     def symbol(self) -> str:
@@ -194,7 +191,7 @@ class Quantity:
     @property
     def is_open(self) -> bool:
         """Whether the data leave it open."""
-        return self.cell.status == "undetermined"
+        return self.row.status == "undetermined"
 
     @property
     def exponent(self) -> int:
@@ -218,25 +215,25 @@ class Quantity:
 
 def quantities(fit: Fit, summary: Summary) -> list[Quantity]:
     """List the sampled parameters of a fit, noise scales last."""
-    told, cells = fit.posterior, posterior_cells(summary)
-    each = zip(told.names, told.flat().T, told.priors, strict=True)
-    return [Quantity(n, summary.parameters[n], cells[n], x, prior) for n, x, prior in each]
+    posterior, rows = fit.posterior, result_rows(summary)
+    columns = zip(posterior.names, posterior.flat().T, posterior.priors, strict=True)
+    return [Quantity(rows[name], x, prior) for name, x, prior in columns]
 
 
 def combinations(fit: Fit, summary: Summary) -> list[Quantity]:
     """List what no scaling of leg parameters and alpha changes, where every draw has it."""
-    cells = posterior_cells(summary)
+    rows = result_rows(summary)
     return [
-        Quantity(q.name, summary.derived[q.name], cells[q.name], q.values)
-        for q in coefficients(fit).found
-        # what fixed parameters make up is known, and has no posterior
+        Quantity(rows[q.name], q.values)
+        for q in coefficients(fit).quantities
+        # those of fixed parameters only have no posterior
         if q.gauge_free and q.name in summary.derived and np.isfinite(q.values).all()
     ]
 
 
 def which_posterior(summary: Summary) -> str:
-    """Say of which posterior figures are whose intervals stand in the tables, where it matters."""
-    wide = " Densities and intervals have room for the model's error, as in the tables."
+    """Say that densities are of the widened posterior, where they are."""
+    wide = " Densities and intervals allow for model discrepancy, as in the tables."
     return wide if summary.widened else ""
 
 
@@ -248,7 +245,7 @@ FIGURE = RunFigure(
     caption=lambda run: (
         f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
         "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, has "
-        "no interval and is not filled in its pairs: there prior and bounds are seen. So is "
+        "no interval and is not filled in its pairs: it shows prior and bounds. So is "
         "everything where the sampling has not converged. A limit has one dotted end."
         + which_posterior(run.summary)
     ),

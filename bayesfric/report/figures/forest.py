@@ -1,4 +1,4 @@
-"""Forest figure: each quantity on a scale of its own, one line a method, run or reference."""
+"""Forest figure: a panel for each quantity, a line for each method, run or reference."""
 
 from __future__ import annotations
 
@@ -13,20 +13,26 @@ from matplotlib.lines import Line2D
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import HALF
-from bayesfric.report.comparison.cell import Cell
-from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Row, comparison
+from bayesfric.report.comparison.comparison import (
+    REFERENCE,
+    Column,
+    Comparison,
+    Quantity,
+    comparison,
+)
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import Declared, RunFigure
 from bayesfric.report.figures.style import Look, power_of_ten, remark_below, shortened
+from bayesfric.report.result_row import ResultRow
 from bayesfric.report.summary.derived_quantities import LEVEL
 
-# Up to so many panels stand below each other in one column of a paper.
+# Up to so many panels are below each other in one column of a paper.
 _FEW = 4
 _ACROSS = 3
 _HIGHEST = 9.0
 # Inches: between lines, for the axis below a panel, for the legend.
 _LINE, _AXIS, _LEGEND = 0.155, 0.40, 0.3
-# Letters that there is room for: of a column's name, of a reference's.
+# Letters that fit: of a column's name, of a reference's.
 _LETTERS, _SOURCE = 24, 22
 _MARGIN = 0.65  # lines above the first and below the last
 _REFERENCE = style.PALETTE[2]
@@ -34,7 +40,7 @@ _THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _THIN: Look = {"linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7}
 _SPAN: Look = {"linewidth": 0.9, "linestyle": style.DOTTED}
 
-# Estimates in greys, posteriors in colours; shapes tell them apart once more.
+# Estimates in greys, posteriors in colours, each with its own shape.
 _ESTIMATES = {
     "least-squares": ("s", "#8c8c8c"),
     "input-error": ("^", "#5e5e5e"),
@@ -65,18 +71,17 @@ class _Line(NamedTuple):
         ax.plot([*x], [self.y] * 2, color=self.colour, gid=kind, **look)
 
 
-def forest_figure(found: Comparison) -> Figure:
+def forest_figure(compared: Comparison) -> Figure:
     """Draw a comparison, a column wide for up to four quantities, else a page.
 
-    Bars are 90 % intervals: a posterior's own, an estimate's 1.645 standard
-    deviations to either side. Thick ones account for correlated residuals, thin ones
-    with caps take them for uncorrelated. What is not determined has an open marker
-    and those words, never a bar; dots span the values that fit as well. A reference
-    is a vertical line. Quantities that only one column tells anything of are left out, unless there
-    are no others; ``BadInput`` if nothing at all can be drawn.
+    Bars are 90 % intervals: a posterior's, an estimate's 1.645 standard deviations to either side.
+    Thick ones account for correlated residuals, thin ones with caps assume uncorrelated ones. What
+    is not determined has an open marker and those words, never a bar; dots span the values that fit
+    as well. A reference is a vertical line. Quantities of only one column are left out, unless
+    there are no others; ``BadInput`` if nothing at all can be drawn.
     """
-    rows = _drawable(found)
-    columns = [column for column in found.columns if column.kind != "reference"]
+    rows = _drawable(compared)
+    columns = [column for column in compared.columns if column.kind != "reference"]
     width, across = (style.COLUMN, 1) if len(rows) <= _FEW else (style.PAGE, _ACROSS)
     # names of references need some room
     above = 0.75 if any(REFERENCE in row.cells for row in rows) else 0.0
@@ -115,26 +120,24 @@ def _styled(columns: list[Column]) -> list[_Line]:
     ]
 
 
-def _drawable(found: Comparison) -> list[Row]:
+def _drawable(compared: Comparison) -> list[Quantity]:
     """Rows with something to compare, or else with anything to show."""
 
-    def told(row: Row) -> int:
+    def drawable(row: Quantity) -> int:
         return sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
 
     for least in (2, 1):
-        if rows := [row for row in found.rows if told(row) >= least]:
+        if rows := [row for row in compared.rows if drawable(row) >= least]:
             return rows
-    raise BadInput(
-        "forest", "no quantity is determined by any of the columns", "see what a fit says of them"
-    )
+    raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
 
 
-def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
-    told = [
-        (line, row.cells[line.column.label]) for line in lines if line.column.label in row.cells
+def _panel(ax: Axes, row: Quantity, lines: list[_Line]) -> None:
+    cells = [
+        (line, row.cells[label]) for line in lines if (label := line.column.label) in row.cells
     ]
     ax.margins(x=0.06)
-    for line, cell in told:
+    for line, cell in cells:
         if cell.span is not None:
             line.draw(ax, cell.span, "span", _SPAN)
             ax.plot(cell.value, line.y, gid="open", **line.mark(filled=False))
@@ -150,8 +153,8 @@ def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
             ax.plot(cell.value, line.y, gid="value", **line.mark())
     if REFERENCE in row.cells:
         _reference(ax, row.cells[REFERENCE])
-    ax.set_xlim(ax.get_xlim())  # what is written moves it no more
-    for line, cell in told:
+    ax.set_xlim(ax.get_xlim())  # words do not move it
+    for line, cell in cells:
         if cell.status == "undetermined":
             words = "not determined" if cell.converged else "not converged"
             _words(ax, cell.value if cell.span is not None else None, line.y, words)
@@ -164,11 +167,11 @@ def _panel(ax: Axes, row: Row, lines: list[_Line]) -> None:
     ax.set_xlabel(label, fontsize=style.SMALL + 1.0 if row.symbol else style.WORDS)
 
 
-def _around(cell: Cell, sd: float) -> tuple[float, float]:
+def _around(cell: ResultRow, sd: float) -> tuple[float, float]:
     return cell.value - HALF * sd, cell.value + HALF * sd
 
 
-def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
+def _bars(cell: ResultRow) -> list[tuple[tuple[float, float], str, Look]]:
     """List the 90 % intervals of what is determined, with kind and look."""
     if cell.status != "determined" or cell.sd is None:
         return []
@@ -182,7 +185,7 @@ def _bars(cell: Cell) -> list[tuple[tuple[float, float], str, Look]]:
 
 
 def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
-    """Write beside a place, on the side with more room; else in the middle."""
+    """Write next to a place, on the side with more room; else in the middle."""
     low, high = ax.get_xlim()
     middle = 0.5 * (low + high)
     side, away = ("left", 4.5) if at is not None and at < middle else ("right", -4.5)
@@ -191,11 +194,11 @@ def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
     look: Look = {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.6}, "zorder": 3.5}
     look |= {"ha": side, "va": "center_baseline", "fontsize": style.WORDS}
     place = (middle if at is None else at, y)
-    said = ax.annotate(words, place, xytext=(away, 0.0), textcoords="offset points", **look)
-    said.set_in_layout(False)
+    text = ax.annotate(words, place, xytext=(away, 0.0), textcoords="offset points", **look)
+    text.set_in_layout(False)
 
 
-def _reference(ax: Axes, cell: Cell) -> None:
+def _reference(ax: Axes, cell: ResultRow) -> None:
     if cell.sd:
         ax.axvspan(*_around(cell, cell.sd), color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
     ax.axvline(cell.value, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
@@ -209,13 +212,13 @@ def _reference(ax: Axes, cell: Cell) -> None:
 def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
     grey: Look = {"color": _ESTIMATES["output-error"][1]}
-    told: Look = {"color": style.POSTERIOR}
+    blue: Look = {"color": style.POSTERIOR}
     open_ = _SPAN | {"gid": "open", "marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
     capped = Line2D([], [], label="90 %, uncorrelated residuals", gid="thin", **_THIN, **grey)
     handles = [
         Line2D([], [], label="90 %, correlated residuals", gid="thick", **_THICK, **grey),
         capped,
-        wide := Line2D([], [], label="90 %, with model discrepancy", gid="wide", **_THIN, **told),
+        wide := Line2D([], [], label="90 %, with model discrepancy", gid="wide", **_THIN, **blue),
         Line2D([], [], label="not determined", markerfacecolor="white", **open_, **grey),
         Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference", gid="reference"),
     ]
@@ -227,8 +230,8 @@ def _legend(figure: Figure) -> None:
 
 
 _BARS = (
-    f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: taking them for "
-    "uncorrelated, or of posteriors with room for the model's error; open symbols: not determined, "
+    f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: assuming them "
+    "uncorrelated, or of posteriors with model discrepancy; open symbols: not determined, "
     "dotted what fits as well."
 )
 METHODS = RunFigure(

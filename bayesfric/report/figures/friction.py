@@ -1,4 +1,4 @@
-"""Friction over speed: median, 90 % band, and where the data determine it at all."""
+"""Friction over speed: median, 90 % band, and where the data determine it."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ _OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
 
 
 def friction_figure(fit: Fit) -> Figure:
-    """Draw friction over speed, at some loads where there is a load loss, a column wide.
+    """Draw friction at the motor over speed, a column wide, at some loads if it depends on load.
 
-    All at the motor, with the posterior median and its 90 % band. Loads below zero drive
-    the motor (back-driving). Where hardly any outputs are near the median goes on dashed,
-    without a band; where the data do not determine the curve the band is hatched.
+    Loads below zero drive the motor (back-driving). Where hardly any outputs are near, the median
+    is dashed, without a band; where the data do not determine the curve the band is hatched.
     """
     curves = friction_curves(fit)
     rotary = fit.chain.motor_motion == "rotary"
@@ -65,8 +64,8 @@ def _draw(ax: Axes, curve: Curve, colour: str, label: str) -> None:
             ax.fill_between(x, low, high, where=inside, gid=gid, **_area(colour, open_))
     if not shown[np.isfinite(median)].all():
         ax.plot(x, median, color=colour, gid="outside", **_OUTSIDE)
-    seen = np.where(binary_dilation(shown), median, np.nan)
-    ax.plot(x, seen, color=colour, label=label, gid="median")
+    near = np.where(binary_dilation(shown), median, np.nan)
+    ax.plot(x, near, color=colour, label=label, gid="median")
 
 
 def _area(colour: str, open_: bool) -> Look:
@@ -87,24 +86,26 @@ def _handles() -> list[Artist]:
 
 
 def friction_caption(fit: Fit) -> str:
-    """Say what load means in the figure, which depends on what the run can tell."""
-    said = (
+    """Say what load means in the figure, which depends on what the run can determine."""
+    caption = (
         "Friction of the whole joint at the motor, at constant speed: posterior median and "
-        f"{100 * LEVEL:.0f} % band, hatched where the data do not tell. Dashed where fewer than "
-        f"{FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
+        f"{100 * LEVEL:.0f} % band, hatched where the data do not determine it. Dashed where fewer "
+        f"than {FEWEST} compared outputs are near: within {100 * NEAR:.0f} % of the range of speed"
     )
     load = "the torque at the joint over the ratio, positive against the motion."
     if has_open_scale(fit):
         load = (
-            "the mean of what the motor feels of it while driving and while driven: the scale "
+            "the mean of its torque at the motor while driving and while driven: the scale "
             "between load and gearbox is open, and only this mean is the same for all parameters "
             "that make the same torque."
         )
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
-    said += f" and, at once, of load. Load is {load}" if lossy else ". No loss depends on load."
+    caption += (
+        f" and, at once, of load. Load is {load}" if lossy else ". No friction depends on load."
+    )
     if fit.chain.gain:
-        said += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
-    return said
+        caption += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
+    return caption
 
 
 FIGURE = RunFigure(

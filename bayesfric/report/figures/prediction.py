@@ -1,4 +1,4 @@
-"""Measured torque, or position, against what the posterior predicts."""
+"""Measured torque, or position, and the posterior predictive."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Predictive:
 def predictive(fit: Fit) -> list[Predictive]:
     """Predict the outputs of every recording.
 
-    The predictive is taken for normal: it is the normal noise, spread a little by what is unknown
-    of the parameters. Quantiles of a few hundred draws would be far rougher than that.
+    The predictive is assumed normal: it is the normal noise, spread a little by the parameters.
+    Quantiles of a few hundred draws would be far rougher than that.
     """
     flat = fit.predicting
     n = len(flat)
@@ -61,27 +61,25 @@ def predictive(fit: Fit) -> list[Predictive]:
             second[r] += ((f - origin[r]) ** 2).sum(axis=0)
     # the noise changes little over the draws
     sds = [likelihood.noise_sd(scales[i]) for i in range(0, n, max(n // 20, 1))]
-    found = []
+    predictives = []
     for r in range(len(origin)):
         variance = np.maximum(second[r] / n - (first[r] / n) ** 2, 0.0)
-        noise = np.mean([one[r] ** 2 for one in sds], axis=0)
+        noise = np.mean([sd[r] ** 2 for sd in sds], axis=0)
         reach = float(ndtri(0.5 + LEVEL / 2.0)) * np.sqrt(variance + noise)
-        found.append(Predictive(origin[r] + first[r] / n, reach, noise**0.5))
-    return found
+        predictives.append(Predictive(origin[r] + first[r] / n, reach, noise**0.5))
+    return predictives
 
 
 def prediction_figure(fit: Fit) -> Figure:
-    """Draw measured and predicted torque or position, and what is left, over time, a page wide.
+    """Draw measured and predicted torque or position, and residuals, over time, a page wide.
 
-    A column for each of at most three recordings: above, the measured output
-    (torque after the parallel filter, or position), the posterior predictive mean and
-    its 90 % band, noise included; below, the residual and two noise scales on either side.
-    Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans are
-    hatched.
+    A column for each of at most three recordings, with the 90 % predictive band and two noise
+    scales. Where outputs are missing (dead zone, excluded spans) the lines break; excluded spans
+    are hatched.
     """
     outputs = fit.target.likelihood.outputs
     shown = outputs[:_MOST]
-    what, unit = outputs[0].quantity, outputs[0].unit
+    quantity, unit = outputs[0].quantity, outputs[0].unit
     with style.paper_figure(style.PAGE, _HEIGHT) as figure:
         axes = figure.subplots(
             2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
@@ -98,7 +96,7 @@ def prediction_figure(fit: Fit) -> Figure:
             above.set_title(shortened(o.name), fontsize=style.SMALL, pad=2.5)
         few_ticks(axes[0, 0].yaxis, 5)
         few_ticks(axes[1, 0].yaxis, 4)
-        axes[0, 0].set_ylabel(f"{what} ({unit})")
+        axes[0, 0].set_ylabel(f"{quantity} ({unit})")
         axes[1, 0].set_ylabel(f"residual ({unit})")
         figure.align_ylabels(axes[:, 0])
         every = [zip(*ax.get_legend_handles_labels(), strict=True) for ax in axes.T.flat]
@@ -119,7 +117,7 @@ def _left_out(ax: Axes, o: Observation) -> None:
 
 
 def _predicted(ax: Axes, o: Outputs, p: Predictive) -> None:
-    """Draw what was measured, and mean and band of what is predicted."""
+    """Draw measured outputs, and mean and band of the predictive."""
     label = f"{100 * LEVEL:.0f} % predictive band"
     draw_band(ax, o, p.mean - p.reach, p.mean + p.reach, label=label, gid="band")
     time, measured, mean = broken(o, o.measured, p.mean)
@@ -131,7 +129,7 @@ def _predicted(ax: Axes, o: Outputs, p: Predictive) -> None:
 
 
 def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
-    # once more, for on the scale of the torque a good fit's band is a hairline
+    # on the scale of the torque a good fit's band is a hairline
     draw_band(ax, o, -p.reach, p.reach)
     time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
     draw_measured(ax, o, time, residual, linewidth=0.4, gid="residual")
@@ -168,12 +166,12 @@ def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **nam
 def draw_measured(
     ax: Axes, o: Outputs | Observation, time: Array, values: Array, **named: Any
 ) -> None:
-    """Draw what was measured, broken already; ``named`` is its width, label and name.
+    """Draw measured values with breaks; ``named`` is their width, label and name.
 
     An output between two gaps is a dot: no line reaches it.
     """
-    here = np.pad(np.isfinite(values), 1)
-    alone = np.flatnonzero(here[1:-1] & ~here[:-2] & ~here[2:]).tolist()
+    finite = np.pad(np.isfinite(values), 1)
+    alone = np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
     named |= {"marker": ".", "markersize": 1.5, "markevery": alone, "rasterized": as_pixels(o)}
     ax.plot(time, values, color=style.MEASURED, **named)
 
@@ -184,8 +182,8 @@ FIGURE = RunFigure(
     section="prediction",
     draw=lambda run: prediction_figure(run.fit),
     caption=(
-        "What was measured and what the posterior predicts, noise included, with residuals below. "
-        "Dashed beside them: two standard deviations of the noise, its autocorrelation included; "
+        "Measured outputs and the posterior predictive, noise included, with residuals below. "
+        "Dashed: two standard deviations of the noise, its autocorrelation included; "
         "the tables' scale is then that of its innovations, which is smaller. "
         f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
     ),

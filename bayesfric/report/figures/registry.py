@@ -1,7 +1,7 @@
-"""What a figure declares of itself, and how the figures of this folder are found.
+"""Declarations of figures, and the registry of those of this folder.
 
 A figure of a run is one file of this folder that holds a :class:`RunFigure`; files, captions and
-the page's words and sections follow from that.
+the page's sections follow from that.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Section = Literal[
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """What a run's figures and captions are made of."""
+    """Data of a run's figures and captions."""
 
     fit: Fit
     summary: Summary
@@ -35,14 +35,13 @@ class FinishedRun:
 
 @dataclass(frozen=True)
 class Declared:
-    """All that is known of one figure, which is drawn of one thing."""
+    """One figure."""
 
     stem: str  # its files' name
-    # what the page calls it, and where it stands there
     title: str
-    section: Section
+    section: Section  # of the page
     draw: Callable[[Any], Figure | None]  # gives `None` where there is nothing to show
-    # what is drawn, and what it says; words where it is the same for all
+    # text, or a function of what is drawn
     caption: str | Callable[[Any], str]
 
     def caption_of(self, drawn: Any) -> str:
@@ -59,15 +58,15 @@ def run_figures() -> dict[str, Declared]:
     """Find the figures of a run, by stem in the order of the page."""
     folder = import_module(__package__)
     modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
-    figures = {one for m in modules for one in vars(m).values() if isinstance(one, RunFigure)}
+    figures = {x for m in modules for x in vars(m).values() if isinstance(x, RunFigure)}
     order = get_args(Section)
-    ranked = sorted(figures, key=lambda one: (order.index(one.section), one.stem))
-    return {one.stem: one for one in ranked}
+    ranked = sorted(figures, key=lambda figure: (order.index(figure.section), figure.stem))
+    return {figure.stem: figure for figure in ranked}
 
 
 def captions(run: FinishedRun, figures: Sequence[Declared]) -> str:
     """Write the captions of a run's figures as Markdown, one line each."""
-    lines = (f"**{one.stem}**: {one.caption_of(run)}\n" for one in figures)
+    lines = (f"**{figure.stem}**: {figure.caption_of(run)}\n" for figure in figures)
     return effort_words("\n".join(lines), run.fit.chain.motor_motion)
 
 

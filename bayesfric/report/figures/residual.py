@@ -1,6 +1,6 @@
-"""The figure of residuals, against speed, load and angle.
+"""Residuals against speed, load and angle.
 
-What else explains them, a fit asks by itself (:mod:`bayesfric.diagnostics`); this is to be seen.
+Tests of what else explains them are in :mod:`bayesfric.diagnostics`.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _BINS = 16
-# Outputs a bin needs, or its mean says nothing.
+# Outputs in a bin at least, for its mean.
 _LEAST = 5
 _HEIGHT = 2.1
 
 
 def residual_figure(fit: Fit) -> Figure | None:
     """Draw residuals against speed, load and angle, as far as they vary, a page wide."""
-    found, outputs = residuals(fit), fit.target.likelihood.outputs
+    left, outputs = residuals(fit), fit.target.likelihood.outputs
     rotary = fit.chain.load.motion == "rotary"
     labels = {
         "speed": rf"joint speed $\dot q$ ({'rad/s' if rotary else 'm/s'})",
         "load": rf"load $\Gamma$ ({'N m' if rotary else 'N'})",
         "position": "joint angle $q$ (rad)" if rotary else "position $q$ (m)",
     }
-    shown = [key for key in labels if np.ptp(found[key]) > 0.0]
+    shown = [key for key in labels if np.ptp(left[key]) > 0.0]
     if not shown:
         return None
-    tables = [binned(found, key) for key in shown]
+    tables = [binned(left, key) for key in shown]
     reach = max(float(np.abs(table[["low", "high"]].to_numpy()).max()) for table in tables)
     exponent = power_of_ten(-reach, reach)
     with paper_figure(style.PAGE, _HEIGHT) as figure:
@@ -54,7 +54,7 @@ def residual_figure(fit: Fit) -> Figure | None:
 
 
 def _draw(ax: Axes, table: pd.DataFrame) -> None:
-    """Draw a table whose first column is what residuals are shown against."""
+    """Draw a table whose first column is the abscissa."""
     x = table.iloc[:, 0]
     ax.axhline(0.0, color="0.6", linewidth=0.5)
     label = f"{100 * LEVEL:.0f} % of the residuals"
@@ -66,30 +66,35 @@ def _draw(ax: Axes, table: pd.DataFrame) -> None:
 
 
 def residuals(fit: Fit) -> pd.DataFrame:
-    """Give what the posterior mean leaves of every output, with speed, load and position there."""
-    import pandas as pd  # takes half a second, which not every command has to wait
+    """Give the residual of every output at the posterior mean, with speed, load and position."""
+    import pandas as pd  # slow to import
 
     median = fit.target.chain_values(fit.posterior.median[None])[0]
     parts = []
-    for o, seen, left in zip(
+    for o, observation, left in zip(
         fit.target.likelihood.outputs, fit.observations, fit.residuals, strict=True
     ):
-        motion = {"speed": seen.speed, "load": load_at_outputs(fit.chain, seen, median)}
-        motion["position"] = seen.q[seen.filter.centres]
+        motion = {
+            "speed": observation.speed,
+            "load": load_at_outputs(fit.chain, observation, median),
+        }
+        motion["position"] = observation.q[observation.filter.centres]
         # outputs of a simulation are at other times than those of the filter
-        there = {key: np.interp(o.time, seen.time, x) for key, x in motion.items()}
+        there = {key: np.interp(o.time, observation.time, x) for key, x in motion.items()}
         parts.append(pd.DataFrame({"residual": left} | there))
     return pd.concat(parts, ignore_index=True)
 
 
-def binned(found: pd.DataFrame, by: str) -> pd.DataFrame:
+def binned(left: pd.DataFrame, by: str) -> pd.DataFrame:
     """Give mean and central 90 % of residuals in bins of equally many outputs, ``by`` a column."""
-    count = max(1, min(_BINS, len(found) // _LEAST))
-    place = found[by].rank(method="first").sub(1.0) * count // len(found)
-    each = found.groupby(place)
-    left = each["residual"]
-    ends = {"low": left.quantile(0.5 - LEVEL / 2), "high": left.quantile(0.5 + LEVEL / 2)}
-    return each[[by]].mean().assign(mean=left.mean(), **ends)
+    count = max(1, min(_BINS, len(left) // _LEAST))
+    place = left[by].rank(method="first").sub(1.0) * count // len(left)
+    bins = left.groupby(place)
+    residual = bins["residual"]
+    ends = {
+        q: residual.quantile(p) for q, p in (("low", 0.5 - LEVEL / 2), ("high", 0.5 + LEVEL / 2))
+    }
+    return bins[[by]].mean().assign(mean=residual.mean(), **ends)
 
 
 FIGURE = RunFigure(

@@ -1,4 +1,4 @@
-"""The ridge: everything behind a gearbox scales with its alphas, and no torque tells."""
+"""The ridge: everything behind a gearbox scales with its alphas without changing any torque."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Ridge:
     @property
     def ends(self) -> list[tuple[int, str, str]]:
         """Rows of the line that are its ends, with marker and words."""
-        told = [(0, "s", 2), (len(self.line) - 1, "^", 1)]
+        ends = [(0, "s", 2), (len(self.line) - 1, "^", 1)]
         return [
             (k, marker, rf"end $\alpha_{which} = 1$, $k = 1/\alpha_{which} = {factor:.2f}$")
-            for (k, marker, which), factor in zip(told, self.bounds, strict=True)
+            for (k, marker, which), factor in zip(ends, self.bounds, strict=True)
             if factor > 0.0
         ]
 
@@ -56,7 +56,7 @@ class Ridge:
 def ridge(fit: Fit) -> Ridge | None:
     """Follow the first scaling of a fit's chain through the posterior's median.
 
-    ``None`` for a chain without an element of two load losses.
+    ``None`` for a chain without an element with load-dependent friction by direction.
     """
     found = scalings(fit.chain)
     if not found:
@@ -69,53 +69,51 @@ def ridge(fit: Fit) -> Ridge | None:
 
 
 def ridge_figure(fit: Fit) -> Figure | None:
-    """Draw the scale that no torque tells: the posterior and the exact line.
+    """Draw the scale that no torque determines: the posterior and the exact line, a page wide.
 
-    ``alpha_1`` against first moment, load inertia and ``alpha_2`` (what of these the chain has):
-    posterior draws, the exact scaling line through the posterior's median and its ends, where a
-    passive gearbox would have ``alpha_2 = 1`` and ``alpha_1 = 1``. Where a recording with a known
-    mass tells the ends apart, the posterior is a spot on the line. A page wide; ``None`` for a
-    chain that has no such scaling.
+    ``alpha_1`` against first moment, load inertia and ``alpha_2``: posterior draws, the exact
+    scaling line through the posterior's median and its ends, where a passive gearbox would have
+    ``alpha_2 = 1`` and ``alpha_1 = 1``. ``None`` for a chain that has no such scaling.
     """
-    found = ridge(fit)
-    if found is None:
+    line = ridge(fit)
+    if line is None:
         return None
-    # the load's own come last, and are what is asked for
-    names = [*found.scaling.behind[:-3:-1], f"{found.scaling.element}.alpha_back"]
+    # those of the load come last, and are of most interest
+    names = [*line.scaling.behind[:-3:-1], f"{line.scaling.element}.alpha_back"]
     with style.paper_figure(style.PAGE, _HEIGHT) as figure:
         for ax, name in zip(style.panel_grid(figure, len(names), len(names)), names, strict=True):
-            _pair(ax, fit, found, name)
+            _pair(ax, fit, line, name)
         dots = Line2D([], [], **_DOTS | {"markersize": 4.0, "alpha": 1.0}, label="posterior")
-        line = Line2D([], [], color=_LINE, label="same torque, without added mass")
+        drawn = Line2D([], [], color=_LINE, label="same torque, without added mass")
         ends = [
             Line2D([], [], marker=marker, markersize=4.5, label=label, **_MARKER)
-            for _, marker, label in found.ends
+            for _, marker, label in line.ends
         ]
-        style.legend_above(figure, [dots, line, *ends])
+        style.legend_above(figure, [dots, drawn, *ends])
     return figure
 
 
 def _quantities(chain: Joint, values: Array) -> dict[str, tuple[str, str, Array]]:
-    """Give symbol, unit and values of parameters and of what follows from them."""
-    own = {p.name: (p.symbol, p.unit, values[:, k]) for k, p in enumerate(chain.parameters)}
-    return own | {q.name: (q.symbol, q.unit, q.values) for q in derive(chain, values, 0.0)}
+    """Give symbol, unit and values of parameters and derived quantities."""
+    parameters = {p.name: (p.symbol, p.unit, values[:, k]) for k, p in enumerate(chain.parameters)}
+    return parameters | {q.name: (q.symbol, q.unit, q.values) for q in derive(chain, values, 0.0)}
 
 
-def _pair(ax: Axes, fit: Fit, found: Ridge, name: str) -> None:
+def _pair(ax: Axes, fit: Fit, ridge_line: Ridge, name: str) -> None:
     ax.set_gid(name)
     with np.errstate(divide="ignore", invalid="ignore"):  # an irreversible gearbox has no alpha_2
-        every = [_quantities(fit.chain, v) for v in (fit.chain_draws(_MOST_DRAWS), found.line)]
-    pairs = [(f"{found.scaling.element}.alpha_drive", ax.xaxis), (name, ax.yaxis)]
-    points, line = (np.stack([told[of][2] for of, _ in pairs]) for told in every)
+        every = [_quantities(fit.chain, v) for v in (fit.chain_draws(_MOST_DRAWS), ridge_line.line)]
+    pairs = [(f"{ridge_line.scaling.element}.alpha_drive", ax.xaxis), (name, ax.yaxis)]
+    points, line = (np.stack([q[of][2] for of, _ in pairs]) for q in every)
     for k, (of, axis) in enumerate(pairs):
-        seen = np.concatenate([points[k], line[k]])
-        exponent = power_of_ten(float(np.nanmin(seen)), float(np.nanmax(seen)))
+        shown = np.concatenate([points[k], line[k]])
+        exponent = power_of_ten(float(np.nanmin(shown)), float(np.nanmax(shown)))
         symbol, unit, _ = every[0][of]
         axis.set_label_text(axis_label(symbol, of, exponent, unit))
         few_ticks(axis, 5, exponent=exponent)
     ax.plot(*points, gid="posterior", markeredgewidth=0.0, rasterized=True, zorder=2, **_DOTS)
     ax.plot(*line, color=_LINE, zorder=3, gid="line")
-    for k, marker, _ in found.ends:
+    for k, marker, _ in ridge_line.ends:
         ax.plot(*line[:, k], marker=marker, markersize=5.0, zorder=4, gid=f"end {k}", **_MARKER)
 
 
@@ -126,6 +124,6 @@ FIGURE = RunFigure(
     draw=lambda run: ridge_figure(run.fit),
     caption=(
         "Draws of the posterior against the line along which no torque changes, between the ends "
-        "that a passive gearbox sets. Only a known mass tells them apart."
+        "that a passive gearbox sets. Only a known mass distinguishes them."
     ),
 )

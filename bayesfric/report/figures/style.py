@@ -1,4 +1,4 @@
-"""One look for all figures: widths, fonts and colours of a two-column paper."""
+"""Style of all figures: widths, fonts and colours of a two-column paper."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PAGE = 7.16
 SMALL = 7.0  # points, of ticks, legends and remarks
 WORDS = 6.0  # of words inside small panels
 
-# Told apart by every common colour vision, and by lightness (CIE L* 14, 35, 53, 73)
+# Distinct for every common colour vision, and by lightness (CIE L* 14, 35, 53, 73)
 # once a page is copied in grey.
 PALETTE = ("#12233f", "#0a5694", "#cb631a", "#62b8e2")
 MEASURED = "#3a3a3a"
@@ -86,11 +86,7 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def paper_style() -> Iterator[None]:
-    """Draw in the package's style inside the ``with`` block.
-
-    The reader's own ``matplotlibrc`` is left aside, so that a figure looks the
-    same, and has the same bytes, wherever it is made.
-    """
+    """Draw in the package's style inside the block, without the user's ``matplotlibrc``."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
@@ -100,7 +96,7 @@ def paper_style() -> Iterator[None]:
 # Files of a figure: what a page shows, what goes into papers and talks.
 ON_PAGE, IN_PAPER = ("svg",), ("pdf", "png")
 ALL_KINDS = (*ON_PAGE, *IN_PAPER)
-# What makes the same figure the same bytes.
+# The same figure gives the same bytes.
 _UNDATED: dict[str, dict[str, Any]] = {
     "pdf": {"metadata": {"CreationDate": None}},
     "svg": {"metadata": {"Date": None}},
@@ -109,14 +105,10 @@ _UNDATED: dict[str, dict[str, Any]] = {
 
 
 def save(figure: Figure, folder: Path, stem: str, kinds: Sequence[str] = ALL_KINDS) -> None:
-    """Write a figure as ``<stem>.pdf``, ``.svg`` and ``.png`` (300 dpi), or some of them.
-
-    The same figure gives the same bytes: no date is written, and names inside the SVG come from a
-    fixed salt. Its size is kept, nothing is cropped.
-    """
+    """Write a figure as ``<stem>.pdf``, ``.svg`` and ``.png`` (300 dpi), or some of them."""
     with paper_style():
         for kind in kinds:
-            drawn = io.BytesIO()  # where the disk is full, Matplotlib fails in words of its own
+            drawn = io.BytesIO()  # on a full disk Matplotlib fails with another error
             figure.savefig(drawn, format=kind, **_UNDATED[kind])
             (folder / f"{stem}.{kind}").write_bytes(drawn.getvalue())
 
@@ -145,11 +137,10 @@ def axis_label(symbol: str, name: str, exponent: int, unit: str) -> str:
 
 @cache
 def mathtext(symbol: str, name: str) -> str:
-    """Turn a LaTeX symbol, without dollar signs, into text that Matplotlib can set.
+    """Turn a LaTeX symbol, without dollar signs, into Matplotlib's mathtext.
 
-    Words in subscripts (names of elements) are set upright. A symbol that
-    cannot be set, for example through odd characters in an element's name, is
-    replaced by the parameter's name.
+    Words in subscripts (names of elements) are upright. A symbol that cannot be set, as with odd
+    characters in an element's name, is replaced by the parameter's name.
     """
     # an empty subscript is the paper's bare symbol
     symbol = symbol.replace("_{}", "")
@@ -169,7 +160,7 @@ def _upright(subscript: str) -> str:
 
 
 def shortened(name: str, most: int = 36) -> str:
-    """Cut a name of the user's to what there is room for; no dollar sign sets it as formula."""
+    """Cut a user's name to length, and escape dollar signs."""
     if len(name) > most:
         name = f"{name[: most - 1]}…"
     return name.replace("$", r"\$")
@@ -179,9 +170,8 @@ def shortened(name: str, most: int = 36) -> str:
 def paper_figure(width: float, height: float, *, apart: float = 0.03) -> Iterator[Figure]:
     """Give a figure of so many inches to draw in, in the package's style.
 
-    When the block ends, constrained layout moves numbers, labels, legends and remarks off each
-    other, once: the files differ otherwise by hairs. ``apart`` is half of what stays free
-    between panels.
+    When the block ends, constrained layout runs once: the files differ otherwise by hairs.
+    ``apart`` is half of the space between panels.
     """
     with paper_style():
         figure = Figure(figsize=(width, height), layout="constrained")
@@ -205,24 +195,24 @@ def panel_grid(
 
 
 def explained(figure: Figure, handles: Sequence[Artist]) -> list[Artist]:
-    """Keep the handles of what a figure shows: of a kind, by its ``gid``, that is drawn in it."""
+    """Keep the handles of what a figure shows, by ``gid``."""
     panels = figure.get_axes()
     drawn = {artist.get_gid() for ax in panels for artist in (ax, *ax.get_children())}
     return [handle for handle in handles if handle.get_gid() in drawn]
 
 
 def legend_above(figure: Figure, handles: Sequence[Artist], columns: int | None = None) -> None:
-    """Explain a figure above its panels, in one line if ``columns`` is left out."""
+    """Put the legend above the panels, in one line if ``columns`` is left out."""
     figure.legend(handles=handles, loc="outside upper left", ncols=columns or len(handles))
 
 
 def remark_below(figure: Figure, words: str) -> None:
-    """Say below the panels what a figure leaves out."""
+    """Write below the panels what a figure leaves out."""
     figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
 class _InnerLocator(MaxNLocator):
-    """Ticks that keep clear of the ends, where two panels' numbers would meet."""
+    """Ticks away from the ends, where two panels' numbers would meet."""
 
     def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
         """Choose ticks between ``vmin`` and ``vmax``."""
@@ -233,7 +223,7 @@ class _InnerLocator(MaxNLocator):
 
 
 class _Plain(ScalarFormatter):
-    """Numbers whose power of ten stands in the axis' label, and not in its corner."""
+    """Numbers whose power of ten is in the axis' label, and not in its corner."""
 
     def get_offset(self) -> str:
         """Say nothing."""
@@ -243,8 +233,8 @@ class _Plain(ScalarFormatter):
 def few_ticks(axis: Axis, most: int, *, inner: bool = False, exponent: int = 0) -> None:
     """Put at most ``most`` plain numbers on an axis, never an offset in the corner.
 
-    ``inner`` ones keep clear of the ends, for panels that touch; the power of ten of ``exponent``
-    is taken out of all, and stands in the axis' label.
+    ``inner`` ones are away from the ends, for panels that touch; ``exponent`` is the power of ten
+    in the axis' label.
     """
     locator = _InnerLocator if inner else MaxNLocator
     axis.set_major_locator(locator(most, steps=[1, 2, 5, 10], min_n_ticks=2))

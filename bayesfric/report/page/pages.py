@@ -1,4 +1,4 @@
-"""``report.html`` of a run, or of several side by side, from what folders hold and nothing else."""
+"""``report.html`` of a run or of several, from their folders alone."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pydantic import Field
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
-from bayesfric.report.alerts import alerts_of
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.forest import FOREST
 from bayesfric.report.figures.registry import read_captions, run_figures
 from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
+from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
-from bayesfric.report.paper.tables import ParameterRow, ParameterTable, parameter_table
-from bayesfric.report.summary.friction_part import friction_cells
+from bayesfric.report.paper.tables import ParameterTable, parameter_table
+from bayesfric.report.summary.parts import friction_cells
 from bayesfric.report.summary.record import Readable, RemedyRow, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
@@ -32,21 +32,21 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
     """Write the page of a run: HTML that fetches nothing.
 
     Figures, texts, configuration and the head of ``posterior.nc`` are read from the run directory
-    ``folder``; what is missing is left out. ``BadInput`` where the summary lacks something.
+    ``folder``; what is missing is left out.
     """
     read = Summary.read(summary, name)
     table = parameter_table(read, name)
     methods = comparison({name: read})
-    told = alerts_of(read, methods.contested)
+    messages = messages_of(read, methods.contested)
     captions = read_captions(_text(folder / "text" / "captions.md"))
     return render(
         "run.html.j2",
         title=name,
         summary=read,
-        alerts=told,
-        found=findings(table, read),
+        messages=messages,
+        open=open_quantities(table, read),
         too_slow=too_slow(),
-        brief=brief(read, told),
+        brief=brief(read, messages),
         table=table,
         notes=table.notes(marked=False),
         methods=methods,
@@ -66,51 +66,44 @@ def _text(path: Path) -> str:
         return ""
 
 
-def findings(table: ParameterTable, summary: Summary) -> dict[str, Any]:
-    """Gather what is open, why, and what lifts it, for the template to word."""
-    joint, found = table.joint, summary.identifiability
+def open_quantities(table: ParameterTable, summary: Summary) -> dict[str, Any]:
+    """Gather what is open, why, and how to determine it, for the template to word."""
+    joint, directions = table.joint, summary.identifiability.directions
     # and what no scaling changes
-    rows = [*joint, *(r for r in table.rows if r.group == "free")]
+    rows = [*joint, *table.groups["free"]]
     steps: dict[str, RemedyRow] = {}
-    for one in found.directions:
-        for remedy in one.remedies:
+    for direction in directions:
+        for remedy in direction.remedies:
             steps.setdefault(remedy.text, remedy)
+    first = next((row.name for row in joint if row.by == "open" and row.converged), "")
+    command = f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(first)}"
     return {
-        "lost": [r.name for r in rows if not r.cell.converged],
-        "open": {r.name: r.meaning for r in rows if r.by == "open" and r.cell.converged},
-        "why": [(one.meaning, one.reasons) for one in found.directions],
+        "lost": [r.name for r in rows if not r.converged],
+        "names": {r.name: r.meaning for r in rows if r.by == "open" and r.converged},
+        "why": [(direction.meaning, direction.reasons) for direction in directions],
         # each remedy once, an experiment before a value from elsewhere, which has to be believed
         "steps": sorted(steps.values(), key=lambda remedy: remedy.kind == "known value"),
-        "command": _command(joint),
+        "command": command if first else "",
     }
-
-
-def _command(joint: Sequence[ParameterRow]) -> str:
-    """Ask for advice on what is open."""
-    open_ = [row.name for row in joint if row.by == "open" and row.cell.converged]
-    name = shlex.quote(open_[0]) if open_ else ""
-    return f"bayesfric identify YOUR-CONFIGURATION.toml --advise {name}" if name else ""
 
 
 class Provenance(Part):
     """What is needed to repeat a run."""
 
-    # of Python and the libraries, by name
-    versions: dict[str, str] = Field(default_factory=dict)
-    # SHA-256 of every recording, by its name
-    recordings: dict[str, str] = Field(default_factory=dict)
+    versions: dict[str, str] = Field(default_factory=dict)  # of Python and the libraries
+    recordings: dict[str, str] = Field(default_factory=dict)  # SHA-256 by name
     seed: str = ""  # as text; empty where it is not known
     # first and last second that was fitted of a recording, by its name; not of those held out
     spans: dict[str, Pair] = Field(default_factory=dict)
 
-    def saw_of(self, other: Provenance) -> bool:
+    def overlaps(self, other: Provenance) -> bool:
         """Whether both fitted a part of one recording, by SHA-256 and seconds."""
-        whole = [-float("inf"), float("inf")]
+        always = [-float("inf"), float("inf")]
         return any(
             own == theirs != "" and max(a[0], b[0]) <= min(a[1], b[1])
             for mine, own in self.recordings.items()
             for name, theirs in other.recordings.items()
-            for a, b in [(self.spans.get(mine, whole), other.spans.get(name, whole))]
+            for a, b in [(self.spans.get(mine, always), other.spans.get(name, always))]
         )
 
 
@@ -126,14 +119,14 @@ def read_provenance(run: Path) -> Provenance | None:
 
 
 def shared_recordings(provenance: Mapping[str, Provenance | None]) -> list[tuple[str, str]]:
-    """Name the pairs of runs that saw the same seconds of a recording."""
-    known = {run: told for run, told in provenance.items() if told}
-    return [(a, b) for a, b in combinations(known, 2) if known[a].saw_of(known[b])]
+    """Name the pairs of runs that fitted the same seconds of a recording."""
+    known = [(run, part) for run, part in provenance.items() if part]
+    return [(run, other) for (run, a), (other, b) in combinations(known, 2) if a.overlaps(b)]
 
 
 def compare_page(
     folder: Path,
-    found: Comparison,
+    compared: Comparison,
     runs: Mapping[str, Summary],
     pooled: Sequence[PooledQuantity],
     provenance: Mapping[str, Provenance | None],
@@ -146,8 +139,8 @@ def compare_page(
         pooled=pooled,
         same=shared_recordings(provenance),
         provenance=provenance,
-        methods=found,
-        explained=list(explained(found)),
+        methods=compared,
+        explained=list(explained(compared)),
         figures=page_figures(folder, [FOREST], {}),
         version=next(iter(runs.values())).bayesfric,
     )

@@ -1,7 +1,6 @@
-"""Templates, style and script put together into one file that fetches nothing.
+"""Render pages: templates, style, script and figures in one file that fetches nothing.
 
-With numbers, verdicts and the paper's symbols as a page shows them: never a bare open interval; and
-drawings as images: whatever its file holds, an image neither acts nor reaches out.
+Figures are images, which can neither act nor request anything.
 """
 
 from __future__ import annotations
@@ -49,11 +48,10 @@ _LONG = re.compile(r"(?<=\.\d\d)\d+")
 _COLUMN = 300.0
 
 
-def render(template: str, **told: Any) -> str:
+def render(template: str, **values: Any) -> str:
     """Fill a template of ``templates/``; text is escaped.
 
-    The page's policy forbids every request and every script but its own, which is
-    named by its hash: what a file of the run may hold cannot act.
+    The page's policy forbids every request and every script but its own, named by its hash.
     """
     style, script = _asset("page.css"), _asset("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -62,7 +60,7 @@ def render(template: str, **told: Any) -> str:
         f"style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
     )
     fixed = {"style": Markup(style), "script": Markup(script), "policy": policy}
-    return _environment().get_template(template).render(**fixed, **told)
+    return _environment().get_template(template).render(**fixed, **values)
 
 
 @cache
@@ -72,8 +70,8 @@ def _asset(name: str) -> str:
 
 @cache
 def _environment() -> Environment:
-    made = environment("bayesfric.report.page", escaped=True)
-    made.filters |= FILTERS | {
+    templates = environment("bayesfric.report.page", escaped=True)
+    templates.filters |= FILTERS | {
         "spaced": numbers.spaced,
         "unit": numbers.html_unit,
         "interval": numbers.HTML.interval,
@@ -82,15 +80,12 @@ def _environment() -> Environment:
         "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
         "named": clause,
     }
-    made.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
-    return made
+    templates.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
+    return templates
 
 
 def html_symbol(symbol: str, name: str) -> Markup:
-    """Set a quantity's LaTeX symbol for a page; its name as code where that cannot be.
-
-    Only ``i``, ``sub``, ``sup``, ``span`` and escaped text, whatever the symbol holds.
-    """
+    """Write a quantity's LaTeX symbol as HTML; its name as code where that cannot be."""
     # as figures set it: words in subscripts upright, underscores of names kept
     shown = mathtext(symbol, name) if symbol else ""
     try:
@@ -130,7 +125,7 @@ class PageFigure:
     # in words
     title: str
     caption: str
-    alt: str  # what it says to who cannot see it
+    alt: str  # text for who cannot see it
     source: str  # the drawing as a data URL
     # in points
     width: float
@@ -147,7 +142,7 @@ def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str) -> 
     text = read_text(folder / "figures" / f"{stem}.svg")
     if (size := _SIZE.search(text)) is None:
         raise ValueError(f"{stem}.svg is no SVG with a view box")
-    text = _COORDINATES.sub(lambda found: _LONG.sub("", found[0]), text).replace("\n", " ")
+    text = _COORDINATES.sub(lambda match: _LONG.sub("", match[0]), text).replace("\n", " ")
     source = "data:image/svg+xml," + quote(text, safe=" :/;=,().-")
     return PageFigure(stem, title, caption, alt, source, float(size[1]), float(size[2]))
 
@@ -157,16 +152,17 @@ def page_figures(
 ) -> dict[str, list[PageFigure]]:
     """Read the figures that the folder has, by section of the page.
 
-    ``captions``, by stem, come before what a figure declares of itself. What a figure says to who
-    cannot see it is its caption: the numbers are in the page's tables.
+    ``captions``, by stem, replace what a figure declares. The text for who cannot see it is its
+    caption: the numbers are in the page's tables.
     """
     sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
-    for one in figures:
-        # not every caption is written down
-        caption = captions.get(one.stem, one.caption if isinstance(one.caption, str) else "")
-        alt = f"{one.title}. {caption}".strip()
+    for declared in figures:
+        default = declared.caption if isinstance(declared.caption, str) else ""
+        stem, title = declared.stem, declared.title
+        caption = captions.get(stem, default)
         try:
-            sections[one.section].append(page_figure(folder, one.stem, one.title, caption, alt))
+            figure = page_figure(folder, stem, title, caption, f"{title}. {caption}".strip())
+            sections[declared.section].append(figure)
         except (BadInput, ValueError):
             continue
     return sections

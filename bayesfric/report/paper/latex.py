@@ -1,10 +1,9 @@
-"""Symbols, units and words as LaTeX with siunitx writes them."""
+"""Symbols, units and text as LaTeX with siunitx."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
 from importlib.resources import files
 
 from bayesfric.base import __version__
@@ -25,8 +24,8 @@ _TYPESET = {
 
 def escaped(text: str) -> str:
     """Write plain text so that LaTeX prints it as it is; ``?`` for what pdflatex cannot print."""
-    both = _ESCAPED | _TYPESET
-    return "".join(both.get(c) or _printable(c) for c in text)
+    characters = _ESCAPED | _TYPESET
+    return "".join(characters.get(c) or _printable(c) for c in text)
 
 
 def _printable(character: str) -> str:
@@ -38,29 +37,17 @@ def _printable(character: str) -> str:
 
 
 def references() -> str:
-    """Give the BibTeX entries of what this package stands on, and its own."""
+    """Give the BibTeX entries of the methods and of this package."""
     text = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
     return text.replace("VERSION", __version__)
 
 
 def symbol(latex: str, name: str) -> str:
-    """Set a quantity's symbol; its name in typewriter where it has none that can be set."""
+    """Write a quantity's symbol, or its name in typewriter."""
     from bayesfric.report.figures.style import mathtext  # with Matplotlib
 
     shown = mathtext(latex, name) if latex else ""
     return shown if shown.startswith("$") else rf"\texttt{{{escaped(name)}}}"
-
-
-def with_symbols(text: str, symbols: Mapping[str, str]) -> str:
-    """Put symbols in place of quantities' names in escaped text; those without one stay.
-
-    So do names of one word, such as offset: they may as well be that word.
-    """
-    known = {escaped(name): symbol(one, name) for name, one in symbols.items() if "." in name}
-    if not known:
-        return text
-    either = "|".join(re.escape(name) for name in sorted(known, key=len, reverse=True))
-    return re.sub(rf"(?<![\w.])({either})(?![\w\\])", lambda m: known[m[1]], text)
 
 
 def unit(text: str) -> str:

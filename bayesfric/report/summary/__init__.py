@@ -1,1 +1,1 @@
-"""What ``summary.json`` holds: every number of a run, with what must be said of it."""
+"""What ``summary.json`` holds: every number of a run, with its messages."""

@@ -1,7 +1,4 @@
-"""What is concluded of every number of a summary, from all that was asked of it.
-
-A bound may hold it, and the model may lack something.
-"""
+"""Conclusions on every number of a summary: bounds, model discrepancy, and what is reported."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from bayesfric.results.reported import Spread, concluded
 
 
 def told_by_data(row: PosteriorRow) -> bool:
-    """Whether the data say how far from its bound a number may be, with a scale told if need be."""
+    """Whether the data, with the priors on a scale if need be, say how far from its bound it is."""
     known = row.data_sd is not None and row.data_sd < WIDE * (row.prior_sd or math.inf)
     return known or bool(row.given_by)
 
@@ -32,10 +29,10 @@ def held(row: PosteriorRow) -> bool:
     return row.at_bound is not None and (row.verdict != "prior" or told_by_data(row))
 
 
-def bound_mend(name: str, row: PosteriorRow) -> str:
+def bound_hint(name: str, row: PosteriorRow) -> str:
     """Say what to do about the bound that holds a number; nothing where none does.
 
-    Nor where the bound is the residuals' own, a memory's.
+    Nor where the bound is that of the residuals' autocorrelation.
     """
     if not held(row) or row.bound is None or _of_residuals(name):
         return ""
@@ -51,7 +48,7 @@ def _of_residuals(name: str) -> bool:
 
 
 def noise_cut(name: str, row: PosteriorRow) -> bool:
-    """Whether a prior keeps noise smaller than the data have it: intervals are then too narrow."""
+    """Whether a prior keeps noise smaller than in the data: intervals are then too narrow."""
     if not of_noise(name) or row.at_bound != "upper" or row.bound_physical or not held(row):
         return False
     return name.split(".")[1] in SCALES and not _of_residuals(name) and row.bound is not None
@@ -60,37 +57,34 @@ def noise_cut(name: str, row: PosteriorRow) -> bool:
 def bound_warning(name: str, row: PosteriorRow) -> str | None:
     """Warn of a bound that was set, not given by physics: it cuts the posterior off.
 
-    Where that is all numbers' concern it is a doubt (:func:`noise_cut`).
+    Where that concerns all numbers it is a doubt (:func:`noise_cut`).
     """
-    if row.bound_physical or noise_cut(name, row) or not (mend := bound_mend(name, row)):
+    if row.bound_physical or noise_cut(name, row) or not (hint := bound_hint(name, row)):
         return None
-    return line_of("bound", {"name": name, "side": row.at_bound, "mend": mend})
+    return line_of("bound", {"name": name, "side": row.at_bound, "fix": hint})
 
 
 def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
-    """Put intervals with room for what the model may lack into a summary, and judge by them.
-
-    ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.
-    """
-    room = fit.discrepancy
-    if room is None:
+    """Put intervals with model discrepancy into a summary, and judge by them."""
+    discrepancy = fit.discrepancy
+    if discrepancy is None:
         return summary
-    told = ModelError(shown=room.shown, chance=room.chance)
-    if not room.moved:
-        return summary.model_copy(update={"model_error": told})
+    part = ModelError(shown=discrepancy.shown, chance=discrepancy.chance)
+    if not discrepancy.moved:
+        return summary.model_copy(update={"model_error": part})
     wide = fit.wide.posterior.flat()
-    found = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
+    draws = {n: wide[:, j] for j, n in enumerate(fit.posterior.names) if not of_noise(n)}
     for group in derived:
-        found |= group.named(wide[:: -(-len(wide) // group.most)])
-    changes = {name: _change(summary, name, x) for name, x in found.items()}
+        draws |= group.named(wide[:: -(-len(wide) // group.most)])
+    changes = {name: _change(summary, name, x) for name, x in draws.items()}
     possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     priors = {n: p.limits for n, p in zip(fit.posterior.names, fit.posterior.priors, strict=True)}
     for name, change in changes.items():
         if change and summary.rows[name].at_bound is None:
-            # what has more room may come to lean on a bound
-            limits, x = priors.get(name), found[name]
+            # a wider posterior may come to lean on a bound
+            limits, x = priors.get(name), draws[name]
             change |= leaning(x, limits, possible[name]) if limits else loss_leaning(name, x)
-    return summary.with_rows(changes, model_error=told)
+    return summary.with_rows(changes, model_error=part)
 
 
 def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
@@ -110,7 +104,7 @@ def _change(summary: Summary, name: str, draws: np.ndarray) -> dict[str, Any]:
 
 
 def put_reported(summary: Summary) -> Summary:
-    """Put the one value, interval and status into every row; the last thing that is done.
+    """Put the one value, interval and status into every row, as the last step of all.
 
     A summary whose rows all have them stays as it is.
     """
@@ -119,17 +113,18 @@ def put_reported(summary: Summary) -> Summary:
     status = summary.sampler.status
     changes: dict[str, dict[str, Any]] = {}
     for name, row in summary.rows.items():
-        low, high = row.interval
         leans = row.at_bound is not None and (row.verdict == "data" or told_by_data(row))
+        low, high = row.interval
         sound = status != "unusable" if row.converged is None else row.converged
-        one = concluded(
-            Spread(row.middle, low, high, row.sd),
-            verdict=row.verdict,
-            own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
-            converged=status == "reliable" or sound,
-            widened=row.wide,
-            limit=row.at_bound if leans else None,
-            findings=row.doubted if row.verdict != "prior" else (),
-        )
-        changes[name] = {"reported": one}
+        changes[name] = {
+            "reported": concluded(
+                Spread(row.middle, low, high, row.sd),
+                verdict=row.verdict,
+                own_prior=bool(row.given_by) or (not row.prior_default and bool(row.prior)),
+                converged=status == "reliable" or sound,
+                widened=row.widened,
+                limit=row.at_bound if leans else None,
+                findings=row.doubted if row.verdict != "prior" else (),
+            )
+        }
     return summary.with_rows(changes)

@@ -1,4 +1,4 @@
-"""Quantities that follow from the parameters: what draws, priors and data say of each."""
+"""Quantities derived from the parameters: their draws, priors and rows."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from bayesfric.report.summary.rows import Described
 from bayesfric.report.words import listed
 from bayesfric.results.reported import LEVEL as LEVEL
 
-# Samples times draws for the totals; more draws change nothing that is printed.
+# Samples times draws for the totals; more draws change no printed digit.
 _TOTALS_BUDGET = 25_000_000
 # A total below this share of the others of its unit is zero but for rounding.
-_NOUGHT = 1e-9
+_ROUNDING = 1e-9
 # The loss per torque that a factor or an efficiency is made of, eqs. (4) and (6), and the side on
 # which one lies where there is none.
 _LOSSES: dict[str, tuple[Callable[[Array], Array], str]] = {
@@ -39,45 +39,40 @@ _LOSSES: dict[str, tuple[Callable[[Array], Array], str]] = {
 
 @dataclass(frozen=True)
 class Group:
-    """Quantities computed alike.
+    """Derived quantities that are computed together."""
 
-    ``found`` has the posterior's draws of each; ``of_chain`` brings the chain's parameters
-    ``(n, n_parameters)`` to them, ``(k, n)``; ``most`` draws are enough to judge them by;
-    ``prior`` is how many of its draws, and the key of their random numbers.
-    """
-
-    found: list[Derived]
+    quantities: list[Derived]  # with the posterior's draws of each
     target: Target
-    of_chain: Callable[[Array], Array]
-    most: int
-    prior: tuple[int, int]
+    of_chain: Callable[[Array], Array]  # the chain's parameters `(n, n_parameters)` to `(k, n)`
+    most: int  # draws that are enough to judge them by
+    prior: tuple[int, int]  # number of draws of the prior, and the key of their random numbers
 
     def values(self, draws: Array) -> Array:
-        """Bring draws ``(n, d)`` of the sampled parameters to the quantities, ``(k, n)``."""
-        if not self.found:
+        """Compute the quantities ``(k, n)`` of draws ``(n, d)`` of the sampled parameters."""
+        if not self.quantities:
             return np.empty((0, len(draws)))
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.of_chain(self.target.chain_values(draws))
 
     def named(self, draws: Array) -> dict[str, Array]:
         """Give the quantities of draws by name, ``(n,)`` each."""
-        return {q.name: x for q, x in zip(self.found, self.values(draws), strict=True)}
+        return {q.name: x for q, x in zip(self.quantities, self.values(draws), strict=True)}
 
 
 Groups = tuple[Group, Group]
 
 
 def groups(fit: Fit) -> Groups:
-    """Give totals, as least squares would find them in each draw's torque, and coefficients.
+    """Give totals, as least squares would estimate them from each draw's torque, and coefficients.
 
-    The totals take as long as some hundred steps of the sampling: once is enough for a fit.
+    The totals take as long as some hundred steps of the sampling: compute them once for a fit.
     """
     return _totals(fit), coefficients(fit)
 
 
-def described_as(what: Any) -> dict[str, str]:
+def described_as(quantity: Any) -> dict[str, str]:
     """Give unit, symbol and meaning of a parameter or derived quantity."""
-    return {key: getattr(what, key) for key in Described.model_fields}
+    return {key: getattr(quantity, key) for key in Described.model_fields}
 
 
 def rms_of(x: Array) -> float:
@@ -86,7 +81,7 @@ def rms_of(x: Array) -> float:
 
 
 def spread(x: Array) -> dict[str, Any]:
-    """Mean, sd, median and interval of draws; those that are no numbers do not count."""
+    """Give mean, sd, median and interval of the finite draws."""
     x = x[np.isfinite(x)]
     low, middle, high = np.quantile(x, [0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2])
     return {
@@ -99,7 +94,7 @@ def spread(x: Array) -> dict[str, Any]:
 
 
 def leaning(x: Array, prior: tuple[float, float], possible: tuple[float, float]) -> dict[str, Any]:
-    """Say on which bound a posterior leans; it is physical where nothing is possible beyond."""
+    """Give the bound on which a posterior leans; physical where nothing is possible beyond."""
     side = bound_of(x[np.isfinite(x)], *prior)
     if side is None:
         return {"at_bound": None}
@@ -112,9 +107,9 @@ def leaning(x: Array, prior: tuple[float, float], possible: tuple[float, float])
 
 
 def loss_leaning(name: str, x: Array) -> dict[str, Any]:
-    """Say whether a factor or efficiency ``(n,)`` is known from one side only, as its loss is.
+    """Give the bound on which a factor or efficiency ``(n,)`` leans, as its loss does.
 
-    As two-sided, ``alpha`` in [0.93, 0.98] would shut out what "at most 0.06" of the loss does not.
+    Two-sided, ``alpha`` in [0.93, 0.98] would exclude what "at most 0.06" of the loss does not.
     """
     if quantity_of(name) not in _LOSSES:
         return {}
@@ -136,16 +131,16 @@ def gradients(fit: Fit, group: Group) -> Array:
 def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
     rows = {}
-    for group in (one for one in derived if one.found):
+    for group in (group for group in derived if group.quantities):
         of_each = (
             group.values(fit.posterior.prior_draws(*group.prior)),
             gradients(fit, group),
             sound_quantities(fit, group),
         )
-        for q, prior, change, converged in zip(group.found, *of_each, strict=True):
-            told = local.data_sd_of(change, gauge_free=q.gauge_free)
+        for q, prior, change, converged in zip(group.quantities, *of_each, strict=True):
+            data_sd = local.data_sd_of(change, gauge_free=q.gauge_free)
             prior_sd, sd = _robust_sd(prior), _robust_sd(q.values)
-            by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, told), "prior_sd": prior_sd}
+            by: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd), "prior_sd": prior_sd}
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
             by |= loss_leaning(q.name, q.values)
@@ -164,7 +159,7 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
 
 
 def weakly_given(names: list[str]) -> dict[str, Any]:
-    """Say that neither data nor a prior of its own settle a number, but told priors do."""
+    """Say that priors on other parameters determine a number, if any do."""
     return {"verdict": "weak", "given_by": names} if names else {}
 
 
@@ -176,57 +171,56 @@ def _totals(fit: Fit) -> Group:
     wanted = [
         i for i, (_, label, open_) in enumerate(names) if label not in fit.chain.names and not open_
     ]
-
     most = max(400, _TOTALS_BUDGET // sum(o.q.size for o in observations))
-
     maps = projection.of_samples()
 
     def every(parameters: Array) -> Array:
         pairs = zip(observations, maps, strict=True)
-        parts = [weighted_torque(fit.chain, o, one, parameters) for o, one in pairs]
+        parts = [weighted_torque(fit.chain, o, weights, parameters) for o, weights in pairs]
         return np.asarray(np.sum(parts, axis=0))
 
     drawn = every(fit.chain_draws(most)) if wanted else np.empty((len(names), 1))
     described = [projection.describe(name) for name, *_ in names]
-    wanted = [i for i in wanted if not _nought(i, drawn, [unit for unit, *_ in described])]
+    wanted = [i for i in wanted if not _is_zero(i, drawn, [unit for unit, *_ in described])]
 
-    # what a load loss adds is spread over the other terms, along each motion differently
+    # load-dependent friction biases the other terms, along each motion differently
     lossy = any(element.load_loss != "none" for element in fit.chain.elements)
     bent = sorted({p.row.bent_by for p in fit.chain.parameters if p.row.bends}, reverse=True)
-    without = f", as a fit without {listed(bent)} would find it" if bent else ""
-    found = []
+    without = f", as a fit without {listed(bent)} estimates it" if bent else ""
+    quantities = []
     for i in wanted:
         unit, symbol, meaning = described[i]
-        meaning += without
-        told = {"gauge_free": True, "of_motion": lossy}
-        found.append(Derived(names[i][1], unit, symbol, meaning, drawn[i], **told))
-    return Group(found, fit.target, lambda parameters: every(parameters)[wanted], most, (300, 3))
+        flags = {"gauge_free": True, "of_motion": lossy}
+        quantities.append(Derived(names[i][1], unit, symbol, meaning + without, drawn[i], **flags))
+    return Group(
+        quantities, fit.target, lambda parameters: every(parameters)[wanted], most, (300, 3)
+    )
 
 
-def _nought(i: int, drawn: Array, units: Sequence[str]) -> bool:
-    """Whether a total is nought by geometry: no finding, for what is left of it is rounding."""
+def _is_zero(i: int, drawn: Array, units: Sequence[str]) -> bool:
+    """Whether a total is zero by geometry, but for rounding."""
     sizes = np.abs(drawn).max(axis=1)
-    alike = [size for size, unit in zip(sizes, units, strict=True) if unit == units[i]]
-    return bool(sizes[i] <= _NOUGHT * max(alike))
+    same_unit = [size for size, unit in zip(sizes, units, strict=True) if unit == units[i]]
+    return bool(sizes[i] <= _ROUNDING * max(same_unit))
 
 
 def coefficients(fit: Fit) -> Group:
-    """Give every quantity that has an interval, at the load at which efficiencies are stated."""
+    """Derive every quantity that has an interval, at the load at which efficiencies are stated."""
     middle = fit.target.chain_values(fit.posterior.median[None])[0]
     at_load = typical_load(fit.chain, fit.observations, middle)
-    # what no scaling changes comes first: it is what the torque tells
+    # what no scaling changes comes first
     every = sorted(derive(fit.chain, fit.chain_draws(), at_load), key=lambda q: not q.gauge_free)
-    found = [q for q in every if _has_interval(q.values)]
+    shown = [q for q in every if _has_interval(q.values)]
 
     def values(parameters: Array) -> Array:
         of = {q.name: q.values for q in derive(fit.chain, parameters, at_load)}
-        return np.stack([of[q.name] for q in found])
+        return np.stack([of[q.name] for q in shown])
 
-    return Group(found, fit.target, values, fit.posterior.log_density.size, (2000, 2))
+    return Group(shown, fit.target, values, fit.posterior.log_density.size, (2000, 2))
 
 
 def _has_interval(x: Array) -> bool:
-    """Whether a quantity is neither known, of fixed parameters only, nor missing in most draws."""
+    """Whether a quantity is neither of fixed parameters only nor undefined in most draws."""
     defined = x[np.isfinite(x)]
     if defined.size < x.size:
         return defined.size >= 0.5 * x.size
@@ -241,11 +235,11 @@ def _robust_sd(x: Array) -> float:
 
 
 def sound_quantities(fit: Fit, group: Group) -> Flags:
-    """Judge quantities by R-hat and independent draws of their own, ``(k,)``.
+    """Judge the convergence of quantities by their R-hat and effective sample size, ``(k,)``.
 
-    What no scaling changes may be known where the parameters it is made of still wander.
+    What no scaling changes may have converged where the parameters it is made of have not.
     """
-    number, diagnostics = len(group.found), fit.posterior.diagnostics
+    number, diagnostics = len(group.quantities), fit.posterior.diagnostics
     if diagnostics.status == "reliable":
         return np.ones(number, dtype=np.bool_)
     draws = convergence.without_stuck(fit.posterior.draws, diagnostics.acceptance)
@@ -253,11 +247,11 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
     draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.most))]
     if draws.shape[2] < 2:
         return np.zeros(number, dtype=np.bool_)
-    found = group.values(draws.reshape(-1, d))
+    values = group.values(draws.reshape(-1, d))
     with np.errstate(invalid="ignore"):
-        middle = np.nanmedian(np.where(np.isfinite(found), found, np.nan), axis=1, keepdims=True)
-    # draws that do not have a quantity say nothing against it
-    found = np.where(np.isfinite(found), found, middle)
-    series = np.moveaxis(found.reshape(number, *draws.shape[:3]), 0, -1)
+        middle = np.nanmedian(np.where(np.isfinite(values), values, np.nan), axis=1, keepdims=True)
+    # draws in which a quantity is undefined say nothing against it
+    values = np.where(np.isfinite(values), values, middle)
+    series = np.moveaxis(values.reshape(number, *draws.shape[:3]), 0, -1)
     ess = convergence.effective_sample_size(series, convergence.autocorrelation_time(series))
     return diagnostics.sound(convergence.nested_rhat(series), ess)

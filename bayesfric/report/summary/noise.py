@@ -1,4 +1,4 @@
-"""What a summary says of the noise: its model, why that one, and what white noise would give."""
+"""The noise in a summary: its model, and the evidence for it."""
 
 from __future__ import annotations
 
@@ -27,26 +27,25 @@ _LINEAR = 1.0
 
 
 def noise_described(fit: Fit) -> dict[str, dict[str, str]]:
-    """Say what every noise parameter is: unit, symbol and meaning, by name."""
+    """Give unit, symbol and meaning of every noise parameter, by name."""
     noise, effort = fit.target.noise, "N m" if fit.chain.motor_motion == "rotary" else "N"
     units = {"position": fit.target.likelihood.outputs[0].unit, "": ""}
-    meanings = {one.name: one.meaning for one in fit.target.likelihood.noise.scales}
-    found = {}
+    meanings = {scale.name: scale.meaning for scale in fit.target.likelihood.noise.scales}
+    described = {}
     for name, symbol, kind in zip(noise.names, noise.symbols, noise.quantities, strict=True):
         # one scale a recording, by its name
         _, _, recording = name.removeprefix("noise.").partition(".")
         meaning = effort_words(meanings[kind], fit.chain.motor_motion)
         meaning += f", {recording}" if recording else ""
         unit = units.get(SCALES[kind].unit, effort)
-        found[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
-    return found
+        described[name] = {"unit": unit, "symbol": symbol, "meaning": meaning}
+    return described
 
 
 def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
     """Put the noise of a fit into the form of ``summary.json``.
 
-    ``residuals`` ``(M,)`` of every recording are measured minus posterior mean; ``choice`` is how
-    the order was chosen, where it was.
+    ``residuals`` ``(M,)`` of every recording are measured minus posterior mean.
     """
     likelihood = fit.target.likelihood
     runs = [o.follows for o in likelihood.outputs]
@@ -78,13 +77,13 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
             for o, s in zip(likelihood.outputs, scales, strict=True)
         }
     if choice is not None:
-        record["order_chosen_from"] = [asdict(one) for one in choice.tried]
+        record["order_chosen_from"] = [asdict(order) for order in choice.tried]
         record |= {"memory": [*choice.memory], "room": choice.room}
     return record
 
 
 def linearisation_warning(likelihood: Likelihood) -> str | None:
-    """Warn where the output-error likelihood is another one at every draw."""
+    """Warn where linearising the simulation changes the output-error likelihood much."""
     change = likelihood.linearisation
     if change is None or change < _LINEAR:
         return None
@@ -92,19 +91,19 @@ def linearisation_warning(likelihood: Likelihood) -> str | None:
 
 
 def correlation_of(summary: Summary) -> tuple[float, float] | None:
-    """Give lag-one correlation of residuals that count as independent, and how much it matters.
+    """Give lag-one correlation of residuals assumed independent, and how much it matters.
 
     That is the factor by which intervals are too narrow, of a first-order autoregression.
     """
     lag = summary.noise.innovation_lag1
-    # drifting positions are correlated by their model; there it says nothing
+    # simulated positions are correlated by their model
     if summary.likelihood.method != "input-error" or lag is None or lag < CORRELATED:
         return None
     return lag, float(np.sqrt((1.0 + lag) / (1.0 - min(lag, 0.99))))
 
 
 def mean_lag(residuals: Sequence[Array], follows: Sequence[Flags]) -> float | None:
-    """Correlate residuals with the next, each recording's in its own rms, over all such pairs."""
+    """Correlate each residual with the next, scaled by its recording's rms."""
     scaled = [r / max(rms_of(r), 1e-300) for r in residuals]
     # no pair reaches from one recording to the next
     runs = [np.append(f, False)[: r.size] for r, f in zip(scaled, follows, strict=True)]

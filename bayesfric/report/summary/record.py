@@ -1,7 +1,4 @@
-"""What ``summary.json`` holds: one class that a fit fills and that the file is read back into.
-
-Tables, page, terminal and comparison are views of it.
-"""
+"""What ``summary.json`` holds: a fit fills it, the file is read back into it, views print it."""
 
 from __future__ import annotations
 
@@ -30,14 +27,13 @@ from bayesfric.report.summary.rows import (
     RollOutPart,
     Share,
 )
-from bayesfric.report.words import clause, line_of
-from bayesfric.results.reported import Status
-from bayesfric.results.verdict import Verdict, verdict
+from bayesfric.report.words import clause, line_of, words_of
+from bayesfric.results.reported import Status, Verdict, verdict
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_GAIN = "drive.gain"
+GAIN = "drive.gain"
 # A summary is a page or two of numbers; anything larger is some other file.
 _LARGEST = 20_000_000
 # First version whose runs can be read.
@@ -72,7 +68,7 @@ class NullDirection(Part):
 
 
 class RemedyRow(Open):
-    """Something to do about an open direction."""
+    """What to do about an open direction."""
 
     kind: str = ""
     text: str
@@ -90,14 +86,14 @@ class OpenDirectionRow(Open):
 
 
 class Identifiability(Part):
-    """What no recording of this kind can tell."""
+    """What no recording of this kind can determine."""
 
     null_directions: list[NullDirection] = Field(default_factory=list)
     directions: list[OpenDirectionRow] = Field(default_factory=list)
 
 
 class Tried(Part):
-    """One order of the noise that was looked at."""
+    """One order of the noise that was tried."""
 
     order: int
     bic: FiniteFloat
@@ -112,7 +108,7 @@ class Whiteness(Part):
 
 
 class Noise(Part):
-    """What residuals were taken for, and the evidence for it."""
+    """The noise model, and the evidence for it."""
 
     model: str = "white"
     parameters: list[str] = Field(default_factory=list)
@@ -179,21 +175,47 @@ class Validation(Part):
     pooled: HeldOut
 
 
-class Doubt(Open):
-    """A reason to doubt some parameters; each kind has further keys of its own."""
+class Message(Open):
+    """What to know before using a number; further keys fill the words of its kind."""
 
     kind: str
-    parameters: list[str] = Field(default_factory=list)
+    severity: Literal["note", "doubt"] = "doubt"
+    parameters: list[str] = Field(default_factory=list)  # which it makes doubtful
+    remark: str = ""  # its text, where that is not made of the kind's words
+
+    @property
+    def text(self) -> str:
+        """One sentence without its full stop."""
+        return self.remark or line_of(self.kind, self.model_dump())
+
+    @property
+    def clause(self) -> str:
+        """What it is, without what to do."""
+        return clause(self.kind, self.model_dump())
+
+    @property
+    def section(self) -> str:
+        """Section of the page that says more; may be empty."""
+        if self.kind in ("missing", "put in"):
+            return "model-error"
+        return words_of(self.kind).section
+
+    @property
+    def brief(self) -> str:
+        """Line of the short answer; empty for what needs nothing to be done."""
+        if self.kind in ("put in", "back-EMF", "simulated"):
+            return ""
+        return {"sampler": line_of("sampler"), "warning": self.remark.split(";")[0]}.get(
+            self.kind, self.text
+        )
 
 
-class FindingRow(Part):
-    """What may be wrong, as :class:`bayesfric.diagnostics.finding.Finding` has it."""
+class FindingRow(Message):
+    """What may be missing, as :class:`bayesfric.diagnostics.finding.Finding` has it."""
 
-    kind: str
     severity: Literal["note", "doubt"]
-    parameters: list[str] = Field(default_factory=list)
     p: Share
-    hint: str = ""  # line of a configuration that would put it in
+    hint: str = ""  # line of a configuration that would add it
     statistic: FiniteFloat
     shape: str = ""
     share: NotNegative = 0.0
@@ -203,43 +225,38 @@ class FindingRow(Part):
     recording: str = ""
     span: Pair | None = None
 
+    def message(self, kind: str, **changes: Any) -> dict[str, Any]:
+        """Give a message of another kind about this finding."""
+        return self.model_dump(exclude={"remark"}) | {"kind": kind, "what": self.kind} | changes
+
 
 class RegressionPart(Part):
-    """How it was asked what else explains the torque; ``reason`` is why it was not.
+    """How missing effects were tested."""
 
-    ``asked`` counts the kinds of candidates, ``share`` is that of the samples that were asked.
-    """
-
-    twins: int = 0
-    asked: int = 0
-    reason: Literal["few", "still"] | None = None
-    share: float = 1.0
+    twins: int = 0  # simulated replicates
+    asked: int = 0  # kinds of candidates
+    reason: Literal["few", "still"] | None = None  # why there was no test
+    share: float = 1.0  # of the samples that were used
 
 
 class SelfCheckRow(Part):
-    """What fits of simulated recordings make of one quantity.
+    """How fits of simulated recordings recover one quantity."""
 
-    ``bias`` is in posterior sds, ``coverage`` that of the printed interval.
-    """
-
-    bias: FiniteFloat
+    bias: FiniteFloat  # in posterior sds
     bias_error: NotNegative
-    coverage: Share
+    coverage: Share  # of the printed interval
     coverage_error: NotNegative
 
 
 class SelfCheck(Part):
-    """How fits of recordings like this one, simulated where the truth is known, came out.
+    """Calibration check: fits of recordings like this one, simulated where the truth is known."""
 
-    ``made`` of the ``asked`` could be simulated and fitted; where that are too few, ``reason`` is
-    why and ``rows`` are empty. ``unexplained`` is what filters, encoder and differentiation leave
-    of the torque, as a share of the noise's variance.
-    """
-
-    asked: int
-    made: int
-    reason: Literal["likelihood", "rest", "sampling", "still", "few"] | None = None
+    asked: int  # recordings to simulate
+    made: int  # that could be simulated and fitted
+    reason: Literal["likelihood", "rest", "sampling", "still", "few"] | None = None  # why no rows
     rows: dict[Name, SelfCheckRow] = Field(default_factory=dict)
+    # what filters, encoder and differentiation leave of the torque, as a share of the noise's
+    # variance
     unexplained: NotNegative | None = None
     seconds: NotNegative
     cpu_seconds: NotNegative
@@ -251,52 +268,36 @@ class SelfCheck(Part):
 
 
 class ModelError(Part):
-    """Whether intervals have room for what the model may lack.
-
-    ``chance`` is the probability that it lacks any candidate.
-    """
+    """Whether intervals allow for model discrepancy."""
 
     shown: bool
-    chance: Share = 0.0
+    chance: Share = 0.0  # probability that the model lacks any candidate
 
 
 class FrictionRow(Part):
     """Friction of the whole joint at one constant speed of the motor and one load."""
 
-    speed: FiniteFloat
-    quantile: Share
+    speed: FiniteFloat  # signed, of the motor
+    quantile: Share  # among recorded speeds of either sign
+    # of the load at the motor, without losses; positive against the motion, and zero unless
+    # friction depends on it
     load: FiniteFloat = 0.0
-    value: FiniteFloat
+    value: FiniteFloat  # posterior median, positive against the motion
     interval: Pair
-    status: Status
+    status: Status  # `identified`, `doubtful` or `unidentified`
 
 
 class Friction(Part):
-    """Friction of the whole joint at recorded speeds, with room for model discrepancy.
+    """Friction of the whole joint at recorded speeds, with model discrepancy.
 
     Coefficients of friction trade against each other; their sum at a speed that was recorded is
     often known to a per cent.
-
-    Attributes
-    ----------
-    unit, speed_unit
-        N m and rad/s of a motor that turns, N and m/s of one that slides.
-    level
-        Share of the posterior that intervals hold.
-    parameters
-        What was sampled of it.
-    rows
-        Each with ``speed`` (signed, of the motor), its ``quantile`` among recorded speeds of
-        either sign, ``load`` (of the load at the motor, without losses; positive against the
-        motion, and zero alone unless friction depends on it), ``value`` (posterior median,
-        positive against the motion), ``interval`` and ``status``: ``identified``, ``doubtful``, or
-        ``unidentified`` where the data do not narrow what the prior has.
     """
 
-    unit: str
+    unit: str  # N m, or N of a motor that slides
     speed_unit: str
     level: Share
-    parameters: list[str] = Field(default_factory=list)
+    parameters: list[str] = Field(default_factory=list)  # those sampled
     rows: list[FrictionRow]
 
 
@@ -323,7 +324,7 @@ class Sampler(Part):
 
 
 class Summary(Part):
-    """Every number of a run, with what must be said of it."""
+    """Every number of a run, with its messages."""
 
     bayesfric: str = ""
     parameters: dict[Name, PosteriorRow]
@@ -342,7 +343,7 @@ class Summary(Part):
     self_check: SelfCheck | None = None
     model_error: ModelError | None = None
     rollout: RollOutPart | None = None
-    doubts: list[Doubt] = Field(default_factory=list)
+    doubts: list[Message] = Field(default_factory=list)
     findings: list[FindingRow] = Field(default_factory=list)
     taken: list[FindingRow] = Field(default_factory=list)  # by terms = "auto"
     regression: RegressionPart | None = None
@@ -354,17 +355,13 @@ class Summary(Part):
         """Whether the intervals account for correlated residuals."""
         test = self.noise.innovation_whiteness
         if len(self.noise.order_chosen_from) > 1 and test is not None and test.white:
-            # white noise that was found, not assumed, leaves nothing to account for
+            # white noise that was tested, not assumed, leaves nothing to account for
             return True
         return bool(self.noise.accounts_for_correlation)
 
     @property
-    def felt(self) -> dict[str, PosteriorRow]:
-        """What the motor feels, whatever the scale of load and gearbox.
-
-        Without what depends on the motion, too: behind a load loss that is what least squares makes
-        of the torque, which no motor feels.
-        """
+    def gauge_free(self) -> dict[str, PosteriorRow]:
+        """Derived quantities that no scaling of load and gearbox, and no other motion, changes."""
         return {
             name: row for name, row in self.derived.items() if row.gauge_free and not row.of_motion
         }
@@ -378,17 +375,17 @@ class Summary(Part):
 
     @property
     def widened(self) -> bool:
-        """Whether the intervals to print first have room for the model's error."""
+        """Whether the intervals to print allow for model discrepancy."""
         return self.model_error is not None and self.model_error.shown
 
     @property
     def scaled(self) -> bool:
         """Whether the torque's own factor is a parameter."""
-        return _GAIN in self.parameters or _GAIN in self.fixed
+        return GAIN in self.parameters or GAIN in self.fixed
 
     @property
-    def rests_on(self) -> str:
-        """What every torque rests on, where it was a current and its factor is not fitted."""
+    def assumed_constant(self) -> str:
+        """Say which torque constant was assumed, where torque is a current without a gain."""
         constant = self.fit.torque_constant
         if constant is None or self.scaled:
             return ""
@@ -397,28 +394,27 @@ class Summary(Part):
     @property
     def reasons(self) -> list[str]:
         """Why numbers are doubtful, each in one clause, for print."""
-        told = (clause(one.kind, one.model_dump()) for one in self.doubts if one.parameters)
-        return list(dict.fromkeys(told))
+        return list(dict.fromkeys(doubt.clause for doubt in self.doubts if doubt.parameters))
 
     @property
     def first(self) -> str:
         """What comes first: a doubt, or what a model lacks that is incomplete; may be empty."""
         if self.doubts:
-            return clause(self.doubts[0].kind, self.doubts[0].model_dump())
+            return self.doubts[0].clause
         if self.verdict.outcome != "usable":
             return ""
-        return clause("missing", self.findings[0].model_dump() | {"what": self.findings[0].kind})
+        return clause("missing", self.findings[0].message("missing"))
 
     @cached_property
     def verdict(self) -> Verdict:
-        """What the run comes to."""
-        asked = self.regression
+        """Verdict on the run."""
+        tested = self.regression
         return verdict(
             converged=not self.sampler.problems and self.sampler.status != "unusable",
-            # that nobody could check the model is an outcome of its own
+            # a model that could not be checked is a separate outcome
             doubts=sum(doubt.kind not in ("few", "still") for doubt in self.doubts),
             doubtful=sum(r.doubtful for n, r in self.rows.items() if not of_noise(n)),
-            asked=None if asked is None or asked.reason else asked.asked,
+            asked=None if tested is None or tested.reason else tested.asked,
             explained=self.fit.explained,
             lacking=self.widened and bool(self.findings),
         )
@@ -454,9 +450,8 @@ class Summary(Part):
         """Parameters, then derived quantities, as a table with a line for each.
 
         First what every view prints: value, sd, ends of the interval, status, and the findings that
-        move it by more than that. Then how it came about: the posterior's own numbers, whether the
-        interval has room for the model's error; and the keys of
-        :class:`PosteriorRow`.
+        move it by more than that. Then how it was made: the posterior's own numbers, whether the
+        interval allows for model discrepancy; and the keys of :class:`PosteriorRow`.
         """
         import pandas as pd
 
@@ -467,15 +462,10 @@ class Summary(Part):
                 if row.reported is not None:
                     line |= dict(row.reported) | dict(row.reported.how)
                     line["findings"] = ", ".join(row.reported.how.findings)
-                told = row.told
-                line |= {"value": told.value, "sd": told.sd, "low": told.low, "high": told.high}
-                line |= {"posterior": row.middle, "posterior_sd": row.sd}
-                lines.append(line | _ends("posterior_", row.interval))
+                line |= row.printed._asdict() | {"posterior": row.middle, "posterior_sd": row.sd}
+                line["posterior_low"], line["posterior_high"] = row.interval
+                lines.append(line)
         return pd.DataFrame(lines, columns=[*_FRAME])
-
-
-def _ends(of: str, interval: list[float]) -> dict[str, float]:
-    return dict(zip((f"{of}low", f"{of}high"), interval, strict=True))
 
 
 _FRAME = ("name", "value", "sd", "low", "high", "unit", "status", "findings", "bound", "at_most",
@@ -491,22 +481,22 @@ def of_noise(name: str) -> bool:
 
 
 def read_summary_file(run: Path) -> dict[str, Any]:
-    """Read ``summary.json`` of a run directory; ``BadInput`` where there is none that is whole."""
+    """Read ``summary.json`` of a run directory; ``BadInput`` where there is no complete one."""
     file, again = run / "summary.json", "fit this run again"
-    mend = "name a run directory, as 'bayesfric fit' makes it"
+    hint = "name a run directory, as 'bayesfric fit' makes it"
     try:
         if not run.is_dir():
             what = "is a file" if run.exists() else "there is no such folder"
-            raise BadInput(str(run), what, mend)
+            raise BadInput(str(run), what, hint)
         if not file.exists():
-            raise BadInput(str(run), "holds no summary.json", mend)
+            raise BadInput(str(run), "holds no summary.json", hint)
     except OSError as error:  # of its name
-        raise BadInput(str(run), f"cannot be read ({error.strerror})", mend) from None
-    found = read_json(file, again, largest=_LARGEST)
-    if not isinstance(found, dict):
+        raise BadInput(str(run), f"cannot be read ({error.strerror})", hint) from None
+    document = read_json(file, again, largest=_LARGEST)
+    if not isinstance(document, dict):
         raise BadInput(str(file), "holds no table of results", again)
-    version = re.match(r"(\d{1,4})\.(\d{1,4})", str(found.get("bayesfric")))
+    version = re.match(r"(\d{1,4})\.(\d{1,4})", str(document.get("bayesfric")))
     if version and tuple(map(int, version.groups())) < _OLDEST:
         what = f"is a run of bayesfric {version[0]}, which this version cannot read"
         raise BadInput(str(run), what, "fit it again")
-    return found
+    return document

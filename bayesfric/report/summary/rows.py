@@ -1,18 +1,19 @@
-"""Pieces of ``summary.json``, checked when read and written as set; what it says of one number."""
+"""Pieces of ``summary.json``, checked when read and written as set: rows and recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
+from bayesfric.mechanism.parameter import turned
 from bayesfric.results.reported import Determined, Reported, Spread
 from bayesfric.results.roll_out import Input, RollOut, tells_nothing
-from bayesfric.results.roll_out import Part as Which
+from bayesfric.results.roll_out import Part as RecordingPart
 
 # JSON has lists only; a pair is one with a low and a high end.
 Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
@@ -29,24 +30,24 @@ FEWEST = 0.8
 class Part(BaseModel):
     """A piece of a summary. What is not set is not written: a run read and written is the same."""
 
-    # what other versions add is none of ours; what they lack has a default
+    # keys of other versions are ignored; what they lack has a default
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True, populate_by_name=True)
 
     @classmethod
-    def read(cls, found: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
-        """Check what a file, called ``where`` in complaints, or a piece of the package tells.
+    def read(cls, document: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
+        """Check what a file, called ``where`` in messages, or a caller holds.
 
-        What is one already is given back. BadInput, naming the key, where something is missing or
+        An instance is returned as it is. BadInput, naming the key, where something is missing or
         of another type.
         """
-        if isinstance(found, cls):
-            return found
+        if isinstance(document, cls):
+            return document
         try:
-            return cls.model_validate(found)
+            return cls.model_validate(document)
         except ValidationError as error:
-            said = configuration_error(f"{where}: ", "configuration", error, found, cls)
-            mend = "name a run that 'bayesfric fit' wrote, or fit it again"
-            raise BadInput(said.where, said.what, mend) from None
+            wrong = configuration_error(f"{where}: ", "configuration", error, document, cls)
+            hint = "name a run that 'bayesfric fit' wrote, or fit it again"
+            raise BadInput(wrong.where, wrong.what, hint) from None
 
     def as_dict(self) -> dict[str, Any]:
         """Give strings, numbers, lists and dicts, as JSON has them."""
@@ -54,7 +55,7 @@ class Part(BaseModel):
 
 
 class Open(Part):
-    """A piece that keeps keys of its own."""
+    """A piece that keeps further keys."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
@@ -94,57 +95,46 @@ class EstimatedRow(Described):
     span: Pair | None = None
 
 
-class Drawn(Part):
-    """Where the draws of one quantity lie."""
+class PosteriorRow(Described):
+    """One parameter or derived quantity of a posterior."""
 
     mean: FiniteFloat
-    sd: NotNegative
+    sd: NotNegative  # if the model is right, as is `interval`
     median: FiniteFloat | None = None
     interval: Pair
     level: Annotated[FiniteFloat, Field(gt=0.0, lt=1.0)]
-
-    @property
-    def middle(self) -> float:
-        """The number to print: the median, or where there is none the mean."""
-        return self.mean if self.median is None else self.median
-
-
-class PosteriorRow(Drawn, Described):
-    """One parameter or derived quantity of a posterior.
-
-    ``interval`` and ``sd`` hold if the model is right, ``model_error_interval`` is there where the
-    recordings show that it is not; ``prior_interval`` is of the same level. ``doubted`` are the
-    kinds of doubts there are of it, ``undoubted`` its verdict without them, ``given_by`` parameters
-    whose told priors give it its scale, ``mirrored`` the share of outputs in which who drives as it
-    says did drive, where that is too few to see it and it follows from the other way, ``period`` is
-    that of an angle, ``of_motion`` whether another motion of the same joint has another value.
-    Priors' texts and diagnostics are of parameters only, ``undefined_share`` of derived quantities.
-    """
-
     rhat: FiniteFloat | None = None
     ess: FiniteFloat | None = None
     converged: bool | None = None
     prior: str = ""
     prior_default: bool = False
     prior_sd: NotNegative | None = None
-    prior_interval: Pair | None = None
+    prior_interval: Pair | None = None  # of the same level
     contraction: FiniteFloat | None = None
     data_sd: NotNegative | None = None
     verdict: Determined
     at_bound: Bound | None = None
     bound: FiniteFloat | None = None
     bound_physical: bool | None = None
-    period: FiniteFloat | None = None
-    of_motion: bool = False
-    undefined_share: Share | None = None
+    period: FiniteFloat | None = None  # of an angle
+    of_motion: bool = False  # whether another motion of the same joint has another value
+    undefined_share: Share | None = None  # of the draws of a derived quantity
     gauge_free: bool | None = None
-    doubted: list[str] = Field(default_factory=list)
-    undoubted: Determined | None = None
-    given_by: list[str] = Field(default_factory=list)
+    doubted: list[str] = Field(default_factory=list)  # kinds of doubts that concern it
+    undoubted: Determined | None = None  # its verdict without them
+    given_by: list[str] = Field(default_factory=list)  # parameters whose priors give its scale
+    # share of outputs that see its way of driving, where they are too few to determine it and it
+    # follows from the other way
     mirrored: Share | None = None
+    # with model discrepancy, where the recordings show any
     model_error_interval: Pair | None = None
     model_error_sd: NotNegative | None = None
     reported: Reported | None = None
+
+    @property
+    def middle(self) -> float:
+        """The median, or where there is none the mean."""
+        return self.mean if self.median is None else self.median
 
     @property
     def value(self) -> float:
@@ -157,41 +147,41 @@ class PosteriorRow(Drawn, Described):
         return bool(self.doubted) and self.verdict != "prior"
 
     @property
-    def wide(self) -> Spread | None:
-        """With room for a model that is not exactly right, where there is any."""
+    def widened(self) -> Spread | None:
+        """With model discrepancy, where there is any."""
         if self.model_error_interval is None or self.model_error_sd is None:
             return None
         low, high = self.model_error_interval
         return Spread(self.middle, low, high, self.model_error_sd)
 
     @property
-    def told(self) -> Spread:
-        """What to print: as reported, or all that there is before that."""
-        one = self.reported
-        if one is None and self.wide is not None:
-            return self.wide
-        low, high = self.interval if one is None else one.interval
-        return Spread(self.value, low, high, self.sd if one is None else one.sd)
+    def printed(self) -> Spread:
+        """What to print: as reported, or before that with model discrepancy if there is any."""
+        if self.reported is None and self.widened is not None:
+            return self.widened
+        source = self.reported or self
+        low, high = source.interval
+        return Spread(self.value, low, high, source.sd)
 
     @property
-    def beside(self) -> list[str]:
+    def remarks(self) -> list[str]:
         """What to know of it besides its verdict.
 
         Zero is of an angle a place like any other; what cannot be negative leans on that bound.
         """
-        told = []
+        remarks = []
         if self.at_bound:
             end = {"lower": "down to the least", "upper": "up to the most"}[self.at_bound]
-            told.append(f"reaches {end} that it may be")
-        elif self.period is None and self.told.low <= 0.0 <= self.told.high:
-            told.append("could be zero")
+            remarks.append(f"reaches {end} that it may be")
+        elif self.period is None and self.printed.low <= 0.0 <= self.printed.high:
+            remarks.append("could be zero")
         if self.undefined_share:
-            told.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
-        return told
+            remarks.append(f"undefined in {100 * self.undefined_share:.0f} % of the draws")
+        return remarks
 
 
 class KnownRow(Described):
-    """A parameter that was taken as known."""
+    """A parameter that was fixed."""
 
     value: FiniteFloat
 
@@ -203,6 +193,38 @@ class ReferenceRow(Part):
     unit: str
     sd: NotNegative | None = None
     source: str = "reference"
+
+
+AnyRow = TypeVar("AnyRow", PosteriorRow, EstimatedRow, KnownRow, ReferenceRow)
+# Keys of rows that whole turns move.
+_PLACES = {"mean", "median", "value", "bound", "interval", "model_error_interval", "span"}
+
+
+def first_angles(tables: Iterable[Mapping[str, PosteriorRow]]) -> dict[str, float]:
+    """Give the first value of every angle, by name: :func:`unwrapped` puts others next to it."""
+    angles: dict[str, float] = {}
+    for table in tables:
+        for name, row in table.items():
+            if row.period is not None:
+                angles.setdefault(name, row.middle)
+    return angles
+
+
+def unwrapped(row: AnyRow, other: float | None) -> AnyRow:
+    """Move all numbers of an angle by whole turns next to another value, if any: 3.13 to -3.13."""
+    middle = row.middle if isinstance(row, PosteriorRow) else row.value
+    by = 0.0 if other is None else float(turned(middle, other) - middle)
+    return type(row).model_validate(_moved(row.model_dump(), by)) if by else row
+
+
+def _moved(row: dict[str, Any], by: float) -> dict[str, Any]:
+    moved = dict(row)
+    for key, x in row.items():
+        if key in _PLACES and x is not None:
+            moved[key] = [end + by for end in x] if isinstance(x, list) else x + by
+        elif key == "reported" and x is not None:
+            moved[key] = _moved(x, by)
+    return moved
 
 
 class RecordingRow(Open):
@@ -223,7 +245,7 @@ class RecordingRow(Open):
 
 
 class BackEmfPart(Part):
-    """What a nominal back-EMF's error cannot be told from, as ``SpeedTerm`` has it."""
+    """What a nominal back-EMF's error cannot be distinguished from, as ``SpeedTerm`` has it."""
 
     recordings: list[str]  # whose torque comes from a voltage
     among: int
@@ -234,7 +256,7 @@ class BackEmfPart(Part):
 
 
 class RestsPart(Part):
-    """Rests of one recording at which the law would have moved, as ``RestsBeyond`` has them."""
+    """Standstills of one recording that violate the stiction of the law, as ``RestsBeyond``."""
 
     recording: str
     share: Share
@@ -242,11 +264,6 @@ class RestsPart(Part):
     stop: FiniteFloat
     beyond: NotNegative
     held: NotNegative
-
-    @property
-    def place(self) -> str:
-        """Where it is, in words."""
-        return f"{self.recording} at {self.start:.3g} s"
 
 
 class Residual(Part):
@@ -258,10 +275,8 @@ class Residual(Part):
     quantity: str = "output"
     # N m/A or N/A, where all that is explained was measured as a current
     torque_constant: FiniteFloat | None = None
-    # where a torque comes from a voltage
-    back_emf: BackEmfPart | None = None
-    # rests that were not used, and that the law contradicts
-    rests: list[RestsPart] = Field(default_factory=list)
+    back_emf: BackEmfPart | None = None  # where a torque comes from a voltage
+    rests: list[RestsPart] = Field(default_factory=list)  # standstills that were not used
     recordings: dict[Name, RecordingRow] = Field(default_factory=dict)
 
 
@@ -276,18 +291,14 @@ class MotionError(Part):
 
 
 class RollOutRow(Part):
-    """One recording, or all together.
+    """One recording, or all together."""
 
-    In a share ``blind`` of the time the position's band is too wide to tell anything; ``over`` is
-    the share of the plays that went another way over the top.
-    """
-
-    part: Which | None = None
+    part: RecordingPart | None = None
     input: Input | None = None
     position: MotionError
     speed: MotionError
-    blind: Share = 0.0
-    over: Share = 0.0
+    blind: Share = 0.0  # of the time in which the position's band is too wide
+    over: Share = 0.0  # of the draws that went another way over the top
 
     @property
     def narrow(self) -> bool:
@@ -301,7 +312,7 @@ class RollOutRow(Part):
 
 
 class RollOutPart(Part):
-    """Recordings played to draws of the posterior."""
+    """Recordings simulated with draws of the posterior."""
 
     level: Share
     draws: int
@@ -314,15 +325,14 @@ class RollOutPart(Part):
     torque_unit: str
 
 
-def rollout_part(found: RollOut) -> RollOutPart:
+def rollout_part(rollout: RollOut) -> RollOutPart:
     """Sum roll-outs up."""
     rows = {
         one.name: vars(one) | {"position": vars(one.at_position), "speed": vars(one.at_speed)}
-        for one in found.rolled
+        for one in rollout.rolled
     }
     mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in ("blind", "over")}
-    errors = {key.removeprefix("at_"): vars(error) for key, error in found.pooled.items()}
-    told = {"unit": found.rolled[0].unit, "recordings": rows, "pooled": mean | errors}
-    return RollOutPart.model_validate(
-        told | {key: getattr(found, key) for key in RollOutPart.model_fields if key not in told}
-    )
+    errors = {key.removeprefix("at_"): vars(error) for key, error in rollout.pooled.items()}
+    values = {key: getattr(rollout, key, None) for key in RollOutPart.model_fields}
+    values |= {"unit": rollout.rolled[0].unit, "recordings": rows, "pooled": mean | errors}
+    return RollOutPart.model_validate(values)

@@ -1,4 +1,4 @@
-"""A finished fit's numbers put together: what ``summary.json`` and ``summary.csv`` hold."""
+"""Summary of a finished fit: what ``summary.json`` holds before it is examined."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from bayesfric.report.summary.derived_quantities import (
     spread,
     weakly_given,
 )
+from bayesfric.report.summary.parts import validation_record
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import EstimatedRow
-from bayesfric.report.summary.validation_part import validation_record
 from bayesfric.report.terminal import PrintedSummary
 from bayesfric.report.words import line_of
 
-# Of a way of driving that fewer of the outputs see, one load loss for both says what it loses.
+# Share of the outputs in one way of driving below which its friction follows from the other way.
 _SELDOM = 0.1
 
 
@@ -47,18 +47,16 @@ def summarise(
     choice: Choice | None = None,
     derived: Groups | None = None,
 ) -> Summary:
-    """Put all numbers of a fit together; those that do not exist are ``None``.
+    """Summarise a fit; numbers that do not exist are ``None``.
 
-    ``references`` are values to compare with, as a configuration gives them, ``choice`` how the
-    order of the noise was chosen, where it was, ``derived`` what follows from the parameters, where
-    it is there already.
+    ``references`` are as a configuration gives them, ``derived`` are computed where left out.
     """
     posterior = fit.posterior
     local = local_information(fit.target, posterior.median)
     residual = fit.residuals
     outputs = fit.target.likelihood.outputs
     lags = [lag_one(r, o.follows) for o, r in zip(outputs, residual, strict=True)]
-    found = {
+    document = {
         "bayesfric": __version__,
         "parameters": _parameters(fit, local),
         "fixed": {
@@ -100,7 +98,7 @@ def summarise(
         **({"validation": validation_record(fit)} if fit.held_out else {}),
         "sampler": _sampler(posterior),
     }
-    summary = _with_mirrored(PrintedSummary.model_validate(found), fit)
+    summary = _with_mirrored(PrintedSummary.model_validate(document), fit)
     sound = {name: row for name, row in summary.parameters.items() if row.converged}
     unseen = fit.chain.unseen_inertia
     warnings = [
@@ -137,22 +135,22 @@ def _torque_constant(fit: Fit) -> float | None:
     """Give torque per current, N m/A or N/A, where torque is explained and all of it a current."""
     if fit.target.likelihood.method == "output-error":
         return None
-    found = {o.settings.get("torque_constant") for o in fit.observations}
-    (only,) = found if len(found) == 1 else (None,)
-    return None if only is None else float(only)
+    constants = {o.settings.get("torque_constant") for o in fit.observations}
+    (constant,) = constants if len(constants) == 1 else (None,)
+    return None if constant is None else float(constant)
 
 
 def _with_mirrored(summary: Summary, fit: Fit) -> Summary:
-    """Mark what is said of a way of driving that hardly occurred: one load loss stands for both."""
+    """Mark load-dependent friction of a way of driving that hardly occurred."""
     values = fit.target.chain_values(fit.posterior.median[None])
     changes: dict[str, dict[str, Any]] = {}
     for name, back in back_driving_shares(fit.chain, fit.observations, values).items():
         for side, share in (("back", float(back[0])), ("drive", 1.0 - float(back[0]))):
             if f"{name}.load" in fit.chain.names and share < _SELDOM:
-                for one in (f"{name}.alpha_{side}", f"{name}.efficiency_{side}"):
-                    if (row := summary.derived.get(one)) is not None:
+                for quantity in (f"{name}.alpha_{side}", f"{name}.efficiency_{side}"):
+                    if (row := summary.derived.get(quantity)) is not None:
                         weak = {"verdict": "weak"} if row.verdict == "data" else {}
-                        changes[one] = {"mirrored": share, **weak}
+                        changes[quantity] = {"mirrored": share, **weak}
     return summary.with_rows(changes)
 
 
@@ -161,18 +159,18 @@ def _explained(fit: Fit) -> dict[str, float]:
     if fit.target.likelihood.method == "output-error":
         return {}  # any simulated position is near the measured one
     # each recording about its own mean: an offset explains nothing
-    whole = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
+    total = sum(float(np.sum((o.measured - o.measured.mean()) ** 2)) for o in fit.observations)
     left = sum(float(r @ r) for r in fit.residuals)
-    return {"explained": 1.0 - left / whole} if whole > 0.0 else {}
+    return {"explained": 1.0 - left / total} if total > 0.0 else {}
 
 
 def estimate_summary(estimate: Estimate) -> dict[str, Any]:
     """Put a point estimate into the form of ``summary.json``."""
     rows = {}
     for v in estimate.values:
-        told = {key: getattr(v, key) for key in EstimatedRow.model_fields}
+        row = {key: getattr(v, key) for key in EstimatedRow.model_fields}
         sds = {"sd": _number(v.sd), "sd_robust": _number(v.sd_robust)}
-        rows[v.name] = told | sds | {"span": list(v.span) if v.span else None}
+        rows[v.name] = row | sds | {"span": list(v.span) if v.span else None}
     return {
         "parameters": rows,
         "converged": estimate.converged,
@@ -199,10 +197,10 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
         sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
-        told: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd)}
-        if told["verdict"] == "prior" and j < len(local.names):
-            one = np.eye(len(local.names))[j]
-            told |= weakly_given(given_by(local, fit.posterior.priors, one, sd, prior_sd, j))
+        judged: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd)}
+        if judged["verdict"] == "prior" and j < len(local.names):
+            gradient = np.eye(len(local.names))[j]
+            judged |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd, j))
         rows[name] = {
             **described[name],
             **spread(flat[:, j]),
@@ -215,7 +213,7 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
             **_prior_interval(prior),
             "contraction": _number(1.0 - (sd / prior_sd) ** 2),
             "data_sd": _number(data_sd),
-            **told,
+            **judged,
             **leaning(flat[:, j], prior.limits, possible[name]),
             **({"period": TURN} if prior.circular else {}),
         }
@@ -225,8 +223,8 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, Any]:
 def _prior_interval(prior: Prior) -> dict[str, Any]:
     ends = prior.interval(LEVEL)
     # a whole turn has none: where it is cut means nothing
-    known = np.isfinite(ends).all() and not prior.whole_turn
-    return {"prior_interval": list(ends)} if known else {}
+    exists = np.isfinite(ends).all() and not prior.whole_turn
+    return {"prior_interval": list(ends)} if exists else {}
 
 
 def _number(x: float) -> float | None:
