@@ -3,7 +3,7 @@
 A joint's model is one element, referred to the joint: armature, Coulomb, viscous and
 load-dependent friction, and an offset. Its load is the torque of the URDF's bodies along the
 measured motion of all joints, with the few directions in which these may be otherwise as further
-torques, whose coefficients have standard normal priors (:mod:`bayesfric.arm.bodies`).
+torques, whose coefficients have standard normal priors (:mod:`bayesfric.arm.inertial_prior`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog, Layout, layout_of, signals
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
-from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint, directions, resolution
+from bayesfric.arm.inertial_prior import Bodies, Doubt, UrdfJoint, directions, resolution
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, progress_shown

@@ -19,7 +19,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, fromstring, tost
 import numpy as np
 
 from bayesfric.arm.arm_options import Vector
-from bayesfric.arm.bodies import parsed_urdf, urdf_text
+from bayesfric.arm.inertial_prior import parsed_urdf, urdf_text
 from bayesfric.arm.inertia import inertia_of, tensor
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
-from bayesfric.arm.bodies import UrdfJoint
+from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.recordings import channels

@@ -228,7 +228,7 @@ def play(
     Parameters
     ----------
     dynamics
-        Of :meth:`~bayesfric.arm.bodies.Bodies.dynamics`.
+        Of :meth:`~bayesfric.arm.inertial_prior.Bodies.dynamics`.
     friction
         ``(2, n_on)`` by the key of a number, see :func:`_friction`.
     time, motion

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from bayesfric.arm.bodies import Bodies, Doubt
+from bayesfric.arm.inertial_prior import Bodies, Doubt
 from bayesfric.arm.inertia import OF_ONE
 from bayesfric.recordings.arrays import Array
 

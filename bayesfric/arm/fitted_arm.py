@@ -14,9 +14,9 @@ import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog
 from bayesfric.arm.base_parameters import base_parameters
-from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
+from bayesfric.arm.inertial_prior import Bodies, Doubt, UrdfJoint
 from bayesfric.arm.joint_numbers import NUMBERS
-from bayesfric.arm.together import UNLIKELY, Felt, Together, beside, moved, retold, together
+from bayesfric.arm.joint_consistency import UNLIKELY, Felt, Together, beside, moved, retold, together
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.result import Result

@@ -349,7 +349,7 @@ def arm(
     """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_rollout import rollout as play
-    from bayesfric.arm.onward import files_of, next_motion
+    from bayesfric.arm.exports import files_of, next_motion
     from bayesfric.base.atomic_write import check_output_folder, write_files
 
     folder = output or Path(f"{log[0].stem}-arm")

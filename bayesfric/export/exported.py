@@ -13,7 +13,7 @@ import numpy as np
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import check_output_folder, new_folder
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import (
+from bayesfric.export.joint_model import (
     NUMBERS,
     RISES,
     AtJoint,
@@ -24,8 +24,8 @@ from bayesfric.export.at_joint import (
     torque_along,
     without_load_losses,
 )
-from bayesfric.export.carried import AROUND, carried, law_lost, lost_terms
-from bayesfric.export.central import Vectors, vectors
+from bayesfric.export.extra_terms import AROUND, carried, law_lost, lost_terms
+from bayesfric.export.point_estimate import Vectors, vectors
 from bayesfric.export.format import Content, Files, Format, Options, filled, format_of, pendulum
 from bayesfric.export.written_law import unwritten
 from bayesfric.fit.finished_run import Finished, finished

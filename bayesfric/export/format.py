@@ -14,8 +14,8 @@ from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import environment
-from bayesfric.export.at_joint import Moved
-from bayesfric.export.central import Vectors
+from bayesfric.export.joint_model import Moved
+from bayesfric.export.point_estimate import Vectors
 from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -78,7 +78,7 @@ class Format:
 
     name: str
     meaning: str  # what it is for, as it stands in a sentence
-    # what it calls each of bayesfric.export.at_joint.NUMBERS that it has
+    # what it calls each of bayesfric.export.joint_model.NUMBERS that it has
     names: Mapping[str, str]
     write: Callable[[Content], Files]  # the main file first
     options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load

@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.arm.arm import Arm, remarks
 from bayesfric.arm.arm_log import ArmLog, Layout
-from bayesfric.arm.bodies import UrdfJoint
+from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from tests.commands.bench import Bench
 from tests.conftest import DATA, made_recording
@@ -33,7 +33,7 @@ TRUTH = {
 @pytest.fixture
 def here(tmp_path, monkeypatch, capfd):
     """A folder with a URDF and a log, and the command, which tries few motions."""
-    monkeypatch.setattr("bayesfric.arm.exciting._TRIES", 100)
+    monkeypatch.setattr("bayesfric.arm.excitation._TRIES", 100)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(bench.urdf())
     return Bench(tmp_path, monkeypatch, capfd)

@@ -16,7 +16,7 @@ from bayesfric.arm.arm_files import (
     written_urdf,
 )
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies
+from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
 from tests.conftest import DATA
 

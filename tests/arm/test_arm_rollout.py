@@ -12,7 +12,7 @@ from bayesfric.arm.arm import Arm
 from bayesfric.arm.arm_log import ArmLog, layout_of
 from bayesfric.arm.arm_options import Payload, Uncertainty
 from bayesfric.arm.arm_rollout import play, rollout
-from bayesfric.arm.bodies import Bodies
+from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.export.at_joint import Moved
-from bayesfric.export.central import vectors
+from bayesfric.export.joint_model import Moved
+from bayesfric.export.point_estimate import vectors
 from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate

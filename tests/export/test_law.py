@@ -12,8 +12,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import Moved, torque_along
-from bayesfric.export.central import vectors
+from bayesfric.export.joint_model import Moved, torque_along
+from bayesfric.export.point_estimate import vectors
 from bayesfric.export.format import filled
 from bayesfric.export.written_law import law
 from bayesfric.mechanism.element import Element, Load

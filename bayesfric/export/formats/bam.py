@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import (
+from bayesfric.export.joint_model import (
     Moved,
     at_joint,
     moving,

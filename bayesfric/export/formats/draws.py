@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import NUMBERS
+from bayesfric.export.joint_model import NUMBERS
 from bayesfric.export.format import Content, Files, Format
 
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS, Moved, torque_along
-from bayesfric.export.carried import left_out
+from bayesfric.export.joint_model import NUMBERS, Moved, torque_along
+from bayesfric.export.extra_terms import left_out
 from bayesfric.export.format import Content, Files, Format
 from bayesfric.export.written_law import law
 from bayesfric.mechanism.joint import Joint

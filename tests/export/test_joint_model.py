@@ -10,14 +10,14 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import (
+from bayesfric.export.joint_model import (
     Moved,
     at_joint,
     simulated_torque,
     torque_along,
 )
-from bayesfric.export.carried import carried, lost_terms
-from bayesfric.export.central import central
+from bayesfric.export.extra_terms import carried, lost_terms
+from bayesfric.export.point_estimate import central
 from bayesfric.export.format import formats, pendulum
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint

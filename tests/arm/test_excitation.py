@@ -11,8 +11,8 @@ from scipy.signal import resample
 
 from bayesfric.arm.arm_log import layout_of
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies
-from bayesfric.arm.exciting import Limits, exciting, limits_of
+from bayesfric.arm.inertial_prior import Bodies
+from bayesfric.arm.excitation import Limits, exciting, limits_of
 from bayesfric.base.errors import BadInput
 
 from . import bench

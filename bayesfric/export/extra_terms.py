@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.export.at_joint import NUMBERS, RISES, AtJoint, Moved, as_losses, moving, places
+from bayesfric.export.joint_model import NUMBERS, RISES, AtJoint, Moved, as_losses, moving, places
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import Parameter
 from bayesfric.mechanism.quantities import Quantity

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies, directions, resolution
+from bayesfric.arm.inertial_prior import Bodies, directions, resolution
 from bayesfric.base.errors import BadInput
 
 from . import bench

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.export.at_joint import Moved, torque_along
+from bayesfric.export.joint_model import Moved, torque_along
 from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 
-from bayesfric.arm.bodies import Bodies, Doubt
+from bayesfric.arm.inertial_prior import Bodies, Doubt
 from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, silent

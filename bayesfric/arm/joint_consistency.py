@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesfric.arm.arm_log import signals
-from bayesfric.arm.bodies import Doubt
+from bayesfric.arm.inertial_prior import Doubt
 from bayesfric.arm.inertia import drawn_possible
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit

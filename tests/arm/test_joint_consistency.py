@@ -6,7 +6,7 @@ import pytest
 from bayesfric.arm.arm import Arm
 from bayesfric.arm.arm_options import Payload, Uncertainty
 from bayesfric.arm.base_parameters import base_parameters, combinations
-from bayesfric.arm.bodies import Bodies
+from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.arm.inertia import (
     completed,
     drawn_possible,
@@ -14,8 +14,8 @@ from bayesfric.arm.inertia import (
     pseudo_inertias,
     second_moments,
 )
-from bayesfric.arm.onward import files_of, next_motion
-from bayesfric.arm.together import Said
+from bayesfric.arm.exports import files_of, next_motion
+from bayesfric.arm.joint_consistency import Said
 
 from . import bench
 from .bench import ELBOW
@@ -178,7 +178,7 @@ def test_a_joint_whose_drive_gain_is_wrong_is_not_believed_about_bodies(tmp_path
 
 
 def test_files_and_the_next_motion_are_those_of_what_was_found(arm, monkeypatch):
-    monkeypatch.setattr("bayesfric.arm.exciting._TRIES", 300)
+    monkeypatch.setattr("bayesfric.arm.excitation._TRIES", 300)
     files = files_of(arm)
     assert set(files) == {
         "identified-arm.urdf", "robot.xml", "ros2_control.yaml", "feedforward.py"

@@ -15,7 +15,7 @@ from bayesfric.arm.arm_files import (
     written_ros2_control,
     written_urdf,
 )
-from bayesfric.arm.exciting import Excited, exciting, limits_of
+from bayesfric.arm.excitation import Excited, exciting, limits_of
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertia import OF_ONE, completed
 from bayesfric.arm.joint_numbers import NUMBERS
