@@ -1,13 +1,13 @@
-"""All joints of an arm together: what each says of the bodies, joined, and what that says of each.
+"""Combine what the fits of an arm's joints say of its inertial parameters, and test consistency.
 
-Given the bodies, joints are independent but for what their residuals share (which a study
-measures). So the posterior of all is the prior of the bodies times what each joint's own fit says
-beside that prior. Of a joint's fit the directions that it feels of the bodies are taken for
-Gaussian; its own parameters move along with them as its draws do. So cost does not depend on the
-length of a log, and all that a joint's fit has, its noise and its corrections, stays.
+Given the inertial parameters, joints are independent except for what their residuals share (which a
+study measures). So the joint posterior is the inertial prior times each fit's likelihood, which is
+its posterior divided by that prior. The fit's posterior of its directions is taken as Gaussian; its
+other parameters follow by linear regression on the draws. The cost does not depend on the length of
+a log, and noise model and corrections of each fit stay.
 
-A joint whose model lacks something says of bodies what its draws with room for that leave; but its
-own numbers stay: that room is of many kinds of what may be missing, and does not move along.
+A joint with model discrepancy contributes the likelihood of its widened draws, but its own numbers
+stay: a discrepancy may have many causes and does not follow the inertial parameters.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesfric.arm.arm_log import signals
-from bayesfric.arm.inertial_prior import Doubt
-from bayesfric.arm.inertia import drawn_possible
+from bayesfric.arm.inertial_prior import InertialPrior, sample_feasible
 from bayesfric.identifiability.local import WIDE
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.posterior import Posterior
@@ -34,245 +33,213 @@ from bayesfric.report.summary.derived_quantities import leaning, spread
 from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.results.reported import Spread, concluded
 
-# Draws of a joint that are moved.
 _DRAWS = 4000
-# Share of the prior's variance that data must take off before a direction is judged by it.
-_TELLING = 0.05
-# Information that is none, and how far bodies may be off at most, of what was said.
-_NOTHING, _WIDEST = 1e-9, 30.0
-# Below this chance joints are said to disagree, and bodies to be otherwise than in the URDF.
+# Share of the prior's variance that data must remove before a direction is tested.
+_CONTRACTION = 0.05
+# Eigenvalues of the information below this are zero; largest width that is considered.
+_ZERO, _MAX_WIDTH = 1e-9, 30.0
+# Below this p-value joints contradict each other, or the URDF.
 UNLIKELY = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Said:
-    """What one joint's data say of the bodies: ``exp(-z'J z/2 + h'z)``, beside any prior.
+class InertialLikelihood:
+    """The likelihood ``exp(-z'J z/2 + h'z)`` of deviations ``z`` by the data of joints."""
 
-    Attributes
-    ----------
-    information
-        ``J``, ``(n_causes, n_causes)``.
-    pull
-        ``h``, ``(n_causes,)``.
-    """
-
-    information: Array
-    pull: Array
+    information: Array  # J, (n_deviations, n_deviations)
+    vector: Array  # h, (n_deviations,)
 
     @classmethod
-    def by(cls, draws: Array, kept: Array) -> Said:
-        """Take the standard normal prior off draws ``(n, k)`` of the directions ``kept``."""
-        if not kept.shape[1]:
-            return cls.nothing(len(kept))
+    def from_draws(cls, draws: Array, directions: Array) -> InertialLikelihood:
+        """Divide posterior draws ``(n, k)`` of ``directions`` by their standard normal prior."""
+        if not directions.shape[1]:
+            return cls.uninformative(len(directions))
         precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
-        size, ways = np.linalg.eigh(precision - np.eye(len(precision)))
-        told = ways[:, size > 0.0]  # elsewhere sampling and model error left the prior as it was
-        information = (told * size[size > 0.0]) @ told.T
-        pull = told @ (told.T @ (precision @ draws.mean(axis=0)))
-        return cls(kept @ information @ kept.T, kept @ pull)
+        size, axes = np.linalg.eigh(precision - np.eye(len(precision)))
+        # elsewhere sampling error and discrepancy left the prior as it was
+        informed, size = axes[:, size > 0.0], size[size > 0.0]
+        information = (informed * size) @ informed.T
+        vector = informed @ (informed.T @ (precision @ draws.mean(axis=0)))
+        return cls(directions @ information @ directions.T, directions @ vector)
 
     @classmethod
-    def nothing(cls, count: int) -> Said:
-        """Say nothing of so many causes."""
+    def uninformative(cls, count: int) -> InertialLikelihood:
+        """Return a constant likelihood of so many deviations."""
         return cls(np.zeros((count, count)), np.zeros(count))
 
-    def __add__(self, other: Said) -> Said:
-        return Said(self.information + other.information, self.pull + other.pull)
+    def __add__(self, other: InertialLikelihood) -> InertialLikelihood:
+        return InertialLikelihood(self.information + other.information, self.vector + other.vector)
 
     @cached_property
     def width(self) -> float:
-        """How many times as far off as was said bodies most likely are, at least as far.
+        """Factor on the prior's sds that maximises the marginal likelihood, at least 1."""
+        size, axes = np.linalg.eigh(self.information)
+        size, axes = size[size > _ZERO], axes[:, size > _ZERO]
+        squares, noise = (axes.T @ self.vector / size) ** 2, 1.0 / size
 
-        The standard deviation of ``z`` under which the data are likeliest.
-        """
-        size, ways = np.linalg.eigh(self.information)
-        size, ways = size[size > _NOTHING], ways[:, size > _NOTHING]
-        squares, noise = (ways.T @ self.pull / size) ** 2, 1.0 / size
-
-        def unlikely(log_width: float) -> float:
+        def negative_log_likelihood(log_width: float) -> float:
             variance = noise + math.exp(2.0 * log_width)
             return float(np.sum(np.log(variance) + squares / variance))
 
-        found = minimize_scalar(unlikely, bounds=(0.0, math.log(_WIDEST)), method="bounded")
-        return math.exp(found.x) if size.size and found.fun < unlikely(0.0) else 1.0
+        bounds = (0.0, math.log(_MAX_WIDTH))
+        optimum = minimize_scalar(negative_log_likelihood, bounds=bounds, method="bounded")
+        wider = size.size and optimum.fun < negative_log_likelihood(0.0)
+        return math.exp(optimum.x) if wider else 1.0
 
     def posterior(self) -> tuple[Array, Array]:
         """Mean and covariance of ``z``, with a normal prior of its :attr:`width`."""
-        covariance = np.linalg.inv(np.eye(len(self.pull)) / self.width**2 + self.information)
-        return np.asarray(covariance @ self.pull), np.asarray(covariance)
+        covariance = np.linalg.inv(np.eye(len(self.vector)) / self.width**2 + self.information)
+        return np.asarray(covariance @ self.vector), np.asarray(covariance)
 
     def p(self, mean: Array | None = None, covariance: Array | None = None) -> float:
-        """Chance of data as far from a Gaussian belief in ``z``, the prior if left out."""
-        size, ways = np.linalg.eigh(self.information)
-        judged = size > _TELLING / (1.0 - _TELLING)
-        size, ways = size[judged], ways[:, judged]
+        """Chi-square p-value of the data under a Gaussian over ``z``, by default the prior."""
+        size, axes = np.linalg.eigh(self.information)
+        tested = size > _CONTRACTION / (1.0 - _CONTRACTION)
+        size, axes = size[tested], axes[:, tested]
         if not size.size:
             return 1.0
         if mean is None or covariance is None:
-            mean, covariance = np.zeros(len(self.pull)), np.eye(len(self.pull))
-        far = ways.T @ self.pull / size - ways.T @ mean
-        scatter = np.diag(1.0 / size) + ways.T @ covariance @ ways
-        return float(chi2.sf(far @ np.linalg.solve(scatter, far), size.size))
+            mean, covariance = np.zeros(len(self.vector)), np.eye(len(self.vector))
+        difference = axes.T @ self.vector / size - axes.T @ mean
+        scatter = np.diag(1.0 / size) + axes.T @ covariance @ axes
+        return float(chi2.sf(difference @ np.linalg.solve(scatter, difference), size.size))
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
-    """A joint's fit, its rows of a summary, and the directions ``(n_causes, k)`` that it feels."""
+class JointFit:
+    """A joint's fit, its rows of a summary, and its directions ``(n_deviations, k)``."""
 
     fit: Fit
     rows: Mapping[str, PosteriorRow]
-    kept: Array
+    directions: Array
 
     @property
-    def sound(self) -> bool:
-        """Whether nothing was found that its model lacks."""
+    def adequate(self) -> bool:
+        """Whether no model discrepancy was found."""
         return self.fit.wide is self.fit
 
-    def draws(self, flat: Array) -> Array:
-        """Take the directions ``(n, k)`` out of draws, corrected as they are reported."""
-        wide, found = self.fit.wide.posterior, []
-        for name in (f"load.{one}" for one in signals(self.kept.shape[1])):
-            k, told = wide.names.index(name), self.rows[name].told
-            found.append(flat[:, k] + told.value - np.median(wide[name]))
-        return np.stack(found, axis=1) if found else np.zeros((len(flat), 0))
+    def coefficients(self, flat: Array) -> Array:
+        """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
+        wide, columns = self.fit.wide.posterior, []
+        for name in (f"load.{signal}" for signal in signals(self.directions.shape[1])):
+            correction = self.rows[name].told.value - np.median(wide[name])
+            columns.append(flat[:, wide.names.index(name)] + correction)
+        return np.stack(columns, axis=1) if columns else np.zeros((len(flat), 0))
+
+    @cached_property
+    def likelihood(self) -> InertialLikelihood:
+        """What the fit says of the inertial parameters."""
+        draws = self.coefficients(self.fit.wide.posterior.flat())
+        return InertialLikelihood.from_draws(draws, self.directions)
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
-    """What joints that agree say of the bodies.
+class JointConsistency:
+    """The inertial parameters by all joints that agree."""
 
-    Attributes
-    ----------
-    draws
-        ``(n, n_causes)`` of the causes by which bodies may be otherwise; all are bodies that can
-        be.
-    p
-        Chance of data as far from the URDF.
-    physical
-        Share of the Gaussian's draws that are bodies that can be.
-    width
-        How many times as far off as was said bodies are taken to be.
-    apart
-        Chance, by joint, of data as far from what the others that agree say.
-    agreed
-        Joints that are in it.
-    """
+    draws: Array  # (n, n_deviations), all physical bodies
+    p: float  # p-value of the data under the URDF
+    physical: float  # share of the Gaussian's draws that are physical bodies
+    width: float  # factor on the prior's sds
+    p_values: Mapping[str, float]  # by joint, under what the others that agree say
+    agreed: tuple[str, ...]  # joints that are combined
 
-    draws: Array
-    p: float
-    physical: float
-    width: float
-    apart: Mapping[str, float]
-    agreed: tuple[str, ...]
-
-    def causes(self, doubt: Doubt) -> list[dict[str, Any]]:
-        """Say how bodies are otherwise, those first of which that is surest.
-
-        Each has name, value, sd, prior_sd and unit.
-        """
+    def deviations(self, prior: InertialPrior) -> list[dict[str, Any]]:
+        """List name, value, sd, prior_sd and unit of the deviations, the surest first."""
         value, sd = self.draws.mean(axis=0), self.draws.std(axis=0)
-        found = []
+        rows = []
         for k in np.argsort(-np.abs(value) / sd).tolist():
-            name, one, unit = doubt.causes[k]
-            told = {"value": float(value[k]) * one, "sd": float(sd[k]) * one, "prior_sd": one}
-            found.append({"name": name, **told, "unit": unit})
-        return found
+            name, scale, unit = prior.deviations[k]
+            numbers = {"value": float(value[k]) * scale, "sd": float(sd[k]) * scale}
+            rows.append({"name": name, **numbers, "prior_sd": scale, "unit": unit})
+        return rows
 
 
-def together(doubt: Doubt, fits: Mapping[str, Felt], rng: np.random.Generator) -> Together:
-    """Join what fits say of the bodies.
+def combine_joints(
+    prior: InertialPrior, fits: Mapping[str, JointFit], rng: np.random.Generator
+) -> JointConsistency:
+    """Combine the fits of all joints that agree.
 
-    A joint that contradicts the others is left out, the one that does so most first: each motor's
-    friction by angle, or a drive gain that is wrong, looks like a body to it alone.
-
-    Parameters
-    ----------
-    doubt
-        What is known of the bodies beforehand.
-    fits
-        By joint.
-    rng
-        Random numbers.
+    A joint that contradicts the others is excluded, the least likely first: position-dependent
+    friction, or a wrong drive gain, looks like an inertial parameter to that joint alone.
     """
-    said = {
-        name: Said.by(one.draws(one.fit.wide.posterior.flat()), one.kept)
-        for name, one in fits.items()
-    }
-    nothing, agreed = Said.nothing(len(doubt.causes)), [*said]
+    likelihoods = {name: joint.likelihood for name, joint in fits.items()}
+    constant = InertialLikelihood.uninformative(len(prior.deviations))
+    agreed = [*likelihoods]
 
-    def far(name: str) -> float:
-        others = (said[one] for one in agreed if one != name)
-        return said[name].p(*sum(others, nothing).posterior())
+    def p_value(name: str) -> float:
+        others = (likelihoods[other] for other in agreed if other != name)
+        return likelihoods[name].p(*sum(others, constant).posterior())
 
-    apart = {name: far(name) for name in said}
-    while len(agreed) > 1 and (least := min(apart[n] for n in agreed)) * len(agreed) < UNLIKELY:
+    p_values = {name: p_value(name) for name in likelihoods}
+    while len(agreed) > 1 and (least := min(p_values[n] for n in agreed)) * len(agreed) < UNLIKELY:
         # of two that contradict each other none is known to be right
-        agreed = [n for n in agreed if apart[n] > least] if len(agreed) > 2 else []
-        apart |= {name: far(name) for name in said if agreed}
-    every = sum((said[name] for name in agreed), nothing)
-    draws, physical = drawn_possible(
-        doubt.nominal, doubt.spread, *every.posterior(), doubt.inside, rng
+        agreed = [n for n in agreed if p_values[n] > least] if len(agreed) > 2 else []
+        p_values |= {name: p_value(name) for name in likelihoods if agreed}
+    total = sum((likelihoods[name] for name in agreed), constant)
+    draws, physical = sample_feasible(
+        prior.nominal, prior.spread, *total.posterior(), prior.feasible, rng
     )
-    return Together(draws, every.p(), physical, every.width, apart, tuple(agreed))
+    return JointConsistency(draws, total.p(), physical, total.width, p_values, tuple(agreed))
 
 
-def beside(joint: Felt, z: Array, rng: np.random.Generator) -> Array:
-    """Draw parameters ``(n, d)`` of a joint, moved to bodies ``z`` ``(n, n_causes)``.
+def conditional_draws(joint: JointFit, z: Array, rng: np.random.Generator) -> Array:
+    """Draw parameters ``(n, d)`` of a joint given deviations ``(n, n_deviations)``.
 
-    NaN where bounds cut what they come to.
+    NaN where they would be outside their bounds.
     """
     target = joint.fit.target
     flat = joint.fit.posterior.flat(_DRAWS)
     v = target.unbounded(flat)
-    fine = np.isfinite(v).all(axis=1)
-    v, own = v[fine], joint.draws(flat[fine])
-    slopes = np.linalg.lstsq(own - own.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
-    some = rng.permutation(np.arange(len(z)) % len(v))
-    found = target.from_unbounded(v[some] + (z @ joint.kept - own[some]) @ slopes)
-    found[~np.isfinite(found).all(axis=1)] = np.nan
-    return np.asarray(found)
+    finite = np.isfinite(v).all(axis=1)
+    v, x = v[finite], joint.coefficients(flat[finite])
+    slopes = np.linalg.lstsq(x - x.mean(axis=0), v - v.mean(axis=0), rcond=None)[0]
+    rows = rng.permutation(np.arange(len(z)) % len(v))
+    draws = target.from_unbounded(v[rows] + (z @ joint.directions - x[rows]) @ slopes)
+    draws[~np.isfinite(draws).all(axis=1)] = np.nan
+    return np.asarray(draws)
 
 
-def moved(joint: Felt, z: Array, rng: np.random.Generator) -> Posterior:
-    """Move draws of a sound joint to bodies ``z`` ``(n, n_causes)``, the rest along with these."""
+def conditional_posterior(joint: JointFit, z: Array, rng: np.random.Generator) -> Posterior:
+    """Return the posterior of an adequate joint given draws ``(n, n_deviations)``."""
     posterior = joint.fit.posterior
-    found = beside(joint, z[rng.integers(len(z), size=_DRAWS)], rng)
-    found = found[np.isfinite(found).all(axis=1)]
+    draws = conditional_draws(joint, z[rng.integers(len(z), size=_DRAWS)], rng)
+    draws = draws[np.isfinite(draws).all(axis=1)]
     diagnostics = replace(posterior.diagnostics, acceptance=np.ones((1, 1)))
-    unknown = np.full((1, 1, len(found)), np.nan)
-    return replace(posterior, draws=found[None, None], log_density=unknown, diagnostics=diagnostics)
+    unknown = np.full((1, 1, len(draws)), np.nan)
+    return replace(posterior, draws=draws[None, None], log_density=unknown, diagnostics=diagnostics)
 
 
-def retold(joint: Felt, posterior: Posterior) -> dict[str, PosteriorRow]:
-    """Change numbers as reported by what all joints change of the draws of a sound one."""
-    fit, before, after, found = joint.fit, joint.fit.posterior, posterior.flat(), {}
+def updated_rows(joint: JointFit, posterior: Posterior) -> dict[str, PosteriorRow]:
+    """Change the reported numbers of an adequate joint as its draws change by all joints."""
+    fit, before, after, rows = joint.fit, joint.fit.posterior, posterior.flat(), {}
     priors = dict(zip(posterior.names, posterior.priors, strict=True))
-    possible = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
+    bounds = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
     for name, row in joint.rows.items():
-        if name not in possible or row.reported is None:
-            found[name] = row
+        if name not in bounds or row.reported is None:
+            rows[name] = row
             continue
-        k, told = posterior.names.index(name), row.reported
+        k, reported = posterior.names.index(name), row.reported
         was, now = spread(before[name].ravel()), spread(after[:, k])
         # corrections of the joint's own fit stay
         low, high = (
-            max(end + b - a, possible[name][0])
-            for end, a, b in zip(told.interval, was["interval"], now["interval"], strict=True)
+            max(end + b - a, bounds[name][0])
+            for end, a, b in zip(reported.interval, was["interval"], now["interval"], strict=True)
         )
-        value = min(max(told.value + now["median"] - was["median"], low), high)
-        update = leaning(after[:, k], priors[name].limits, possible[name])
-        sd = told.sd * now["sd"] / was["sd"]
+        value = min(max(reported.value + now["median"] - was["median"], low), high)
+        update = leaning(after[:, k], priors[name].limits, bounds[name])
+        sd = reported.sd * now["sd"] / was["sd"]
         if row.verdict == "weak" and sd < WIDE * (row.prior_sd or math.inf):
             update["verdict"] = "data"  # of all joints, and the URDF
-        here = row.model_copy(update=update)
-        leans = here.at_bound is not None and (here.verdict == "data" or told_by_data(here))
-        one = concluded(
+        updated = row.model_copy(update=update)
+        identified = updated.verdict == "data" or told_by_data(updated)
+        conclusion = concluded(
             Spread(value, low, high, sd),
-            verdict=here.verdict,
-            own_prior=told.status == "prior",
-            converged=told.how.converged,
-            limit=here.at_bound if leans else None,
-            findings=told.how.findings,
+            verdict=updated.verdict,
+            own_prior=reported.status == "prior",
+            converged=reported.how.converged,
+            limit=updated.at_bound if updated.at_bound is not None and identified else None,
+            findings=reported.how.findings,
         )
-        found[name] = here.model_copy(update={"reported": one})
-    return found
+        rows[name] = updated.model_copy(update={"reported": conclusion})
+    return rows

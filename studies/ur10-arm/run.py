@@ -126,7 +126,7 @@ def by_one_joint() -> dict[str, dict[str, list[float]]]:
         one = bf.Arm(DATA / "ur10.urdf", {"joints": off}).fit(LOG, seed=SEED)
         found[name] = {
             cause["name"]: [cause["value"], cause["sd"]]
-            for cause in one.found["causes"]
+            for cause in one.inertial_estimate["causes"]
             if cause["name"].startswith(("payload", "moment"))
         }
     return found

@@ -123,7 +123,7 @@ def one_arm(folder: Path, seed: int, told: Namespace) -> tuple[list[dict], dict]
                 row[how] = {"value": one.value, "interval": [low, high], "status": one.status,
                             "inside": bool(low <= value <= high)}  # fmt: skip
             rows.append(row)
-    found = {key: fitted.found[key] for key in ("p", "agreed", "physical")}
+    found = {key: fitted.inertial_estimate[key] for key in ("p", "agreed", "physical")}
     findings = {name: one.as_json()["findings"] for name, one in fitted.joints.items()}
     more = {"rollout": rollout(fitted, seconds=PLAYED, seed=seed).as_json()} if told.rollout else {}
     return rows, {"seed": seed, **found, "findings": findings, **more}

@@ -46,7 +46,11 @@ def recorded(folder, change=lambda frame: frame, **more):
 def test_a_body_that_is_far_off_contradicts_the_urdf(here):
     bench.log(bench.urdf({"lower": 2.0}), TRUTH).to_csv(here.folder / "log.csv", index=False)
     options = {**QUICK, "joints": {SHOULDER: {"fit": False}}, "payload": {"mass_sd": "0.1 kg"}}
-    found = Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv", seed=1).found
+    found = (
+        Arm(here.folder / "arm.urdf", options)
+        .fit(here.folder / "log.csv", seed=1)
+        .inertial_estimate
+    )
     assert found["p"] < 0.01
     assert max(found["causes"][:3], key=lambda cause: cause["value"])["value"] > 0.0
 
@@ -63,8 +67,8 @@ def test_a_payload_that_is_on_for_one_of_two_logs_is_weighed(here):
     found = Arm(here.folder / "arm.urdf", options).fit(logs, seed=1)
     assert [one.fitted for one in found.logs] == [1500, 1500]
     assert found.as_json()["samples"] == {"fitted": 3000, "of": 4000}
-    assert set(found.together.agreed) == set(TRUTH)
-    told = next(c for c in found.found["causes"] if c["name"] == "payload of tool")
+    assert set(found.consistency.agreed) == set(TRUTH)
+    told = next(c for c in found.inertial_estimate["causes"] if c["name"] == "payload of tool")
     assert told["sd"] < 0.3
     assert abs(told["value"] - 2.0) < 3.0 * told["sd"]
     with pytest.raises(BadInput, match=r"payload\.logs"):
