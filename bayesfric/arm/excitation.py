@@ -250,7 +250,7 @@ def exciting_trajectory(
     before, scores = search.sds(None), np.array([score_of(x) for x in starts])
     informative = scores < score(before)
     impossible = BadInput(
-        "limits", "no motion within them identifies the wanted numbers", "give wider ones"
+        "limits", "allow no motion the torque to identify the wanted numbers", "give wider ones"
     )
     if not informative.any():
         raise impossible

@@ -1,4 +1,4 @@
-"""Parameter vectors to export: draws, and one that stands for them all."""
+"""Parameter vectors to export: draws, and a point estimate."""
 
 from __future__ import annotations
 
@@ -8,109 +8,110 @@ from typing import Literal
 
 import numpy as np
 
-from bayesfric.export.joint_model import Moved, torque_along
+from bayesfric.export.joint_model import Trajectory, torque_along
 from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 
-# Draws that tell the median torque, and medians along an open scaling: whatever is exported, the
-# middle is the same.
-_MANY = 1000
+# Draws for the median torque, and for medians along an open scaling: the point estimate must not
+# depend on how many draws are exported.
+_DRAWS = 1000
 # Share of the draws that count as near to the median torque.
 _NEAR = 0.1
 
 
-def open_scalings(found: Finished) -> tuple[Scaling, ...]:
-    """Scalings of link and load losses that recordings and told priors of a run leave open."""
-    rows = found.summary.rows
-    settled = {name for name, row in rows.items() if row.given_by}
-    ways = [set(n.parameters) for n in found.summary.identifiability.null_directions]
-    named = {name for way in ways if not way & settled for name in way}
+def open_scalings(run: Finished) -> tuple[Scaling, ...]:
+    """List scalings of link and load-dependent friction that data and priors leave open."""
+    rows = run.summary.rows
+    specified = {name for name, row in rows.items() if row.given_by}
+    directions = [set(n.parameters) for n in run.summary.identifiability.null_directions]
+    unidentified = {name for names in directions if not names & specified for name in names}
     return tuple(
-        one
-        for one in scalings(found.joint)
-        if {f"{one.element}.alpha_drive", f"{one.element}.alpha_back"} & named
+        scaling
+        for scaling in scalings(run.joint)
+        if {f"{scaling.element}.alpha_drive", f"{scaling.element}.alpha_back"} & unidentified
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Vectors:
-    """What a run exports.
+class ParameterVectors:
+    """Draws of a run and a point estimate.
 
-    Where a scaling is open, every vector is moved along it to where driving and back-driving
-    lose the same: no torque changes, and the motor's torque reaches the link whole on average.
+    Where a scaling is open, every vector is scaled to equal losses in driving and back-driving: no
+    torque changes, and the motor's torque is transmitted without loss on average.
     """
 
     scalings: tuple[Scaling, ...]
-    middle: Array  # (d,), see :func:`central`
-    kind: Literal["reported", "draw"]  # what it is: the run's reported values, where they fit
+    point: Array  # (d,)
+    kind: Literal["reported", "draw"]  # reported values, or a draw where they do not fit
     draws: Array  # (n, d)
 
 
-def vectors(found: Finished, motions: Sequence[Moved], most: int) -> Vectors:
-    """Take at most so many draws of a run, evenly spread; and one central vector."""
-    chain, moved = found.joint, open_scalings(found)
-    draws, many = (_evened(_unbiased(found, found.picked(count)), moved) for count in (most, _MANY))
-    middle = _evened(_middle(found, _medians(chain, many), moved)[None], moved)[0]
-    better = central(chain, many, middle, motions)
-    if better is not None:
-        return Vectors(moved, better, "draw", draws)
-    return Vectors(moved, middle, "reported", draws)
+def parameter_vectors(
+    run: Finished, motions: Sequence[Trajectory], count: int
+) -> ParameterVectors:
+    """Take at most ``count`` evenly spread draws of a run, and a point estimate."""
+    chain, opened = run.joint, open_scalings(run)
+    draws, many = (_balanced(_corrected(run, run.picked(n)), opened) for n in (count, _DRAWS))
+    scaled = {name for scaling in opened for name in scaling.names}
+    reported = _medians(chain, many)
+    for k, name in enumerate(chain.names):
+        if name in run.summary.parameters and name not in scaled:
+            reported[k] = run.summary.parameters[name].value
+    reported = _balanced(reported[None], opened)[0]
+    draw = representative_draw(chain, many, reported, motions)
+    if draw is not None:
+        return ParameterVectors(opened, draw, "draw", draws)
+    return ParameterVectors(opened, reported, "reported", draws)
 
 
-def central(chain: Joint, draws: Array, middle: Array, motions: Sequence[Moved]) -> Array | None:
-    """Find a draw to stand for all where the medians together do not.
+def representative_draw(
+    chain: Joint, draws: Array, medians: Array, motions: Sequence[Trajectory]
+) -> Array | None:
+    """Choose a draw as point estimate where the medians together do not fit.
 
-    Medians of parameters that only their sum determines need not sum up to it. ``None`` where the
-    torque of the medians ``(d,)`` along the recordings is as near to the median torque as that of
-    a tenth of the draws ``(n, d)``. Else the draw, of that tenth, whose parameters are nearest to
-    their medians.
+    Medians of parameters of which only the sum is identified need not add up to it. ``None`` where
+    the torque of ``medians`` ``(d,)`` is as near to the median torque as that of a tenth of the
+    draws ``(n, d)``; else the draw of that tenth whose parameters are nearest to their medians.
     """
-    torque = torque_along(chain, np.vstack([draws, middle]), motions)
-    away = np.sqrt(np.mean((torque - np.median(torque[:-1], axis=0)) ** 2, axis=1))
-    near = away[:-1] <= np.quantile(away[:-1], _NEAR)
-    if away[-1] <= away[:-1][near].max():
+    torque = torque_along(chain, np.vstack([draws, medians]), motions)
+    error = np.sqrt(np.mean((torque - np.median(torque[:-1], axis=0)) ** 2, axis=1))
+    near = error[:-1] <= np.quantile(error[:-1], _NEAR)
+    if error[-1] <= error[:-1][near].max():
         return None
     low, high = np.quantile(draws, [0.16, 0.84], axis=0)
     spread = np.where(high > low, high - low, 1.0)
-    apart = np.sum(((draws - middle) / spread) ** 2, axis=1)
-    return np.asarray(draws[np.argmin(np.where(near, apart, np.inf))])
+    distance = np.sum(((draws - medians) / spread) ** 2, axis=1)
+    return np.asarray(draws[np.argmin(np.where(near, distance, np.inf))])
 
 
-def _evened(values: Array, moved: tuple[Scaling, ...]) -> Array:
-    for one in moved:
-        names = one.chain.names
-        drive, back = (values[:, names.index(name)] for name in (one.drive, one.back))
+def _balanced(values: Array, opened: tuple[Scaling, ...]) -> Array:
+    """Scale vectors ``(n, d)`` to equal losses in driving and back-driving."""
+    for scaling in opened:
+        names = scaling.chain.names
+        drive, back = (values[:, names.index(name)] for name in (scaling.drive, scaling.back))
         factor = 1.0 + 0.5 * (drive - back)
-        values = np.stack([one.scaled(v, f) for v, f in zip(values, factor, strict=True)])
+        values = np.stack([scaling.scaled(v, f) for v, f in zip(values, factor, strict=True)])
     return values
 
 
-def _unbiased(found: Finished, draws: Array) -> Array:
-    """Move draws by what was taken off the reported values as bias, within their bounds."""
-    values = found.values(draws)
-    for k, p in enumerate(found.joint.parameters):
-        row = found.summary.parameters.get(p.name)
+def _corrected(run: Finished, draws: Array) -> Array:
+    """Shift draws by the bias correction of the reported values, within their bounds."""
+    values = run.values(draws)
+    for k, p in enumerate(run.joint.parameters):
+        row = run.summary.parameters.get(p.name)
         if row is not None and row.value != row.middle:
             values[:, k] = np.clip(values[:, k] + (row.value - row.middle), p.lower, p.upper)
     return values
 
 
-def _middle(found: Finished, medians: Array, moved: Sequence[Scaling]) -> Array:
-    """Put the run's reported values in place of medians of some draws, where none is moved."""
-    out, scaled = medians.copy(), {name for one in moved for name in one.names}
-    for k, name in enumerate(found.joint.names):
-        if name in found.summary.parameters and name not in scaled:
-            out[k] = found.summary.parameters[name].value
-    return out
-
-
 def _medians(chain: Joint, draws: Array) -> Array:
-    out = np.median(draws, axis=0)
+    """Compute the medians ``(d,)`` of draws, of angles about their circular mean."""
+    medians = np.median(draws, axis=0)
     for k, p in enumerate(chain.parameters):
         if p.circular:
-            towards = float(np.angle(np.mean(np.exp(1j * draws[:, k]))))
-            out[k] = float(np.median(turned(draws[:, k], towards)))
-    return np.asarray(out)
+            mean = float(np.angle(np.mean(np.exp(1j * draws[:, k]))))
+            medians[k] = float(np.median(turned(draws[:, k], mean)))
+    return np.asarray(medians)

@@ -278,7 +278,7 @@ def test_a_slide_is_in_metres(tmp_path):
         ({"low": np.array([0.0, 4.0])}, {}, f"limits of '{bench.ELBOW}'"),
         ({"high": np.array([np.inf, 1.0])}, {}, f"limits of '{bench.SHOULDER}'"),
         ({"speed": np.array([0.0, 1.0])}, {}, f"limits of '{bench.SHOULDER}'"),
-        ({"low": np.ones(2), "high": np.ones(2)}, {}, "room to move"),
+        ({"low": np.ones(2), "high": np.ones(2)}, {}, "do not allow a motion"),
         ({"torque": np.array([1.0, 90.0])}, {"tries": 60}, "torque"),
         ({}, {"seconds": 1.0}, r"give at least two, and 1\.5 s"),
         ({}, {"harmonics": 1}, "at least two"),
