@@ -57,7 +57,7 @@ NUMBERS: Mapping[str, Number] = {
     "link_gravity_angle": Number(("rad", "rad"), "angle added to q in gravity"),
     "stiffness": Number(("N m/rad", "N/m"), "torque in proportion to position"),
     "stiffness_cubic": Number(("N m/rad³", "N/m³"), "torque with the cube of position"),
-    "gain": Number(("N m per N m", "N per N"), "joint torque per measured motor torque", "N per N m"),
+    "gain": Number(("N m per N m", "N per N"), "joint torque per motor torque", "N per N m"),
     "torque_offset": Number(("N m", "N"), "constant in the measured torque, at the joint"),
 }  # fmt: skip
 
@@ -246,19 +246,18 @@ def _fitted_losses(
     chain: Joint, values: Array, motions: Sequence[Trajectory], gain: Array
 ) -> dict[str, tuple[Array, Array]]:
     """Fit constant and viscous friction to terms without a number, and to Stribeck terms."""
-    terms = [k for k, p in enumerate(chain.parameters) if not has_number(p) or p.quantity in STRIBECK]
-    if not terms:
-        return {}
     _, speed, _ = stacked(motions)
     basis = np.stack([np.sign(speed), speed], axis=1)
     torque = torque_along(chain, values, motions)
     fitted = {}
-    for k in terms:
+    for k, p in enumerate(chain.parameters):
+        if has_number(p) and p.quantity not in STRIBECK:
+            continue
         without = values.copy()
         without[:, k] = 0.0
         term = gain[:, None] * (torque - torque_along(chain, without, motions))
         constant, damping = np.linalg.lstsq(basis, term.T, rcond=None)[0]
-        fitted[chain.names[k]] = (constant, damping)
+        fitted[p.name] = (constant, damping)
     return fitted
 
 

@@ -49,9 +49,7 @@ class ParameterVectors:
     draws: Array  # (n, d)
 
 
-def parameter_vectors(
-    run: Finished, motions: Sequence[Trajectory], count: int
-) -> ParameterVectors:
+def parameter_vectors(run: Finished, motions: Sequence[Trajectory], count: int) -> ParameterVectors:
     """Take at most ``count`` evenly spread draws of a run, and a point estimate."""
     chain, opened = run.joint, open_scalings(run)
     draws, many = (_balanced(_corrected(run, run.picked(n)), opened) for n in (count, _DRAWS))
