@@ -246,18 +246,20 @@ def _fitted_losses(
     chain: Joint, values: Array, motions: Sequence[Trajectory], gain: Array
 ) -> dict[str, tuple[Array, Array]]:
     """Fit constant and viscous friction to terms without a number, and to Stribeck terms."""
+    terms = {p.name for p in chain.parameters if not has_number(p) or p.quantity in STRIBECK}
+    if not terms:
+        return {}
     _, speed, _ = stacked(motions)
     basis = np.stack([np.sign(speed), speed], axis=1)
     torque = torque_along(chain, values, motions)
     fitted = {}
-    for k, p in enumerate(chain.parameters):
-        if has_number(p) and p.quantity not in STRIBECK:
-            continue
+    for name in sorted(terms, key=chain.names.index):
+        k = chain.names.index(name)
         without = values.copy()
         without[:, k] = 0.0
         term = gain[:, None] * (torque - torque_along(chain, without, motions))
         constant, damping = np.linalg.lstsq(basis, term.T, rcond=None)[0]
-        fitted[p.name] = (constant, damping)
+        fitted[name] = (constant, damping)
     return fitted
 
 

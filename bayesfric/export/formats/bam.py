@@ -5,7 +5,7 @@ With ``T`` the load's and ``m`` the motor's torque, BAM's friction budget in ste
 ``m = T + F`` and of ``m = T - F``, with our ``F = mu T``, follows ``c = mu / (2 + mu)`` while
 the motor drives and ``mu / (2 - mu)`` while the load does; the mean of both is written. Different
 losses in driving and back-driving (M5) are ``c_m m + c_e T``, with
-``c_m = (mu_1 - mu_2)/(mu_1 + mu_2)`` and ``c_e = mu_1 (1 - c_m) - c_m``, where both come out positive.
+``c_m = (mu_1 - mu_2)/(mu_1 + mu_2)`` and ``c_e = mu_1 (1 - c_m) - c_m``, where both are positive.
 """
 
 from __future__ import annotations
