@@ -228,11 +228,7 @@ class Arm:
         return replace(fitted, result=result)
 
     def _model(
-        self,
-        joint: UrdfJoint,
-        logs: Sequence[ArmLog],
-        prior: _JointPrior,
-        held_out: Sequence[str],
+        self, joint: UrdfJoint, logs: Sequence[ArmLog], prior: _JointPrior, held_out: Sequence[str]
     ) -> Model:
         """Make the model of one joint: an element whose load is the rigid-body torque."""
         joint_options, options = self._joint_options(joint.name), self.options

@@ -18,6 +18,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, Shown, progress_shown
 from bayesfric.fleet.plan import (
+    FAILED,
     ClusterOptions,
     Plan,
     RunOptions,
@@ -27,7 +28,7 @@ from bayesfric.fleet.plan import (
     read_units,
     units_of,
 )
-from bayesfric.fleet.results import FAILED, FleetPopulation, fleet_population, results_table
+from bayesfric.fleet.results import FleetPopulation, fleet_population, results_table
 from bayesfric.fleet.workers import check_dask, fit_units, is_fitted
 from bayesfric.report.summary.record import Summary, read_summary_file
 

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 
 from bayesfric.base import __version__
 from bayesfric.estimates.point_estimate import HALF
-from bayesfric.fleet.plan import Unit
-from bayesfric.fleet.results import COLUMNS, FAILED, OUTLIER, FleetPopulation, FleetQuantity
+from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
+from bayesfric.fleet.results import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import save
 from bayesfric.report.page.rendering import PageFigure, page_figure, render

@@ -19,7 +19,6 @@ from pydantic import Field, model_validator
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options
 from bayesfric.base.safe_read import check_file, read_text
-from bayesfric.fleet.results import COLUMNS
 from bayesfric.problem.config import checked_toml, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import document_text
 from bayesfric.recordings.tables.table import check_names
@@ -29,6 +28,22 @@ if TYPE_CHECKING:
 
 Value = str | float | int | bool | None
 
+# Columns of the results before those of the units, and their types.
+COLUMNS = {
+    "unit": "string",  # of the fleet
+    "outcome": "string",  # of its fit, as in its verdict, or "failed"
+    "quantity": "string",
+    "value": "float64",
+    "sd": "float64",
+    "low": "float64",
+    "high": "float64",
+    "level": "float64",
+    "measure": "string",  # unit of the numbers
+    "status": "string",  # identified, doubtful, limit, prior or unidentified
+    "findings": "string",  # that move it by more than its interval
+    "error": "string",  # why a unit failed
+}
+FAILED = "failed"
 # Units of a fleet, and bytes of their table.
 MOST_UNITS, _MAX_BYTES = 100_000, 2**24
 # Bytes of a name: what every file system takes, with a margin for prefix and suffix.
@@ -53,9 +68,7 @@ class UnitsOptions(Options):
     """The ``[units]`` table."""
 
     table: str | None = Field(
-        None,
-        examples=["units.csv"],
-        description="CSV, a unit a row, a column a name.",
+        None, examples=["units.csv"], description="CSV, a unit a row, a column a name."
     )
     glob: str | None = Field(
         None,

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
 from bayesfric.population.outliers import WithOutliers, with_outliers
 from bayesfric.report.comparison.between_runs import Told, read_draws, told_by_runs
 from bayesfric.report.summary.record import Summary
@@ -15,25 +16,6 @@ from bayesfric.report.summary.rows import PosteriorRow
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from bayesfric.fleet.plan import Unit
-
-# Columns before those of the units, and their types.
-COLUMNS = {
-    "unit": "string",  # of the fleet
-    "outcome": "string",  # of its fit, as in its verdict, or "failed"
-    "quantity": "string",
-    "value": "float64",
-    "sd": "float64",
-    "low": "float64",
-    "high": "float64",
-    "level": "float64",
-    "measure": "string",  # unit of the numbers
-    "status": "string",  # identified, doubtful, limit, prior or unidentified
-    "findings": "string",  # that move it by more than its interval
-    "error": "string",  # why a unit failed
-}
-FAILED = "failed"
 
 
 def results_table(

@@ -210,7 +210,7 @@ def main() -> None:
             "seconds": played.seconds,
             "log": played.log,
             "rms": {name: round(x, 4) for name, x in played.rms.items()},
-            "held": {name: round(x, 3) for name, x in played.held.items()},
+            "held": {name: round(x, 3) for name, x in played.coverage.items()},
         },
         "joints": found,
     }

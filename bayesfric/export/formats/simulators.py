@@ -34,6 +34,7 @@ _BODY = {
 }
 _URDF = {"{stem}.urdf": "joint.urdf.j2"}
 _C_FILES = {"{stem}_feedforward.c": "feedforward.c.j2", "{stem}_feedforward.h": "feedforward.h.j2"}
+_ABOUT = {f"about: {number}": number for number in NUMBERS}
 _DYNAMICS = {"dynamics damping": "damping", "dynamics friction": "friction"}
 
 
@@ -122,25 +123,23 @@ FORMATS = (
         language="c",
         notes=frozenset({"joint torque"}),
     ),
-    *(
-        Format(
-            name,
-            meaning,
-            {f"about: {number}": number for number in NUMBERS},
-            templates,
-            language=language,
-            complete=True,
-            torque=_law_torque,
-        )
-        for name, meaning, templates, language in (
-            ("c", "feed-forward in C99", _C_FILES, "c"),
-            (
-                "python",
-                "feed-forward in Python",
-                {"{stem}_feedforward.py": "feedforward.py.j2"},
-                "python",
-            ),
-        )
+    Format(
+        "c",
+        "feed-forward in C99",
+        _ABOUT,
+        _C_FILES,
+        language="c",
+        complete=True,
+        torque=_law_torque,
+    ),
+    Format(
+        "python",
+        "feed-forward in Python",
+        _ABOUT,
+        {"{stem}_feedforward.py": "feedforward.py.j2"},
+        language="python",
+        complete=True,
+        torque=_law_torque,
     ),
     Format(
         "csv",
