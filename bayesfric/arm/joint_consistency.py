@@ -122,8 +122,8 @@ class JointFit:
         """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
         wide, columns = self.fit.wide.posterior, []
         for name in (f"load.{signal}" for signal in signals(self.directions.shape[1])):
-            correction = self.rows[name].told.value - np.median(wide[name])
-            columns.append(flat[:, wide.names.index(name)] + correction)
+            k, reported = wide.names.index(name), self.rows[name].told.value
+            columns.append(flat[:, k] + reported - np.median(wide[name]))
         return np.stack(columns, axis=1) if columns else np.zeros((len(flat), 0))
 
     @cached_property
