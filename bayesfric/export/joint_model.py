@@ -57,9 +57,11 @@ NUMBERS: Mapping[str, Number] = {
     "link_gravity_angle": Number(("rad", "rad"), "angle added to q in gravity"),
     "stiffness": Number(("N m/rad", "N/m"), "torque in proportion to position"),
     "stiffness_cubic": Number(("N m/rad³", "N/m³"), "torque with the cube of position"),
-    "gain": Number(("N m per N m", "N per N"), "joint torque per motor torque", "N per N m"),
+    "gain": Number(
+        ("N m per N m", "N per N"), "joint torque per measured motor torque", "N per N m"
+    ),
     "torque_offset": Number(("N m", "N"), "constant in the measured torque, at the joint"),
-}  # fmt: skip
+}
 
 # Quantities of elements that are one of these numbers, and their share in it.
 _ELEMENT_NUMBERS: Mapping[str, tuple[str, float]] = {
