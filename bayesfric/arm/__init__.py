@@ -1,1 +1,1 @@
-"""Whole arms: every joint of one log, beside the torque that the bodies of a URDF ask for."""
+"""Whole arms: every joint of one log, in addition to the rigid-body torque of a URDF."""

@@ -1,4 +1,4 @@
-"""A log of an arm: which column is what of which joint, and the motion of them all."""
+"""A log of an arm: which column belongs to which joint, and the motion of all joints."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from bayesfric.arm.arm_options import ArmOptions, JointOptions
-from bayesfric.arm.bodies import UrdfJoint
+from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.recordings.arrays import Array
@@ -46,33 +46,29 @@ class Layout(NamedTuple):
 
 
 def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool = False) -> Layout:
-    """Recognise the columns of a log's joints by the names that these have in the URDF.
+    """Recognise the columns of a log's joints by the names of the URDF's joints.
 
-    With ``in_order`` as many joints of other names are taken in the URDF's order.
-
-    Raises
-    ------
-    BadInput
-        If that does not tell which column is whose.
+    With ``in_order`` as many joints of other names are matched in the URDF's order.
     """
     opened = read_table(path, TableOptions.model_validate({"table": table}))
     log = recognise(opened)
-    known = {_plain(label): label for label in log.joints or [log.joint]}
-    labels = {name: known[_plain(name)] for name in joints if _plain(name) in known}
-    if not labels and in_order and len(known) == len(joints):
-        labels = dict(zip(joints, known.values(), strict=True))
+    label_of = {_joint_in(label): label for label in log.joints or [log.joint]}
+    labels = {name: label_of[_joint_in(name)] for name in joints if _joint_in(name) in label_of}
+    if not labels and in_order and len(label_of) == len(joints):
+        labels = dict(zip(joints, label_of.values(), strict=True))
     if not labels:
-        there = ", ".join(filter(None, known.values())) or "none"
-        what = f"joints of the log ({there}) are not those of the URDF ({', '.join(joints)})"
-        mend = "say which is which in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
-        raise BadInput(str(path), what, mend)
+        in_log = ", ".join(filter(None, label_of.values())) or "none"
+        problem = f"joints of the log ({in_log}) are not those of the URDF ({', '.join(joints)})"
+        hint = "match them in arm.toml ('bayesfric init arm --from LOG --urdf URDF')"
+        raise BadInput(str(path), problem, hint)
     patterns, tokens = list[dict[str, dict[str, str]]](), dict[str, str]()
     for name, label in labels.items():
         chosen = recognise(opened, label).chosen
         chosen.pop("temperature", None)
-        own = [one.column for key, one in chosen.items() if key != "time"]
-        tries = (name, label, "_".join(label.split()))
-        token = tokens[name] = next((t for t in tries if t and all(t in one for one in own)), "")
+        columns = [channel.column for key, channel in chosen.items() if key != "time"]
+        candidates = (name, label, "_".join(label.split()))
+        token = next((t for t in candidates if t and all(t in column for column in columns)), "")
+        tokens[name] = token
         pattern = {k: {"column": c.column, "unit": c.unit or OPEN} for k, c in chosen.items()}
         for key in pattern.keys() - {"time"} if token else ():
             pattern[key]["column"] = pattern[key]["column"].replace(token, "{joint}")
@@ -80,116 +76,91 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
             pattern["current"]["torque_constant"] = "{torque_constant}"
         patterns.append(pattern)
         if not token or pattern != patterns[0]:
-            what = f"columns of joint {name!r} ({', '.join(own)}) are not called as another's"
-            raise BadInput(str(path), what, "write [recording] in arm.toml, with {joint}")
-    more = {"table": table, "where": log.where or None}
-    return Layout({**patterns[0], **{k: v for k, v in more.items() if v}}, tokens)
+            problem = f"columns of joint {name!r} ({', '.join(columns)}) do not match other joints'"
+            raise BadInput(str(path), problem, "write [recording] in arm.toml, with {joint}")
+    selection = {"table": table, "where": log.where or None}
+    return Layout({**patterns[0], **{k: v for k, v in selection.items() if v}}, tokens)
 
 
-def _plain(name: str) -> str:
-    """Give what tells a joint from others, as a column's name is read."""
+def _joint_in(name: str) -> str:
+    """Return the part of a column's name that identifies its joint."""
     return named(f"{name} position").joint or name
 
 
 class ArmLog:
-    """One log of an arm.
+    """One log of an arm, of which at most ``max_samples`` rows are kept.
 
-    Attributes
-    ----------
-    name
-        What it is called.
-    table
-        The log, read.
-    rows
-        How many it has; of them the table keeps those that are fitted.
-    sources
-        What the columns mean, by joint, of those that are in the log.
-    loaded
-        Whether the payload is on.
-    time
-        ``(n,)`` s.
-    motion
-        ``(3, n_joints, n)`` position, speed and acceleration of all joints in the URDF's order,
-        low-passed as wide as any joint's fit may be: what that lets pass each fit takes off the
-        torque of the bodies as off the measured one.
-
-    Raises
-    ------
-    BadInput
-        If the log cannot be read, or a joint's position is neither in it nor in ``arm.toml``.
+    ``sources`` holds the meaning of the columns by joint, ``loaded`` whether the payload is on,
+    ``time`` ``(n,)`` s, ``motion`` ``(3, n_joints, n)`` position, speed and acceleration in the
+    URDF's order. The motion is low-passed as widely as any joint's fit may be: each fit filters the
+    rigid-body torque as it filters the measured one.
     """
 
     def __init__(
         self,
         path: Path,
-        called: str,
+        name: str,
         options: ArmOptions,
         layout: Layout,
         joints: Joints,
-        most: int,
+        max_samples: int,
     ) -> None:
-        given = options.processing
-        self.path, self.name, self._given = path, called, given
-        on = options.payload.logs
-        self.loaded = on is None or called in on
+        processing, loaded_logs = options.processing, options.payload.logs
+        self.path, self.name, self._processing = path, name, processing
+        self.loaded = loaded_logs is None or name in loaded_logs
         self.sources: dict[str, Source] = {}
         motions: list[Measurement | float] = []
-        for number, (name, joint) in enumerate(joints.items(), start=1):
-            own = options.joints.get(name, JointOptions())
-            if own.held is not None:
-                motions.append(own.held)
+        for number, (joint_name, joint) in enumerate(joints.items(), start=1):
+            joint_options = options.joints.get(joint_name, JointOptions())
+            if joint_options.held is not None:
+                motions.append(joint_options.held)
                 continue
-            told = {
-                "joint": own.label or layout.labels.get(name, name),
+            placeholders = {
+                "joint": joint_options.label or layout.labels.get(joint_name, joint_name),
                 "number": str(number),
                 "index": str(number - 1),
-                "torque_constant": own.torque_constant,
+                "torque_constant": joint_options.torque_constant,
             }
-            document = {**layout.recording, "file": str(path), "name": called}
-            source = _source(document, name, told)
-            first, self.sources[name] = not self.sources, source
+            document = {**layout.recording, "file": str(path), "name": name}
+            source = _source(document, joint_name, placeholders)
+            first, self.sources[joint_name] = not self.sources, source
             if first:
                 self.table = read_table(path, source)
-                self._keep(most, source, self._position(joint).size)
-            motions.append(self._moved(joint))
-        moving = [one for one in motions if isinstance(one, Measurement)]
+                self._limit_rows(max_samples, source, self._position(joint).size)
+            motions.append(self._joint_motion(joint))
+        moving = [motion for motion in motions if isinstance(motion, Measurement)]
         if not moving:
             raise BadInput(str(path), "no joint moves in it", "record the arm while it moves")
         self.time, fs = moving[0].time, 1.0 / moving[0].period
-        cutoff = lowpass_above(fs, fs) if given.lowpass is None else given.lowpass
-        reach = reach_of(given.differentiation, cutoff, fs)
+        cutoff = lowpass_above(fs, fs) if processing.lowpass is None else processing.lowpass
+        reach = reach_of(processing.differentiation, cutoff, fs)
         self.motion = np.zeros((3, len(motions), self.time.size))
-        for k, one in enumerate(motions):
-            if isinstance(one, Measurement):
-                q, qd = filtered_motion(one, cutoff, given.order, reach)
-                self.motion[:, k] = q, qd, derivative(qd, one.segments, one.period, reach)
+        for k, motion in enumerate(motions):
+            if isinstance(motion, Measurement):
+                q, qd = filtered_motion(motion, cutoff, processing.order, reach)
+                qdd = derivative(qd, motion.segments, motion.period, reach)
+                self.motion[:, k] = q, qd, qdd
             else:
-                self.motion[0, k] = one
+                self.motion[0, k] = motion
 
     @property
     def fitted(self) -> int:
-        """How many rows are fitted."""
+        """Number of rows that are kept; ``rows`` is that of the file."""
         return self._stamps.size
 
     def measured(self, joint: UrdfJoint) -> Measurement:
-        """Read a joint with its effort.
-
-        Raises
-        ------
-        BadInput
-            If it does not move, or the effort is missing or never changes.
-        """
+        """Read a joint with its effort."""
         return self._read(self._columns(self.sources[joint.name], {}), joint)
 
     def effort(self, joint: UrdfJoint) -> Array:
-        """Give what :meth:`measured` reads at the times of :attr:`motion`, ``(n,)`` N m or N."""
-        one = self.measured(joint)
-        return np.interp(self.time, one.time, one.torque)
+        """Interpolate a joint's effort at the times of :attr:`motion`, ``(n,)`` N m or N."""
+        recording = self.measured(joint)
+        return np.interp(self.time, recording.time, recording.torque)
 
     def recording(self, joint: UrdfJoint, torques: Array) -> Recording:
-        """Put beside a joint's columns the torque of the URDF's bodies and what that may be off by.
+        """Add rigid-body torque and its deviations ``(1 + k, n)`` to a joint's columns.
 
-        ``torques`` are ``(1 + k, n)`` at the times of :attr:`motion`.
+        They are at the times of :attr:`motion`.
         """
         source = self.sources[joint.name]
         time = self._stamps
@@ -199,15 +170,15 @@ class ArmLog:
         pairs = zip(names, torques, strict=True)
         return self._columns(source, {n: np.interp(time, self.time, x) for n, x in pairs})
 
-    def _keep(self, most: int, source: Source, count: int) -> None:
-        """Keep so many of ``count`` rows at most, in ranges all over what is asked for."""
+    def _limit_rows(self, max_samples: int, source: Source, count: int) -> None:
+        """Keep at most ``max_samples`` of ``count`` rows, as segments all over the log."""
         self.rows, self._stamps = count, recorded_time(source, self.table, count)
         first, last = chosen_rows(source, self._stamps, self.table.where)
-        # a channel of stamps of its own has rows of its own
-        own = (getattr(getattr(source, key), "times", None) is not None for key in CHANNELS)
-        if last - first > most and not any(own):
-            # the first row is the one from which start and stop count
-            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, most)]
+        # a channel with its own stamps has its own rows
+        stamped = (getattr(getattr(source, key), "times", None) is not None for key in CHANNELS)
+        if last - first > max_samples and not any(stamped):
+            # start and stop count from the first row
+            parts = [np.arange(a, b) + first for a, b in spread_ranges(last - first, max_samples)]
             rows = np.unique(np.concatenate([np.zeros(1, dtype=np.intp), *parts]))
             self.table, self._stamps = self.table.at(rows, count), self._stamps[rows]
 
@@ -216,39 +187,40 @@ class ArmLog:
         try:
             return joint_signal(source.position, "position", self.table, drive)[0]
         except BadInput as error:
-            mend = f"{error.hint}; or say where it is held: joints.{joint.name}.held = 0.0"
-            raise BadInput(error.where, f"joint {joint.name!r}: {error.what}", mend) from None
+            hint = f"{error.hint}; or give its constant position: joints.{joint.name}.held = 0.0"
+            raise BadInput(error.where, f"joint {joint.name!r}: {error.what}", hint) from None
 
-    def _moved(self, joint: UrdfJoint) -> Measurement | float:
-        """Read the motion of a joint, or where it stands."""
+    def _joint_motion(self, joint: UrdfJoint) -> Measurement | float:
+        """Read the motion of a joint, or its constant position."""
         source, position = self.sources[joint.name], self._position(joint)
         if np.ptp(position) == 0.0:
             return float(position[0])
-        # what drives it may be missing, and says nothing of the motion
+        # the motion does not depend on the drive, which may be missing
         no_drive = dict.fromkeys(("current", "voltage", "target"))
-        alone = {**no_drive, "torque": Torque(column=_NO_TORQUE, unit=SI)}
-        moved = self._columns(source.model_copy(update=alone), {_NO_TORQUE: position})
-        return self._read(moved, joint)
+        motion_only = {**no_drive, "torque": Torque(column=_NO_TORQUE, unit=SI)}
+        columns = self._columns(source.model_copy(update=motion_only), {_NO_TORQUE: position})
+        return self._read(columns, joint)
 
     def _read(self, recording: Recording, joint: UrdfJoint) -> Measurement:
         motion = joint.motion
         return read_recordings(
-            recording, ratio=1.0, motion=motion, motor_motion=motion, processing=self._given
+            recording, ratio=1.0, motion=motion, motor_motion=motion, processing=self._processing
         )[0]
 
-    def _columns(self, source: Source, more: Mapping[str, Array]) -> Recording:
-        """Take the columns of one joint into memory, with ``more`` beside them."""
-        read = (key for key in source.columns if key not in more)
-        cells = {_name(key): self.table.column(key) for key in read} | dict(more)
-        given = source.model_dump(exclude_unset=True, exclude_none=True)
-        keys = {k: v for k, v in given.items() if k in Columns.model_fields}
+    def _columns(self, source: Source, computed: Mapping[str, Array]) -> Recording:
+        """Take the columns of one joint into memory, in addition to ``computed`` ones."""
+        from_log = (key for key in source.columns if key not in computed)
+        cells = {_name(key): self.table.column(key) for key in from_log} | dict(computed)
+        document = source.model_dump(exclude_unset=True, exclude_none=True)
+        keys = {k: v for k, v in document.items() if k in Columns.model_fields}
         for channel in (keys[key] for key in CHANNELS if key in keys):
             channel |= {k: _name(channel[k]) for k in ("column", "times") if k in channel}
         if "valid" in keys:
             keys["valid"] = _name(keys["valid"])
-        if URDF_TORQUE in more:
+        if URDF_TORQUE in computed:
             keys["load_torque"] = {"column": URDF_TORQUE, "unit": SI, "sign": -1}
-            keys["others"] = [*map(_name, source.others), *(n for n in more if n != URDF_TORQUE)]
+            deviations = (name for name in computed if name != URDF_TORQUE)
+            keys["others"] = [*map(_name, source.others), *deviations]
         if source.time is None:
             cells[_STAMPS], keys["rate"] = self._stamps, None
             keys["time"] = {"column": _STAMPS, "unit": "s"}
@@ -258,7 +230,7 @@ class ArmLog:
 
 
 def signals(count: int) -> list[str]:
-    """Name the columns of what the URDF's torque may be off by."""
+    """Name the columns of the rigid-body torque's deviations."""
     return [f"urdf_{k}" for k in range(1, count + 1)]
 
 
@@ -266,13 +238,15 @@ def _name(key: str | int) -> str:
     return key if isinstance(key, str) else f"column {key}"
 
 
-def _source(recording: Mapping[str, Any], joint: str, told: Mapping[str, str | None]) -> Source:
-    """Say what the columns of one joint mean: ``recording`` with what is ``told`` in its texts."""
+def _source(
+    recording: Mapping[str, Any], joint: str, placeholders: Mapping[str, str | None]
+) -> Source:
+    """Fill the placeholders in the texts of ``recording`` for one joint."""
     text = json.dumps(recording, default=str)
-    for key, value in told.items():
+    for key, value in placeholders.items():
         if value is None and f"{{{key}}}" in text:
-            mend = "write its drive gain, such as '13.6 N m/A'"
-            raise BadInput(f"joints.{joint}.{key}", "is missing", mend)
+            hint = "write its drive gain, such as '13.6 N m/A'"
+            raise BadInput(f"joints.{joint}.{key}", "is missing", hint)
         text = text.replace(f"{{{key}}}", json.dumps(value)[1:-1])
     document = json.loads(text)
     try:

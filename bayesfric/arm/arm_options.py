@@ -1,19 +1,51 @@
-"""``arm.toml``: what is known of an arm besides its URDF and the log."""
+"""``arm.toml``: what is specified of an arm in addition to its URDF; the numbers of a joint."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from bayesfric.base.options import Options
 from bayesfric.mechanism.configuration import ElementOptions
+from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.source import Processing
 from bayesfric.recordings.units import Kilograms, Metres
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class JointNumber:
+    """A number of an arm's joint in its table, files and advice."""
+
+    parameters: tuple[str, ...]  # of a fit: one, or two by direction whose mean it is
+    title: str  # of its column in the table; empty for none
+    word: str  # in comments of files
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of a joint that turns, and of one that slides."""
+        return QUANTITIES[self.parameters[0].rpartition(".")[2]].units
+
+
+NUMBERS: Mapping[str, JointNumber] = {
+    "armature": JointNumber(("motor.inertia",), "armature", "armature"),
+    "coulomb": JointNumber(
+        ("motor.coulomb", "motor.coulomb_positive", "motor.coulomb_negative"), "Coulomb", "friction"
+    ),
+    "viscous": JointNumber(
+        ("motor.viscous", "motor.viscous_positive", "motor.viscous_negative"), "viscous", "damping"
+    ),
+    "load": JointNumber(
+        ("motor.load", "motor.load_drive", "motor.load_back"), "load loss", "friction per load"
+    ),
+    "offset": JointNumber(("offset",), "", "offset"),
+}
 
 
 class Payload(Options):
@@ -89,7 +121,7 @@ class ArmOptions(Options):
     samples: int = Field(
         50_000,
         ge=1_000,
-        description="Samples of all logs that are fitted at most: of longer ones stretches all "
+        description="Samples of all logs that are fitted at most: of longer ones spread_ranges all "
         "over them. Time and memory grow with it.",
     )
     fit: dict[str, Any] = Field(

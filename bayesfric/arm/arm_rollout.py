@@ -1,8 +1,9 @@
-"""Roll-outs of an arm: measured efforts drive all its joints at once, and their motion is compared.
+"""Roll-outs of an arm: measured efforts drive all its joints at once, and motions are compared.
 
-Bodies' dynamics are iDynTree's. Friction that does not depend on speed acts by impulses, as in time
-stepping [1]_: the speed at the end of a step minimises ``(v - v0)' M (v - v0) / 2 + h sum(c |v|)``,
-``v0`` what it would be without. So a joint that sticks stays where it is, and a step may be long.
+Rigid-body dynamics are iDynTree's. Friction that does not depend on speed acts by impulses, as in
+time stepping [1]_: the speed at the end of a step minimises ``(v - v0)' M (v - v0) / 2
++ h sum(c |v|)``, with ``v0`` the speed without friction. So a joint that sticks stays in place, and
+a step may be long.
 
 References
 ----------
@@ -20,79 +21,69 @@ import numpy as np
 from numba import njit
 
 from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
-from bayesfric.arm.joint_numbers import NUMBERS
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.report.words import listed
 
-# Longest step, s, by which a swing of a radian is 0.6 mrad off after a second; and where a joint
-# turns, as friction jumps there. When the speeds at its end are found, and how often that is tried.
-_STEP, _TURN, _FOUND, _SWEEPS = 5e-3, 1e-3, 1e-10, 200
+# Longest step, s: a swing of a radian is then wrong by 0.6 mrad after a second. It is shorter where
+# a joint reverses, as friction jumps there.
+_STEP, _REVERSAL_STEP = 5e-3, 1e-3
+# Tolerance of the speeds at the end of a step, and sweeps of coordinate descent at most.
+_TOLERANCE, _SWEEPS = 1e-10, 200
 _BAND = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
 class ArmRollOut:
-    """Positions as measured and as played, ``(n_joints, n)`` rad or m.
+    """Measured and simulated positions of the driven joints, ``(n_joints, n)`` rad or m."""
 
-    Attributes
-    ----------
-    log, seconds
-        Whose efforts drove the arm, and after which time it began anew.
-    joints, units
-        Of those that were driven; others moved as measured.
-    time, begins
-        ``(n,)`` s, and whether the arm began anew there in the measured state.
-    measured, low, middle, high
-        Positions, and ends and median of the 90 % bands.
-    """
-
-    log: str
-    seconds: float
-    joints: tuple[str, ...]
+    log: str  # whose efforts drive the arm
+    seconds: float  # between restarts
+    joints: tuple[str, ...]  # others move as measured
     units: tuple[str, ...]
-    time: Array
-    begins: Flags
+    time: Array  # (n,) s
+    restarts: Flags  # (n,) where the arm is set to the measured state
     measured: Array
-    low: Array
+    low: Array  # ends and median of the 90 % bands
     middle: Array
     high: Array
 
     @property
     def rms(self) -> dict[str, float]:
-        """Root mean square, by joint, of how far the median is off."""
-        off = np.sqrt(np.mean((self.middle - self.measured) ** 2, axis=1))
-        return dict(zip(self.joints, off.tolist(), strict=True))
+        """Root mean square error of the median, by joint."""
+        error = np.sqrt(np.mean((self.middle - self.measured) ** 2, axis=1))
+        return dict(zip(self.joints, error.tolist(), strict=True))
 
     @property
-    def held(self) -> dict[str, float]:
-        """Share of samples, by joint, that the 90 % bands hold; where it begins is not counted."""
+    def coverage(self) -> dict[str, float]:
+        """Share of samples inside the 90 % bands, by joint, restarts excluded."""
         inside = (self.low <= self.measured) & (self.measured <= self.high)
-        held = inside[:, ~self.begins].mean(axis=1).tolist()
-        return dict(zip(self.joints, held, strict=True))
+        share = inside[:, ~self.restarts].mean(axis=1).tolist()
+        return dict(zip(self.joints, share, strict=True))
 
     def text(self) -> str:
-        """Say both of each joint."""
-        each = [
-            f"{name} {rms:.2g} {unit} off, bands hold {held:.0%}"
-            for (name, rms), unit, held in zip(
-                self.rms.items(), self.units, self.held.values(), strict=True
-            )
+        """Summarise error and coverage of each joint."""
+        rms, coverage = self.rms, self.coverage
+        parts = [
+            f"{name} {rms[name]:.2g} {unit} off, bands hold {coverage[name]:.0%}"
+            for name, unit in zip(self.joints, self.units, strict=True)
         ]
-        return f"roll-out of {self.log}, anew every {self.seconds:g} s: {listed(each)}"
+        return f"roll-out of {self.log}, restarted every {self.seconds:g} s: {listed(parts)}"
 
     def as_json(self) -> dict[str, Any]:
-        """Give what :meth:`text` says."""
-        told = {"log": self.log, "seconds": self.seconds, "rms": self.rms, "held": self.held}
-        return {**told, "units": dict(zip(self.joints, self.units, strict=True))}
+        """Give what :meth:`text` summarises."""
+        units = dict(zip(self.joints, self.units, strict=True))
+        numbers = {"rms": self.rms, "held": self.coverage, "units": units}
+        return {"log": self.log, "seconds": self.seconds, **numbers}
 
     def as_csv(self) -> str:
-        """Write a row a sample: time, whether it begins anew, and all positions of each joint."""
+        """Write a row for each sample: time, whether the arm restarts, positions by joint."""
         import pandas as pd
 
-        columns = {"time [s]": self.time, "begins": self.begins}
+        columns = {"time [s]": self.time, "begins": self.restarts}
         for j, name in enumerate(self.joints):
             for word in ("measured", "low", "middle", "high"):
                 columns[f"{word}[{name}]"] = getattr(self, word)[j]
@@ -105,179 +96,162 @@ def rollout(
     seconds: float = 1.0,
     draws: int = 40,
     seed: int | None = None,
-    tell: ProgressCallback = no_progress,
+    progress: ProgressCallback = no_progress,
 ) -> ArmRollOut:
-    """Play the efforts of the last log, the one to be predicted if there is one.
+    """Simulate the arm under the efforts of the last log, the held-out one if there is one.
 
-    Parameters
-    ----------
-    arm
-        What came of it.
-    seconds
-        After which it begins anew in the measured state.
-    draws
-        Of bodies and friction, each with the torque that the first log leaves unexplained, from
-        another moment on: of all joints at once, as they share it.
-    seed
-        Decides all.
-    tell
-        Called as work goes on.
-
-    Raises
-    ------
-    BadInput
-        If ``seconds`` is less than a step of the log, or a joint's friction has more than armature,
-        Coulomb, viscous and load loss.
+    It is set to the measured state every ``seconds``. Each draw of inertial parameters and friction
+    has the residual torque of the first log from a random time on, the same time for all joints.
     """
     rng, bodies = np.random.default_rng(seed), arm.bodies
     first, log = arm.logs[0], arm.logs[-1]
     step = float(np.median(np.diff(log.time)))
     if not step < seconds < np.inf:
-        what = f"is {seconds:g}, a sample is {step:.3g} s"
-        raise BadInput("seconds of a roll-out", what, "take more")
-    fitted = {name: one for name, one in arm.joints.items() if one.result is not None}
-    on = np.array([list(bodies.joints).index(name) for name in fitted])
-    z, values = arm.drawn(draws, rng)
-    friction = [_friction(one, values[name]) for name, one in fitted.items()]
-    inertial = _inertial(arm, log, z)
-    left = _unexplained(arm, first, fitted, on, z, friction)
-    effort = np.stack([log.effort(bodies.joints[name]) for name in fitted])
-    begins = np.append(True, np.diff(log.time) > 1.5 * step)
-    since = log.time - np.maximum.accumulate(np.where(begins, log.time, -np.inf))
-    begins |= np.append(False, np.diff(np.floor(since / seconds + 1e-6)) > 0)
-    played, round_trip = np.empty((draws, len(fitted), log.time.size)), float(np.ptp(first.time))
+        problem = f"is {seconds:g}, a sample is {step:.3g} s"
+        raise BadInput("seconds of a roll-out", problem, "increase it")
+    fitted = {name: joint for name, joint in arm.joints.items() if joint.result is not None}
+    driven = np.array([list(bodies.joints).index(name) for name in fitted])
+    z, values = arm.draw(draws, rng)
+    friction = [_friction(joint, values[name]) for name, joint in fitted.items()]
+    inertial = _inertial_parameters(arm, log, z)
+    residuals = _residuals(arm, first, fitted, driven, z, friction)
+    efforts = np.stack([log.effort(bodies.joints[name]) for name in fitted])
+    restarts = np.append(True, np.diff(log.time) > 1.5 * step)
+    since = log.time - np.maximum.accumulate(np.where(restarts, log.time, -np.inf))
+    restarts |= np.append(False, np.diff(np.floor(since / seconds + 1e-6)) > 0)
+    simulated = np.empty((draws, len(fitted), log.time.size))
+    period = float(np.ptp(first.time))
     for k in range(draws):
-        tell(Progress(f"roll-out {k + 1} of {draws}"))
-        at = log.time + rng.uniform(0.0, round_trip)
-        unexplained = [np.interp(at, *one, period=round_trip) for one in left]
-        own = {key: np.stack([one[key][k] for one in friction], axis=-1) for key in NUMBERS}
-        # when within a sample it was taken, and where it jumps, nobody tells
-        then = log.time + step * rng.uniform(-0.5, 0.5)
-        driven = [np.interp(then, log.time, one) for one in effort] - np.array(unexplained)
-        played[k] = play(
-            bodies.dynamics(inertial[k]), own, log.time, log.motion, driven, on, begins
-        )
-    low, middle, high = np.quantile(played, _BAND, axis=0)
-    measured = log.motion[0, on]
-    units = tuple("m" if bodies.joints[n].motion == "linear" else "rad" for n in fitted)
-    out = log.name, seconds, (*fitted,), units, log.time, begins
-    return ArmRollOut(*out, measured, low, middle, high)
+        progress(Progress(f"roll-out {k + 1} of {draws}"))
+        shifted = log.time + rng.uniform(0.0, period)
+        residual = [np.interp(shifted, *series, period=period) for series in residuals]
+        draw = {key: np.stack([x[key][k] for x in friction], axis=-1) for key in NUMBERS}
+        # the time within a sample at which the effort was measured, or jumps, is unknown
+        sampled = log.time + step * rng.uniform(-0.5, 0.5)
+        torque = [np.interp(sampled, log.time, x) for x in efforts] - np.array(residual)
+        dynamics = bodies.dynamics(inertial[k])
+        simulated[k] = simulate_arm(dynamics, draw, log.time, log.motion, torque, driven, restarts)
+    low, middle, high = np.quantile(simulated, _BAND, axis=0)
+    return ArmRollOut(
+        log.name,
+        seconds,
+        (*fitted,),
+        tuple("m" if bodies.joints[name].motion == "linear" else "rad" for name in fitted),
+        log.time,
+        restarts,
+        log.motion[0, driven],
+        low,
+        middle,
+        high,
+    )
 
 
-def _inertial(arm: FittedArm, log: ArmLog, z: Array) -> Array:
-    """Give the bodies' parameters ``(n, 10 n_links)`` in a log, for causes ``(n, n_causes)``."""
-    columns = arm.doubt.columns(loaded=log.loaded)
+def _inertial_parameters(arm: FittedArm, log: ArmLog, z: Array) -> Array:
+    """Give inertial parameters ``(n, 10 n_links)`` in a log for ``z`` ``(n, n_deviations)``."""
+    columns = arm.prior.columns(loaded=log.loaded)
     return np.asarray(columns[:, 0] + z @ columns[:, 1:].T)
 
 
-def _friction(one: FittedJoint, values: Array) -> dict[str, Array]:
+def _friction(joint: FittedJoint, values: Array) -> dict[str, Array]:
     """Lay out numbers ``(n, 2)`` by key, where the joint moves forwards and backwards.
 
-    Of load losses the first is where the motor drives. ``values`` are ``(n, n_parameters)``.
+    Of load-dependent friction the first is where the motor drives. ``values`` are
+    ``(n, n_parameters)``.
     """
-    assert one.result is not None
-    names = one.result.fit.chain.names
+    assert joint.result is not None
+    names = joint.result.fit.chain.names
     known = {name for number in NUMBERS.values() for name in number.parameters}
-    if more := [n for n in names if n not in known and not n.startswith("load.urdf_")]:
-        what = f"has {listed(more)}, which roll-outs of an arm do not"
-        raise BadInput(f"joint {one.joint.name!r}", what, "fit it without, or leave the roll-out")
-    found = {}
+    if unknown := [n for n in names if n not in known and not n.startswith("load.urdf_")]:
+        problem = f"has {listed(unknown)}, which roll-outs of an arm do not support"
+        raise BadInput(f"joint {joint.joint.name!r}", problem, "fit it without, or skip roll-outs")
+    numbers = {}
     for key, number in NUMBERS.items():
-        own = [values[:, names.index(name)] for name in number.parameters if name in names]
-        own = own or [np.zeros(len(values))]
-        found[key] = np.stack([own[0], own[-1]], axis=1)
-    return found
+        columns = [values[:, names.index(name)] for name in number.parameters if name in names]
+        columns = columns or [np.zeros(len(values))]
+        numbers[key] = np.stack([columns[0], columns[-1]], axis=1)
+    return numbers
 
 
-def _unexplained(
+def _residuals(
     arm: FittedArm,
     log: ArmLog,
     fitted: Mapping[str, FittedJoint],
-    on: Index,
+    driven: Index,
     z: Array,
     friction: Sequence[Mapping[str, Array]],
 ) -> list[tuple[Array, Array]]:
-    """Give times and what is left of the effort there, of each joint while it moves."""
-    mean = _inertial(arm, log, z.mean(axis=0, keepdims=True)).T
-    carried = arm.bodies.torques(log.motion, np.repeat(mean[None], len(arm.bodies.joints), axis=0))
-    found = []
-    for one, j, own in zip(fitted.values(), on, friction, strict=True):
-        assert one.result is not None
-        o = one.result.model.observations[0]
-        load = np.interp(o.stamps, log.time, carried[j, 0])
-        c = {key: x.mean(axis=0) for key, x in own.items()}
-        way, drives = (o.qd < 0.0).astype(int), (load * o.qd < 0.0).astype(int)
-        torque = load + c["armature"][0] * o.qdd + c["offset"][0] + c["viscous"][way] * o.qd
-        torque += (c["coulomb"][way] + c["load"][drives] * np.abs(load)) * np.sign(o.qd)
+    """Give times and residual efforts of each joint while it moves."""
+    mean = _inertial_parameters(arm, log, z.mean(axis=0, keepdims=True)).T
+    rigid = arm.bodies.torques(log.motion, np.repeat(mean[None], len(arm.bodies.joints), axis=0))
+    residuals = []
+    for joint, j, numbers in zip(fitted.values(), driven, friction, strict=True):
+        assert joint.result is not None
+        o = joint.result.model.observations[0]
+        load = np.interp(o.stamps, log.time, rigid[j, 0])
+        c = {key: x.mean(axis=0) for key, x in numbers.items()}
+        backwards, back_driven = (o.qd < 0.0).astype(int), (load * o.qd < 0.0).astype(int)
+        torque = load + c["armature"][0] * o.qdd + c["offset"][0] + c["viscous"][backwards] * o.qd
+        constant = c["coulomb"][backwards] + c["load"][back_driven] * np.abs(load)
+        torque += constant * np.sign(o.qd)
         moves = np.abs(o.qd) > float(o.settings["dead_zone"])
-        found.append((o.stamps[moves], (o.compared - torque)[moves]))
-    return found
+        residuals.append((o.stamps[moves], (o.compared - torque)[moves]))
+    return residuals
 
 
-def play(
+def simulate_arm(
     dynamics: Callable[[Array, Array], tuple[Array, Array]],
     friction: Mapping[str, Array],
     time: Array,
     motion: Array,
     effort: Array,
-    on: Index,
-    begins: Flags,
+    driven: Index,
+    restarts: Flags,
 ) -> Array:
-    """Move driven joints by their efforts; gives their positions ``(n_on, n)``.
+    """Simulate the driven joints under their efforts ``(n_driven, n)``; positions of that shape.
 
-    Parameters
-    ----------
-    dynamics
-        Of :meth:`~bayesfric.arm.bodies.Bodies.dynamics`.
-    friction
-        ``(2, n_on)`` by the key of a number, see :func:`_friction`.
-    time, motion
-        ``(n,)`` s, and ``(3, n_joints, n)`` as measured.
-    effort
-        ``(n_on, n)`` N m or N.
-    on
-        ``(n_on,)`` which joints are driven.
-    begins
-        ``(n,)`` where the arm is put into the measured state.
+    ``dynamics`` is of :meth:`~bayesfric.arm.inertial_prior.Bodies.dynamics`, ``friction``
+    ``(2, n_driven)`` by key as of :func:`_friction`, ``time`` ``(n,)`` s, ``motion``
+    ``(3, n_joints, n)`` as measured, ``driven`` ``(n_driven,)``, ``restarts`` ``(n,)``.
     """
     q, qd, qdd = (x.T for x in motion)
-    others, each = np.setdiff1d(np.arange(q.shape[1]), on), np.arange(on.size)
-    own, held = np.ix_(on, on), np.ix_(on, others)
-    out, c, armature = q[:, on].copy(), friction, np.diag(friction["armature"][0])
-    v, a = qd[0, on], qdd[0, on]
-    turns = (qd[:-1, on] * qd[1:, on] < 0.0).any(axis=1)
-    most = np.ceil(np.diff(time) / np.where(turns, _TURN, _STEP) - 1e-6).astype(int)
+    others, each = np.setdiff1d(np.arange(q.shape[1]), driven), np.arange(driven.size)
+    own, cross = np.ix_(driven, driven), np.ix_(driven, others)
+    out, c, armature = q[:, driven].copy(), friction, np.diag(friction["armature"][0])
+    v, a = qd[0, driven], qdd[0, driven]
+    reverses = (qd[:-1, driven] * qd[1:, driven] < 0.0).any(axis=1)
+    longest = np.where(reverses, _REVERSAL_STEP, _STEP)
+    substeps = np.ceil(np.diff(time) / longest - 1e-6).astype(int)
     for i, step in enumerate(np.diff(time)):
-        if begins[i + 1]:
+        if restarts[i + 1]:
             continue
-        if begins[i]:
-            v, a = qd[i, on], qdd[i, on]
-        x, parts = out[i], most[i]
+        if restarts[i]:
+            v, a = qd[i, driven], qdd[i, driven]
+        x, parts = out[i], substeps[i]
         h = step / parts
         for part in range(parts):
-            # forces of the middle of the step, where the joint will be about
+            # forces at the middle of the step, where the joint is predicted to be
             share = (part + 0.5) / parts
-            here, speed, push = (s[i] + share * (s[i + 1] - s[i]) for s in (q, qd, qdd))
-            here[on], speed[on] = x + 0.5 * h * v, v + 0.5 * h * a
-            mass, bias = dynamics(here, speed)
-            still = bias[on] + mass[held] @ push[others]
-            carried = still + mass[own] @ a
-            way, drives = (v < 0.0).astype(int), (carried * v < 0.0).astype(int)
+            position, speed, acceleration = (s[i] + share * (s[i + 1] - s[i]) for s in (q, qd, qdd))
+            position[driven], speed[driven] = x + 0.5 * h * v, v + 0.5 * h * a
+            mass, bias = dynamics(position, speed)
+            still = bias[driven] + mass[cross] @ acceleration[others]
+            load = still + mass[own] @ a
+            backwards, back_driven = (v < 0.0).astype(int), (load * v < 0.0).astype(int)
             rigid = mass[own] + armature
-            drag = 0.5 * h * np.diag(c["viscous"][way, each])  # of the mean speed
-            driven = effort[:, i] + share * (effort[:, i + 1] - effort[:, i])
-            impulse = (rigid - drag) @ v + h * (driven - still - c["offset"][0])
+            drag = 0.5 * h * np.diag(c["viscous"][backwards, each])  # of the mean speed
+            torque = effort[:, i] + share * (effort[:, i + 1] - effort[:, i])
+            impulse = (rigid - drag) @ v + h * (torque - still - c["offset"][0])
             free = np.linalg.solve(rigid + drag, impulse)
-            lost = c["coulomb"] + c["load"][drives, each] * np.abs(carried)
-            after = _rubbed(rigid + drag, free, h * lost, v.copy())
+            loss = c["coulomb"] + c["load"][back_driven, each] * np.abs(load)
+            after = _with_friction(rigid + drag, free, h * loss, v.copy())
             x, a, v = x + 0.5 * h * (v + after), (after - v) / h, after
         out[i + 1] = x
     return np.asarray(out.T)
 
 
 @njit(cache=True)
-def _rubbed(mass, free, lost, v):  # type: ignore[no-untyped-def]
-    """Find the speed ``(n,)`` that impulses of at most ``lost`` ``(2, n)`` leave, from ``v`` on.
+def _with_friction(mass, free, loss, v):  # type: ignore[no-untyped-def]
+    """Find the speed ``(n,)`` that impulses of at most ``loss`` ``(2, n)`` leave, from ``v`` on.
 
     By coordinate descent, which for this convex function ends at its minimum.
     """
@@ -287,9 +261,9 @@ def _rubbed(mass, free, lost, v):  # type: ignore[no-untyped-def]
             push = mass[i, i] * v[i]
             for j in range(v.size):
                 push += mass[i, j] * (free[j] - v[j])
-            new = (max(push - lost[0, i], 0.0) + min(push + lost[1, i], 0.0)) / mass[i, i]
+            new = (max(push - loss[0, i], 0.0) + min(push + loss[1, i], 0.0)) / mass[i, i]
             changed = max(changed, abs(new - v[i]))
             v[i] = new
-        if changed < _FOUND:
+        if changed < _TOLERANCE:
             break
     return v

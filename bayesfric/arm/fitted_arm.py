@@ -1,4 +1,4 @@
-"""What came of an arm: a folder a joint, and one table of them all."""
+"""A fitted arm: a run directory for each joint, and one table of them all."""
 
 from __future__ import annotations
 
@@ -13,10 +13,18 @@ from typing import Any
 import numpy as np
 
 from bayesfric.arm.arm_log import ArmLog
+from bayesfric.arm.arm_options import NUMBERS
 from bayesfric.arm.base_parameters import base_parameters
-from bayesfric.arm.bodies import Bodies, Doubt, UrdfJoint
-from bayesfric.arm.joint_numbers import NUMBERS
-from bayesfric.arm.together import UNLIKELY, Felt, Together, beside, moved, retold, together
+from bayesfric.arm.inertial_prior import Bodies, InertialPrior, UrdfJoint
+from bayesfric.arm.joint_consistency import (
+    UNLIKELY,
+    JointConsistency,
+    JointFit,
+    combine_joints,
+    conditional_draws,
+    conditional_posterior,
+    updated_rows,
+)
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import write_files
 from bayesfric.fit.result import Result
@@ -30,29 +38,28 @@ from bayesfric.report.summary.rows import PosteriorRow
 from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import listed
 
-# Columns of the table, and which parameter is in them: the first that the joint has.
-COLUMNS = {one.title: one.parameters for one in NUMBERS.values() if one.title}
-# Draws kept of a joint whose pages are not made, and lines of the table with what is said.
+# Columns of the table, and the parameters of each, of which a joint has one.
+COLUMNS = {number.title: number.parameters for number in NUMBERS.values() if number.title}
+# Draws kept of a joint whose pages are not made; lines of the table and its messages.
 _DRAWS, _LINES = 300, 28
-_MOST_CAUSES = 3  # that a line tells of bodies
+_DEVIATIONS = 3  # that a message lists
 
 
 @dataclass(frozen=True, eq=False)
 class FittedJoint:
-    """A joint of the URDF: its fit, or why there is none, and what looks wrong."""
+    """A joint of the URDF: its fit, or why there is none, and remarks on its data."""
 
     joint: UrdfJoint
     gear_ratio: float | None
     result: Result | None = None
-    why: str = ""
+    failure: str = ""
     remarks: tuple[str, ...] = ()
-    # torque_rms of the bodies on this motion, N m or N, and doubt_rms of what that may be off by
+    # torque_rms of the bodies on this motion, N m or N, and doubt_rms, the prior sd of that
     urdf: Mapping[str, float] = field(default_factory=dict)
-    # by all joints: numbers, and how well what was not fitted is predicted; chance of data as far
-    # from what the others say of the bodies, and whether it agrees with them
+    # by all joints: numbers, predictions of held-out logs, and the p-value under the other joints
     rows: Mapping[str, PosteriorRow] = field(default_factory=dict)
     validation: Validation | None = None
-    apart: float = 1.0
+    p_value: float = 1.0
     agrees: bool = True
 
     @property
@@ -62,37 +69,49 @@ class FittedJoint:
 
     @property
     def cells(self) -> dict[str, PosteriorRow | None]:
-        """What stands in each column of the table."""
+        """The row of each column of the table."""
         return {
             column: next((self.rows[name] for name in names if name in self.rows), None)
             for column, names in COLUMNS.items()
         }
 
+    def number_rows(self, key: str) -> list[PosteriorRow]:
+        """List the rows of one of :data:`NUMBERS`: none, one, or one for each direction."""
+        return [self.rows[name] for name in NUMBERS[key].parameters if name in self.rows]
+
     @property
-    def lines(self) -> Iterator[str]:
-        """What is to be said besides the table, a line each."""
+    def numbers(self) -> dict[str, float]:
+        """Reported numbers by key, SI, referred to the joint."""
+        rows = {key: self.number_rows(key) for key in NUMBERS}
+        return {key: float(np.mean([row.value for row in x])) for key, x in rows.items() if x}
+
+    @property
+    def messages(self) -> Iterator[str]:
+        """Messages below the table, a line each."""
         if self.result is None:
-            yield f"not fitted: {self.why}"
+            yield f"not fitted: {self.failure}"
         yield from self.remarks
         if not self.agrees:
-            yield f"stands for itself: contradicts the others about bodies ({p_text(self.apart)})"
+            p = p_text(self.p_value)
+            yield f"excluded: contradicts the others about inertial parameters ({p})"
         if self.result is not None:
             summary = self.result.summary
-            for word, found in (("added", summary.taken), ("found", summary.findings)):
-                if found:
-                    yield f"{word} {listed([one.kind for one in found])}"
+            for word, terms in (("added", summary.taken), ("found", summary.findings)):
+                if terms:
+                    yield f"{word} {listed([term.kind for term in terms])}"
             for name, part in (self.validation.parts if self.validation else {}).items():
-                held = f"90 % bands hold {part.coverage['0.9'].share:.0%}"
-                yield f"predicts {name} to {part.residual_rms:.3g} {summary.fit.unit} rms; {held}"
+                coverage = f"90 % bands hold {part.coverage['0.9'].share:.0%}"
+                rms = f"{part.residual_rms:.3g} {summary.fit.unit} rms"
+                yield f"predicts {name} to {rms}; {coverage}"
 
     def as_json(self) -> dict[str, Any]:
         """Give its numbers."""
-        told: dict[str, Any] = {"remarks": [*self.remarks], "urdf": dict(self.urdf)}
+        checks: dict[str, Any] = {"remarks": [*self.remarks], "urdf": dict(self.urdf)}
         if self.result is None:
-            return {"why": self.why, **told}
+            return {"why": self.failure, **checks}
         summary, armature = self.result.summary, self.cells["armature"]
         if self.gear_ratio and armature:
-            told["rotor_inertia"] = armature.value / self.gear_ratio**2
+            checks["rotor_inertia"] = armature.value / self.gear_ratio**2
         return {
             "folder": self.folder,
             "sampler": summary.sampler.status,
@@ -102,62 +121,62 @@ class FittedJoint:
                 for name, row in self.rows.items()
                 if row.reported and not name.startswith("noise.")
             },
-            "added": [one.kind for one in summary.taken],
-            "findings": [one.kind for one in summary.findings],
-            "apart": self.apart,
+            "added": [term.kind for term in summary.taken],
+            "findings": [finding.kind for finding in summary.findings],
+            "apart": self.p_value,
             "validation": self.validation and self.validation.model_dump(mode="json"),
-            **told,
+            **checks,
         }
 
 
 @dataclass(frozen=True, eq=False)
 class FittedArm:
-    """What came of an arm, by joint in the order of the URDF."""
+    """A fitted arm, its joints in the order of the URDF."""
 
     bodies: Bodies
     logs: tuple[ArmLog, ...]
     joints: Mapping[str, FittedJoint]
-    doubt: Doubt
-    felt: Mapping[str, Felt]
-    together: Together
+    prior: InertialPrior
+    fits: Mapping[str, JointFit]
+    consistency: JointConsistency
 
     @classmethod
-    def joined(
+    def combined(
         cls,
         bodies: Bodies,
         logs: Sequence[ArmLog],
         joints: Mapping[str, FittedJoint],
-        doubt: Doubt,
-        kept: Mapping[str, Array],
+        prior: InertialPrior,
+        directions: Mapping[str, Array],
         seed: int | None,
     ) -> FittedArm:
-        """Join what fits say of the bodies by ``kept`` directions, and put it into joints."""
-        rng, told = np.random.default_rng(seed), dict(joints)
+        """Combine the fits of joints by their ``directions``, and update their numbers."""
+        rng, updated = np.random.default_rng(seed), dict(joints)
         fits = {
-            name: Felt(one.result.fit, one.result.summary.parameters, kept[name])
-            for name, one in joints.items()
-            if one.result
+            name: JointFit(joint.result.fit, joint.result.summary.parameters, directions[name])
+            for name, joint in joints.items()
+            if joint.result
         }
-        found = together(doubt, fits, rng)
-        for name, own in fits.items():
-            one, fit = joints[name], own.fit
-            assert one.result is not None
-            rows, posterior, checked = own.rows, fit.posterior, None
-            if name in found.agreed and own.sound:
-                posterior = moved(own, found.draws, rng)
-                rows = retold(own, posterior)
-            if held_out := one.result.model.held_out:
+        consistency = combine_joints(prior, fits, rng)
+        for name, joint_fit in fits.items():
+            joint, fit = joints[name], joint_fit.fit
+            assert joint.result is not None
+            rows, posterior, validation = joint_fit.rows, fit.posterior, None
+            if name in consistency.agreed and joint_fit.adequate:
+                posterior = conditional_posterior(joint_fit, consistency.draws, rng)
+                rows = updated_rows(joint_fit, posterior)
+            if held_out := joint.result.model.held_out:
                 predictions = predict_held_out(fit.target, posterior, held_out)
                 record = validation_record(replace(fit, held_out=predictions))
-                checked = Validation.model_validate(record)
-            told[name] = replace(
-                one,
+                validation = Validation.model_validate(record)
+            updated[name] = replace(
+                joint,
                 rows=rows,
-                validation=checked,
-                apart=found.apart[name],
-                agrees=name in found.agreed,
+                validation=validation,
+                p_value=consistency.p_values[name],
+                agrees=name in consistency.agreed,
             )
-        return cls(bodies, (*logs,), told, doubt, fits, found)
+        return cls(bodies, (*logs,), updated, prior, fits, consistency)
 
     @property
     def urdf(self) -> Path:
@@ -170,125 +189,122 @@ class FittedArm:
         q = np.concatenate([log.motion[0] for log in self.logs], axis=1)
         return np.stack([q.min(axis=1), q.max(axis=1)], axis=1)
 
-    def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, dict[str, Array]]:
-        """Draw bodies and joints together, without room for what a model lacks.
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[Array, dict[str, Array]]:
+        """Draw inertial parameters and joints together, without model discrepancy.
 
-        Returns
-        -------
-        bodies : ndarray
-            ``(count, n_causes)``, as the URDF where no joint says anything of them.
-        joints : dict of ndarray
-            By joint parameters ``(count, n_parameters)``, in the order of its fit's chain.
+        Returns deviations ``(count, n_deviations)``, zero where no joint agrees, and by joint
+        parameters ``(count, n_parameters)`` in the order of its fit's chain.
         """
-        found, values = self.together, {}
-        urdf = np.zeros((1, len(self.doubt.inside)))
-        z = rng.choice(found.draws if found.agreed else urdf, count)
-        for name, one in self.felt.items():
-            drawn = rng.choice(one.fit.posterior.flat(), count)
-            if name in found.agreed:  # what bounds cut of it stays where it was
-                along = beside(one, z, rng)
-                drawn = np.where(np.isfinite(along).all(axis=1, keepdims=True), along, drawn)
-            values[name] = one.fit.target.chain_values(drawn)
+        consistency, values = self.consistency, {}
+        urdf = np.zeros((1, len(self.prior.deviations)))
+        z = rng.choice(consistency.draws if consistency.agreed else urdf, count)
+        for name, joint_fit in self.fits.items():
+            draws = rng.choice(joint_fit.fit.posterior.flat(), count)
+            if name in consistency.agreed:  # draws outside their bounds stay as they were
+                conditional = conditional_draws(joint_fit, z, rng)
+                inside = np.isfinite(conditional).all(axis=1, keepdims=True)
+                draws = np.where(inside, conditional, draws)
+            values[name] = joint_fit.fit.target.chain_values(draws)
         return z, values
 
     @cached_property
-    def found(self) -> dict[str, Any]:
-        """What joints that agree say of the bodies.
-
-        ``p`` of data as far from the URDF, ``causes`` of that and ``base_parameters``.
-        """
-        found = self.together
+    def inertial_estimate(self) -> dict[str, Any]:
+        """Inertial parameters by the joints that agree, with keys as in ``arm.json``."""
+        consistency = self.consistency
         return {
-            "p": found.p,
-            "agreed": [*found.agreed],
-            "physical": found.physical,
-            "width": found.width,
-            "causes": found.causes(self.doubt),
-            "base_parameters": base_parameters(self.bodies, self.doubt, found.draws),
+            "p": consistency.p,
+            "agreed": [*consistency.agreed],
+            "physical": consistency.physical,
+            "width": consistency.width,
+            "causes": consistency.deviations(self.prior),
+            "base_parameters": base_parameters(self.bodies, self.prior, consistency.draws),
         }
 
     @property
     def samples(self) -> tuple[int, int]:
-        """How many of all logs were fitted, and how many there are."""
+        """Number of fitted samples, and of all samples."""
         return sum(log.fitted for log in self.logs), sum(log.rows for log in self.logs)
 
     @property
-    def said(self) -> list[str]:
-        """What is to be said besides the table, a line each."""
-        lines = [f"{name}: {line}" for name, one in self.joints.items() for line in one.lines]
+    def messages(self) -> list[str]:
+        """Messages below the table, a line each."""
+        lines = [f"{name}: {line}" for name, x in self.joints.items() for line in x.messages]
         fitted, rows = self.samples
         if fitted < rows:
-            lines.insert(0, f"{fitted} of {rows} samples were fitted, in stretches all over them")
-        told = self.found
-        if not told["agreed"]:
-            return lines
-        far = [
-            f"{c['name']} {c['value']:+.2g} ± {c['sd']:.2g} {c['unit']}".rstrip()
-            for c in told["causes"][:_MOST_CAUSES]
-            if abs(c["value"]) > 2.0 * c["sd"]
+            lines.insert(0, f"{fitted} of {rows} samples were fitted, in segments all over them")
+        estimate = self.inertial_estimate
+        significant = [
+            f"{row['name']} {row['value']:+.2g} ± {row['sd']:.2g} {row['unit']}".rstrip()
+            for row in estimate["causes"][:_DEVIATIONS]
+            if abs(row["value"]) > 2.0 * row["sd"]
         ]
-        word = "beside the URDF"
-        if told["p"] < UNLIKELY:
-            far_off = f"{told['width']:.2g} times as far as it was said to be off"
-            word = f"contradict the URDF, {far_off}"
-        return [*([f"bodies {word} ({p_text(told['p'])}): {listed(far)}"] if far else []), *lines]
+        if not estimate["agreed"] or not significant:
+            return lines
+        verdict = "differ from the URDF"
+        if estimate["p"] < UNLIKELY:
+            verdict = f"contradict the URDF, by {estimate['width']:.2g} times its uncertainty"
+        return [f"bodies {verdict} ({p_text(estimate['p'])}): {listed(significant)}", *lines]
 
     @property
     def reliable(self) -> bool:
         """Whether every sampling has converged."""
-        results = (one.result for one in self.joints.values() if one.result)
-        return all(one.summary.sampler.status == "reliable" for one in results)
+        results = (joint.result for joint in self.joints.values() if joint.result)
+        return all(result.summary.sampler.status == "reliable" for result in results)
 
     def as_json(self) -> dict[str, Any]:
-        """Give what ``arm.json`` holds."""
+        """Give the content of ``arm.json``."""
+        base = [asdict(parameter) for parameter in self.inertial_estimate["base_parameters"]]
         return {
             "bayesfric": __version__,
             "urdf": str(self.urdf),
             "logs": [str(log.path) for log in self.logs],
             "samples": dict(zip(("fitted", "of"), self.samples, strict=True)),
-            "bodies": {
-                **self.found,
-                "base_parameters": [asdict(one) for one in self.found["base_parameters"]],
-            },
-            "joints": {name: one.as_json() for name, one in self.joints.items()},
+            "bodies": {**self.inertial_estimate, "base_parameters": base},
+            "joints": {name: joint.as_json() for name, joint in self.joints.items()},
         }
 
     def text(self) -> list[str]:
-        """Lay the table out for a terminal, with what is to be said of the joints below it."""
+        """Lay out the table for a terminal, with the messages below it."""
         rows: list[tuple[str, ...]] = [("", *COLUMNS)]
-        for name, one in self.joints.items():
-            if one.result is not None:
-                cells = [_cell(row) for row in one.cells.values()]
+        for name, joint in self.joints.items():
+            if joint.result is not None:
+                cells = [_cell(row) for row in joint.cells.values()]
                 rows += [(name, *(c[0] for c in cells)), ("", *(c[1] for c in cells))]
-        wide = [2 + max(map(len, column)) for column in zip(*rows, strict=True)]
-        table = ["".join(c.ljust(w) for c, w in zip(r, wide, strict=True)) for r in rows]
-        said = self.said
-        room = max(_LINES - len(table), 1)
-        if len(said) > room:
-            said = [*said[: room - 1], f"and {len(said) - room + 1} lines more in arm.html"]
-        return [line.rstrip() for line in (*table, *said)]
+        widths = [2 + max(map(len, column)) for column in zip(*rows, strict=True)]
+        table = ["".join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
+        messages = self.messages
+        limit = max(_LINES - len(table), 1)
+        if len(messages) > limit:
+            hidden = len(messages) - limit + 1
+            messages = [*messages[: limit - 1], f"and {hidden} lines more in arm.html"]
+        return [line.rstrip() for line in (*table, *messages)]
 
     def write(self, folder: Path | str, *, full: bool = False) -> Path:
-        """Write a run directory a joint, ``arm.json`` and the page ``arm.html``, which is returned.
+        """Write run directories, ``arm.json`` and the page ``arm.html``, whose path is returned.
 
-        With ``full`` each joint has its figures, tables and page, too.
+        Parameters
+        ----------
+        folder
+            Where to write; each joint has a run directory in it.
+        full
+            Whether each joint has its figures, tables and page, too.
         """
         folder = Path(folder)
-        for one in self.joints.values():
-            if one.result is not None:
-                one.result.write(folder / one.folder, draws=None if full else _DRAWS)
-        told = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        for joint in self.joints.values():
+            if joint.result is not None:
+                joint.result.write(folder / joint.folder, draws=None if full else _DRAWS)
+        record = json.dumps(self.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
         page = render(
             "arm.html.j2", title=folder.name, arm=self, columns=COLUMNS, cell=_cell, full=full,
             version=__version__,
         )  # fmt: skip
-        files = {"arm.json": f"{told}\n", "arm.html": page}
+        files = {"arm.json": f"{record}\n", "arm.html": page}
         write_files({folder / name: text for name, text in files.items()}, replace=True)
         return folder / "arm.html"
 
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:
-    """Write a number with its status, and its interval with the unit."""
+    """Format a number with its status, and its interval with the unit."""
     if row is None or row.reported is None:
         return TEXT.none, ""
     printed = printed_row("", row.reported, row.unit, row.level)

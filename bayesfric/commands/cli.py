@@ -346,10 +346,11 @@ def arm(
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
-    """Fit every joint of an arm, beside the torque that the bodies of its URDF ask for."""
+    """Fit every joint of an arm, in addition to the rigid-body torque of its URDF."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_rollout import rollout as play
-    from bayesfric.arm.onward import files_of, next_motion
+    from bayesfric.arm.excitation import next_motion
+    from bayesfric.arm.exports import files_of
     from bayesfric.base.atomic_write import check_output_folder, write_files
 
     folder = output or Path(f"{log[0].stem}-arm")
@@ -362,12 +363,12 @@ def arm(
         if to_files:
             write_files({folder / name: text for name, text in files_of(found).items()})
         if roll_out is not None:
-            played = play(found, seconds=roll_out, seed=seed, tell=progress)
+            played = play(found, seconds=roll_out, seed=seed, progress=progress)
             write_files({folder / "rollout.csv": played.as_csv()})
             told.append(played.text())
             numbers["rollout"] = played.as_json()
         if advise:
-            motion = next_motion(found, wanted, seconds=seconds, seed=seed, tell=progress)
+            motion = next_motion(found, wanted, seconds=seconds, seed=seed, progress=progress)
             csv, yaml = folder / "exciting.csv", folder / "exciting.yaml"
             write_files({csv: motion.as_csv(), yaml: motion.as_joint_trajectory()})
             told.append(motion.text(wanted))

@@ -1,4 +1,1 @@
-"""The numbers of a finished run in a simulator's terms. Called, it exports.
-
-Files of a format, what they lose of the fitted joint, and how much torque that is.
-"""
+"""Exports of a finished run: files of a format, the terms that it loses, and the torque error."""

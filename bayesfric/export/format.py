@@ -1,11 +1,10 @@
-"""What a format declares of itself, and how formats are found: one file each."""
+"""Declaration of export formats, and the templates that they fill."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -14,9 +13,8 @@ from typing import Any
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.templates import environment
-from bayesfric.export.at_joint import Moved
-from bayesfric.export.central import Vectors
-from bayesfric.fit.finished_run import Finished
+from bayesfric.export.joint_model import Trajectory
+from bayesfric.export.written_law import Language
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 
@@ -25,81 +23,43 @@ Files = dict[str, str | bytes]
 
 @dataclass(frozen=True)
 class Options:
-    """What a user may ask of an export; ``None`` where left out."""
+    """Options of an export; ``None`` where left out."""
 
     joint: str = "joint"  # name of the joint in the simulator's model
-    at_load: float | None = None  # torque at the joint at which load losses are met, N m or N
-    into: Path | None = None  # model whose joint is to be changed
-    draws: int | None = None  # how many draws
-
-
-@dataclass(frozen=True, eq=False)
-class Content:
-    """All that a format writes its files from."""
-
-    found: Finished
-    options: Options
-    vectors: Vectors
-    numbers: Mapping[str, float]  # of the joint, as the format carries them
-    draws: Mapping[str, Array]  # the same for each draw
-    motions: Sequence[Moved]
-    remarks: Sequence[str]  # what every file says of itself, one line each
-
-    @property
-    def stem(self) -> str:
-        """The joint's name as that of a file or variable."""
-        return re.sub(r"\W", "_", self.options.joint)
-
-    @property
-    def rotary(self) -> bool:
-        """Whether the joint turns."""
-        return self.found.joint.load.motion == "rotary"
-
-    @property
-    def body(self) -> Pendulum:
-        """A link for models that want a whole one."""
-        return pendulum(self.numbers, self.rotary)
-
-    def filled(self, template: str, **more: Any) -> str:
-        """Fill a template of this folder."""
-        given = {
-            "remarks": self.remarks,
-            "name": self.options.joint,
-            "numbers": self.numbers,
-            "rotary": self.rotary,
-            "gravity": self.found.joint.load.gravity,
-        }
-        return filled(template, **given | more)
+    at_load: float | None = None  # torque at the joint where load-dependent friction is exact
+    into: Path | None = None  # model whose joint is changed
+    draws: int | None = None
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format of files for a simulator, or for anything that wants the numbers."""
+    """A format of files for a simulator, a controller or a table."""
 
     name: str
-    meaning: str  # what it is for, as it stands in a sentence
-    # what it calls each of bayesfric.export.at_joint.NUMBERS that it has
-    names: Mapping[str, str]
-    write: Callable[[Content], Files]  # the main file first
-    options: frozenset[str] = frozenset()  # of Options it knows, beside joint and at_load
-    notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 asks for
-    whole: bool = False  # whether it carries the law itself, and no number in its place
-    keeps: frozenset[str] = frozenset()  # quantities that it has in its own way
-    # motor torque along the recordings by a law of its own, of the fitted joint and its vector
-    torque: Callable[[Joint, Array, Sequence[Moved]], Array] | None = None
+    meaning: str  # in a sentence
+    names: Mapping[str, str]  # its names of bayesfric.export.joint_model.NUMBERS that it has
+    templates: Mapping[str, str] = field(default_factory=dict)  # by file name with {stem}
+    write: Callable[[Mapping[str, Any]], Files] | None = None  # in place of templates
+    language: Language | None = None  # in which the model has the law
+    options: frozenset[str] = frozenset()  # of Options, in addition to joint and at_load
+    notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 tests
+    complete: bool = False  # whether it carries the law itself instead of numbers
+    keeps: frozenset[str] = frozenset()  # quantities that it has in addition to numbers
+    # motor torque along the recordings by its own law, of the fitted joint and its vector
+    torque: Callable[[Joint, Array, Sequence[Trajectory]], Array] | None = None
 
 
 @cache
 def formats() -> dict[str, Format]:
-    """Find the formats: what every module of the folder calls ``FORMATS``, by name."""
+    """Collect ``FORMATS`` of every module in ``bayesfric/export/formats``, by name."""
     package = import_module("bayesfric.export.formats")
     names = sorted(m.name for m in iter_modules(package.__path__))
     modules = [import_module(f"{package.__name__}.{name}") for name in names]
-    return {one.name: one for m in modules for one in getattr(m, "FORMATS", ())}
+    return {form.name: form for m in modules for form in getattr(m, "FORMATS", ())}
 
 
 def format_of(name: str) -> Format:
-    """Look a format up, or say which there are."""
+    """Look up a format."""
     if name not in formats():
         raise BadInput("--to", f"there is no format {name!r}", nearest(name, formats()))
     return formats()[name]
@@ -112,40 +72,40 @@ def filled(template: str, **values: Any) -> str:
 
 @cache
 def _environment() -> Any:
-    made = environment("bayesfric.export")
+    jinja = environment("bayesfric.export")
     # the shortest text that is read back as the same number
-    made.filters["n"] = lambda x: repr(float(x))
-    return made
+    jinja.filters["n"] = lambda x: repr(float(x))
+    jinja.globals["degree"] = math.pi / 180.0
+    return jinja
 
 
 # Share of a link's inertia that is that of its mass at its distance.
 _AT_DISTANCE = 0.5
-# Shares, of the inertia and of what is at a distance, of a link that weighs something and whose
-# inertia is not told apart from the rotor's. The fit has no room for a lighter pendulum: of a
-# first moment ml and all of an inertia I it is (ml)²/I, and any share less makes it heavier.
-_WEIGHING = 0.9
-# What a link without inertia or weight is given, as simulators want both: a share of the rotor's
-# inertia, and kg.
-_LITTLE, _PLACEHOLDER = 1e-3, 0.1
-# Mass of a link of which torque tells the inertia alone, kg.
-_ANY = 1.0
+# The same, and the link's share of all inertia, where the link has weight but its inertia cannot be
+# distinguished from the rotor's. Of a first moment ml and inertia I the lightest pendulum is
+# (ml)²/I, and smaller shares make it heavier.
+_WEIGHTED = 0.9
+# A link without inertia and weight, as simulators want both: share of the rotor's inertia, and kg.
+_PLACEHOLDER_SHARE, _PLACEHOLDER_MASS = 1e-3, 0.1
+# Mass of a link of which only the inertia is identified, kg.
+_UNKNOWN_MASS = 1.0
 
 
 @dataclass(frozen=True)
 class Pendulum:
     """A rigid body at the joint, turning about y with gravity along -z; or sliding along x.
 
-    Torque tells inertia and first moment about the joint, not mass and distance apart: these are
-    chosen so that half of the inertia is that of the mass at its distance. Where it tells inertia
-    only together with the rotor's, a link that weighs something is given nearly all of it, and one
-    that does not is a placeholder.
+    Torque identifies inertia and first moment about the joint, not mass and distance: these are
+    chosen so that half of the inertia is that of the mass at its distance. Where the inertia is
+    identified only together with the rotor's, a link with weight is given nearly all of it, and one
+    without is a placeholder.
     """
 
     mass: float  # kg
-    com: tuple[float, float, float]  # of the centre of mass where the joint is at zero, m
+    com: tuple[float, float, float]  # centre of mass where the joint is at zero, m
     about_axis: float  # inertia about the joint's axis through the centre of mass, kg m²
     across: float  # about the other two, kg m²
-    armature: float  # what is left for the joint, kg m² or kg
+    armature: float  # left for the joint, kg m² or kg
     inertia: float  # of the body about the joint, kg m² or kg
 
 
@@ -153,19 +113,19 @@ def pendulum(numbers: Mapping[str, float], rotary: bool) -> Pendulum:
     """Choose a body for a joint's numbers."""
     inertia, armature = numbers["link_inertia"], numbers["armature"]
     moment, angle = numbers["link_moment"], numbers["link_gravity_angle"]
-    weighs, own = rotary and moment != 0.0, inertia > 0.0
-    held = _AT_DISTANCE if own else _WEIGHING
-    if not own:
-        share = _WEIGHING if weighs else _LITTLE
+    weighted, separate = rotary and moment != 0.0, inertia > 0.0
+    at_distance = _AT_DISTANCE if separate else _WEIGHTED
+    if not separate:
+        share = _WEIGHTED if weighted else _PLACEHOLDER_SHARE
         inertia, armature = share * armature, (1.0 - share) * armature
     centre = (0.0, 0.0, 0.0)
     if not rotary:
-        cube = inertia / 600.0  # of 0.1 m, which says nothing
+        cube = inertia / 600.0  # of 0.1 m; it has no effect
         return Pendulum(inertia, centre, cube, cube, armature, inertia)
-    if not weighs:
-        mass = _ANY if own else _PLACEHOLDER
+    if not weighted:
+        mass = _UNKNOWN_MASS if separate else _PLACEHOLDER_MASS
         return Pendulum(mass, centre, inertia, inertia, armature, inertia)
-    distance = held * inertia / moment
+    distance = at_distance * inertia / moment
     com = (-distance * math.sin(angle), 0.0, -distance * math.cos(angle))
-    about = (1.0 - held) * inertia
+    about = (1.0 - at_distance) * inertia
     return Pendulum(moment / distance, com, about, about, armature, inertia)

@@ -1,4 +1,4 @@
-"""The whole law of a joint as statements of C or Python: the inverse model, written out."""
+"""The law of a joint as statements of C or Python: its inverse model."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ Language = Literal["python", "c"]
 
 @dataclass(frozen=True)
 class Law:
-    """Statements ``(name, value)`` that work out ``measured``; a remark has no name.
+    """Statements ``(name, value)`` that compute ``measured``; a comment has no name.
 
-    They start from ``q``, ``v``, ``a`` and the direction ``s``. ``ideal`` are those of the torque
-    without losses and cogging: inertia, gravity, springs and the offset, which alone is ``offset``.
+    They start from ``q``, ``v``, ``a`` and the direction ``s``.
     """
 
-    whole: tuple[tuple[str, str], ...]
-    ideal: tuple[tuple[str, str], ...]
-    offset: str
+    full: tuple[tuple[str, str], ...]
+    ideal: tuple[tuple[str, str], ...]  # without losses and cogging
+    offset: str  # torque at standstill without load and losses
 
 
-# Of an operation its text, how tightly that binds, and how tightly what it is of must.
+# Text, precedence and lowest precedence of the operands by operation.
 _WRITTEN: dict[str, tuple[str, int, Sequence[int]]] = {
     "add": ("{} + {}", 1, (1, 1)),
     "subtract": ("{} - {}", 1, (1, 2)),
@@ -42,24 +41,26 @@ _WRITTEN: dict[str, tuple[str, int, Sequence[int]]] = {
     "greater": ("{} > {}", 0, (1, 1)),
     "sign": ("(({0} > 0) - ({0} < 0))", 3, (1,)),
 }
-# Functions that are not called as NumPy's are.
+# Functions with other names than in NumPy.
 _PYTHON = {"absolute": "abs", "maximum": "max", "minimum": "min", "power": "math.pow"}
 _C = {"absolute": "fabs", "maximum": "fmax", "minimum": "fmin", "power": "pow"}
 _BOTH = {"arctan": "atan"}
 
 
-def _text(formula: Formula, language: Language, tightly: int = 0) -> str:
-    """Write a formula, in brackets unless it binds so tightly."""
+def _text(formula: Formula, language: Language, precedence: int = 0) -> str:
+    """Write a formula, in brackets if it binds less than ``precedence``."""
     if isinstance(formula, str):
         return formula
     if isinstance(formula, float):
         return repr(formula) if language == "python" else f"REAL({formula!r})"
-    operation, *of = formula
+    operation, *operands = formula
     if operation in _WRITTEN:
-        pattern, binds, needs = _WRITTEN[operation]
-        text = pattern.format(*(_text(x, language, n) for x, n in zip(of, needs, strict=True)))
-        return text if binds >= tightly else f"({text})"
-    parts = [_text(x, language) for x in of]
+        pattern, own_precedence, lowest = _WRITTEN[operation]
+        text = pattern.format(
+            *(_text(x, language, n) for x, n in zip(operands, lowest, strict=True))
+        )
+        return text if own_precedence >= precedence else f"({text})"
+    parts = [_text(x, language) for x in operands]
     name = _BOTH.get(operation, operation)
     if language == "python":
         if operation == "where":
@@ -72,18 +73,18 @@ def _text(formula: Formula, language: Language, tightly: int = 0) -> str:
 
 def _statements(chain: Joint, vector: Array, language: Language) -> tuple[tuple[str, str], ...]:
     load = chain.tables(vector[None]).load[0]
-    made = Statements()
-    torque = made.torque(chain, vector)
-    made.remark("as measured")
-    made.add("measured", (torque + load[kernels.OFFSET]) / load[kernels.GAIN])
+    statements = Statements()
+    torque = statements.torque(chain, vector)
+    statements.remark("as measured")
+    statements.add("measured", (torque + load[kernels.OFFSET]) / load[kernels.GAIN])
     return tuple(
         (name, _text(formula, language) if name else str(formula))
-        for name, formula in made.used("measured")
+        for name, formula in statements.used("measured")
     )
 
 
 def unwritten(chain: Joint) -> str | None:
-    """Name a term of a joint that cannot be written out; ``None`` where there is none."""
+    """Name a term that has no formula or depends on time; ``None`` where there is none."""
     try:
         Statements().torque(chain, np.ones(len(chain.names)))
     except Unwritten as error:
@@ -92,22 +93,14 @@ def unwritten(chain: Joint) -> str | None:
 
 
 def law(chain: Joint, vector: Array, language: Language) -> Law:
-    """Write a joint out at one parameter vector ``(d,)``.
-
-    Raises
-    ------
-    BadInput
-        If it has a term of one's own that has no formula, or one of time.
-    """
+    """Write the law of a joint at one parameter vector ``(d,)``."""
     if (name := unwritten(chain)) is not None:
-        what = "is a term of one's own, of time or in functions that the export does not know"
-        raise BadInput(name, what, "export another format, or leave the term out")
+        problem = "is a custom term, of time or with functions that the export does not support"
+        raise BadInput(name, problem, "export another format, or leave the term out")
     load = chain.tables(vector[None]).load[0]
-    lossless = [
-        p.row.stores or p.row.circular or p.owner in ("", "drive") for p in chain.parameters
-    ]
+    ideal = [p.row.stores or p.row.circular or p.owner in ("", "drive") for p in chain.parameters]
     return Law(
         _statements(chain, vector, language),
-        _statements(chain, np.where(lossless, vector, 0.0), language),
+        _statements(chain, np.where(ideal, vector, 0.0), language),
         repr(float(load[kernels.OFFSET] / load[kernels.GAIN])),
     )

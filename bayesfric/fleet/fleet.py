@@ -1,4 +1,4 @@
-"""A fleet: many units fitted by one template, and what they are together."""
+"""A fleet: many units fitted by one template, and their population."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from bayesfric.base.atomic_write import write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
-from bayesfric.fleet.fleet_population import FleetPopulation, fleet_population
-from bayesfric.fleet.fleet_units import read_units, units_of
 from bayesfric.fleet.plan import (
+    FAILED,
     ClusterOptions,
     Plan,
     RunOptions,
     Template,
     read_plan,
     read_template,
+    read_units,
+    units_of,
 )
-from bayesfric.fleet.results import FAILED, results_table
+from bayesfric.fleet.results import FleetPopulation, fleet_population, results_table
 from bayesfric.fleet.workers import check_dask, fit_units, is_fitted
 from bayesfric.report.summary.record import Summary, read_summary_file
 
@@ -40,11 +41,11 @@ PLAN, TABLE, UNITS, LOCK = "fleet.toml", "results.parquet", "units", ".lock"
 
 @dataclass(frozen=True)
 class FleetRun:
-    """What came of a fleet."""
+    """Outcome of a fleet."""
 
     folder: Path
     units: int
-    again: int  # were finished before
+    again: int  # units that were finished before
     failed: Mapping[str, str]  # units whose configuration or recordings cannot be used, and why
     left: Mapping[str, str]  # units whose worker failed, and how
     outcomes: Mapping[str, int]  # number of units by the outcome of their fits
@@ -60,7 +61,7 @@ class FleetRun:
         return pd.read_parquet(self.folder / TABLE)
 
     def as_json(self) -> dict[str, Any]:
-        """Give what ``bayesfric fleet --json`` prints."""
+        """Give the output of ``bayesfric fleet --json``."""
         return {
             "folder": str(self.folder),
             "units": self.units,
@@ -82,16 +83,16 @@ class Fleet:
     template
         A configuration as nested dicts, or the file of one, with ``{column}`` in its texts.
     units
-        A unit a row: a data frame, a mapping of columns, or a CSV file.
+        A unit in each row: a data frame, a mapping of columns, or a CSV file.
     name
-        What units are called, such as ``"{serial}-{day}"``; the column ``unit`` if left out.
+        Pattern of the units' names, such as ``"{serial}-{day}"``; the column ``unit`` if left out.
     runs, cluster
         The tables of a ``FLEET.toml``, as dicts of the same keys.
 
     Raises
     ------
     BadInput
-        For anything that fits no unit.
+        If no unit can be fitted.
     """
 
     def __init__(
@@ -104,9 +105,9 @@ class Fleet:
         cluster: Mapping[str, Any] | None = None,
     ) -> None:
         if isinstance(template, Mapping):
-            made = Template(Path("template").absolute(), dict(template))
+            read = Template(Path("template").absolute(), dict(template))
         else:
-            made = read_template(Path(template))
+            read = read_template(Path(template))
         if isinstance(units, str | Path):
             rows = read_units(Path(units), name)
         else:
@@ -115,7 +116,7 @@ class Fleet:
             rows = units_of(pd.DataFrame(units), name, "units", first_row=1)
         self.plan = Plan(
             Path("Fleet"),
-            made,
+            read,
             rows,
             _options(RunOptions, runs or {}, "runs"),
             _options(ClusterOptions, cluster or {}, "cluster"),
@@ -137,51 +138,51 @@ class Fleet:
         resume: bool = False,
         progress: bool | ProgressCallback = False,
     ) -> FleetRun:
-        """Fit every unit that is not done.
+        """Fit every unit that is not finished.
 
         Parameters
         ----------
         folder
-            To make, or with ``resume`` to go on in.
+            Folder to make, or with ``resume`` to continue.
         workers
             Processes on this machine.
         scheduler
-            Address of a running Dask scheduler, or in Python a cluster object of Dask's, such as
-            dask-jobqueue's ``SLURMCluster``; its workers see the same files.
+            Address of a running Dask scheduler, or a cluster object of Dask's, such as
+            dask-jobqueue's ``SLURMCluster``; its workers need access to the same files.
         resume
-            Do only what is missing or failed, or whose configuration or recording has changed.
+            Fit only units that are missing, failed, or whose configuration or recording changed.
         progress
-            Whether to show a bar, or what to call as work goes on.
+            Whether to show a bar, or a callback.
 
         Raises
         ------
         BadInput
-            If the folder is not free, or cannot be written to; or no scheduler answers.
+            If the folder is not empty or cannot be written, or no scheduler answers.
         """
-        began, folder = time.monotonic(), Path(folder).absolute()
-        given = {"workers": workers, "scheduler": scheduler}
-        update = {key: value for key, value in given.items() if value is not None}
+        start, folder = time.monotonic(), Path(folder).absolute()
+        arguments = {"workers": workers, "scheduler": scheduler}
+        update = {key: value for key, value in arguments.items() if value is not None}
         options = self.plan.cluster.model_copy(update=update)
         _check(folder, resume=resume)
         check_dask(options)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as tell:
+            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as report:
                 write_files({folder / PLAN: _text(self.plan)}, replace=True)
-                result = self._run(folder, options, tell, began)
+                result = self._run(folder, options, report, start)
                 (folder / LOCK).unlink(missing_ok=True)
                 return result
         except Timeout:
-            what = "another process works on this fleet"
-            raise BadInput(str(folder), what, "wait for it, or name another folder") from None
+            problem = "another process is fitting this fleet"
+            raise BadInput(str(folder), problem, "wait for it, or name another folder") from None
         except OSError as error:
-            what = f"cannot be written ({error.strerror or error})"
-            raise BadInput(str(folder), what, "mend that, then go on with --resume") from None
+            problem = f"cannot be written ({error.strerror or error})"
+            raise BadInput(str(folder), problem, "correct that, then use --resume") from None
 
     def _run(
-        self, folder: Path, options: ClusterOptions, tell: ProgressCallback, began: float
+        self, folder: Path, options: ClusterOptions, progress: ProgressCallback, start: float
     ) -> FleetRun:
-        """Fit what is missing, and sum all units up: the table, figures, the page."""
+        """Fit the units that are missing, and write table, population and page of all."""
         from bayesfric.fleet.page import fleet_page
 
         plan = self.plan
@@ -206,24 +207,24 @@ class Fleet:
             done += 1
             if why:
                 (left if by_machine else failed)[name] = why
-            tell(Progress(f"{done} of {len(plan.units)} units, {len(failed) + len(left)} failed"))
+            counts = f"{done} of {len(plan.units)} units, {len(failed) + len(left)} failed"
+            progress(Progress(counts))
 
         draws = plan.runs.draws if plan.runs.light else None
         if waiting:
             fit_units(waiting, folder / UNITS, plan.template.path, draws, options, finished)
-        tell(Progress("population"))
+        progress(Progress("population"))
         errors = failed | {name: f"machine: {why}" for name, why in left.items()}
-        places = {u.name: folder / UNITS / u.name for u in plan.units if u.name not in errors}
+        folders = {u.name: folder / UNITS / u.name for u in plan.units if u.name not in errors}
         runs = {
-            name: Summary.read(read_summary_file(place), str(place))
-            for name, place in places.items()
+            name: Summary.read(read_summary_file(path), str(path)) for name, path in folders.items()
         }
         population = fleet_population(folder / UNITS, runs)
         table = results_table(plan.units, runs, errors)
         (folder / TABLE).write_bytes(table.to_parquet(index=False))
         page = fleet_page(folder, plan.units, runs, errors, population)
-        made = json.dumps(population.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
-        texts = {folder / "population.json": f"{made}\n", folder / "fleet.html": page}
+        record = json.dumps(population.as_json(), indent=1, ensure_ascii=False, allow_nan=False)
+        texts = {folder / "population.json": f"{record}\n", folder / "fleet.html": page}
         write_files(texts, replace=True)
         outcomes = Counter(
             FAILED if unit.name in errors else runs[unit.name].verdict.outcome
@@ -236,40 +237,40 @@ class Fleet:
             failed={unit.name: failed[unit.name] for unit in plan.units if unit.name in failed},
             left=left,
             outcomes=dict(outcomes),
-            seconds=time.monotonic() - began,
+            seconds=time.monotonic() - start,
             cpu_seconds=cpu_seconds + time.process_time(),
             population=population,
         )
 
 
-Chosen = TypeVar("Chosen", bound=BaseModel)
+Table = TypeVar("Table", bound=BaseModel)
 
 
-def _options(kind: type[Chosen], given: Mapping[str, Any], name: str) -> Chosen:
+def _options(kind: type[Table], keys: Mapping[str, Any], name: str) -> Table:
     try:
-        return kind.model_validate(dict(given), strict=True)
+        return kind.model_validate(dict(keys), strict=True)
     except ValidationError as error:
-        raise configuration_error(f"Fleet: {name}.", name, error, given, kind) from None
+        raise configuration_error(f"Fleet: {name}.", name, error, keys, kind) from None
 
 
 def _check(folder: Path, *, resume: bool) -> None:
-    """Refuse a folder that is not free, or holds no fleet to go on with."""
+    """Refuse a folder that is not empty, or has no fleet to resume."""
     if folder.exists() and not folder.is_dir():
         raise BadInput(str(folder), "is a file", "name a folder with -o")
-    there = (folder / PLAN).is_file()
-    if resume and not there:
+    has_fleet = (folder / PLAN).is_file()
+    if resume and not has_fleet:
         raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
-    # hidden is what a killed process left before it had begun
-    held = folder.exists() and any(path.name[0] != "." for path in folder.iterdir())
-    if not resume and held:
-        mend = "add --resume to do what is missing, or name another with -o" if there else ""
-        raise BadInput(str(folder), "is not empty", mend or "name another folder with -o")
+    # hidden files are of a process that was killed at its start
+    occupied = folder.exists() and any(path.name[0] != "." for path in folder.iterdir())
+    if not resume and occupied:
+        hint = "add --resume to continue, or name another with -o" if has_fleet else ""
+        raise BadInput(str(folder), "is not empty", hint or "name another folder with -o")
 
 
 def _text(plan: Plan) -> str:
-    """Keep what the fleet was made of."""
+    """Write the record of a fleet's template, units and options."""
     from bayesfric.problem.config_text import document_text
 
-    told = plan.runs.model_dump()
+    runs = plan.runs.model_dump()
     units = {"count": len(plan.units)}
-    return document_text({"template": plan.template.document, "units": units, "runs": told})
+    return document_text({"template": plan.template.document, "units": units, "runs": runs})

@@ -1,4 +1,4 @@
-"""``fleet.html``: the page of a fleet, one file that fetches nothing."""
+"""``fleet.html``: the page of a fleet, a single file."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ from matplotlib.figure import Figure
 
 from bayesfric.base import __version__
 from bayesfric.estimates.point_estimate import HALF
-from bayesfric.fleet.fleet_population import OUTLIER, FleetPopulation, FleetQuantity
-from bayesfric.fleet.fleet_units import Unit
-from bayesfric.fleet.results import COLUMNS, FAILED
+from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
+from bayesfric.fleet.results import OUTLIER, FleetPopulation, FleetQuantity
 from bayesfric.report.figures import style
 from bayesfric.report.figures.style import save
 from bayesfric.report.page.rendering import PageFigure, page_figure, render
 from bayesfric.report.summary.record import Summary
 from bayesfric.results.reported import Reported
 
-# Columns of the units that there is room for.
-_MOST = 6
+# Columns of the units that fit on the page.
+_UNIT_COLUMNS = 6
 
 
 @dataclass(frozen=True)
 class Line:
-    """A unit's line in the table."""
+    """Line of a unit in the table."""
 
     unit: Unit
     outcome: str
@@ -42,9 +41,9 @@ class Line:
     where: str  # the quantity
 
 
-def _draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
-    """Write the figure into ``figures/``, if there is one, and give it for the page."""
-    quantities = shown(found)
+def _figures(folder: Path, population: FleetPopulation) -> list[PageFigure]:
+    """Write the figure, if there is one, into ``figures/`` and return it for the page."""
+    quantities = _shown(population)
     if not quantities:
         return []
     (folder / "figures").mkdir(exist_ok=True)
@@ -55,9 +54,9 @@ def _draw(folder: Path, found: FleetPopulation) -> list[PageFigure]:
         "central 90 % (dashed), outliers apart. Diamonds: likelier an outlier than not."
     )
     means = [
-        f"{one.name}: mean {one.pool.mean.median:.4g}, sd between units "
-        f"{one.pool.spread.median:.2g}{f' {one.told.unit}' if one.told.unit else ''}. "
-        for one in quantities
+        f"{x.name}: mean {x.pool.mean.median:.4g}, sd between units "
+        f"{x.pool.spread.median:.2g}{f' {x.row.unit}' if x.row.unit else ''}. "
+        for x in quantities
     ]
     words = f"{title}. {''.join(means)}".rstrip()
     return [page_figure(folder, "distribution", title, caption, words)]
@@ -68,23 +67,23 @@ def fleet_page(
     units: Sequence[Unit],
     runs: Mapping[str, Summary],
     errors: Mapping[str, str],
-    found: FleetPopulation,
+    population: FleetPopulation,
 ) -> str:
-    """Write the page, and its figure into ``folder``; units' folders are in ``units/``."""
-    lines = list(_lines(folder, units, runs, errors, found))
-    columns = [name for name in units[0].values if name not in COLUMNS][:_MOST]
-    told: dict[str, Any] = {
+    """Render the page, and write its figure into ``folder``; runs are in ``units/``."""
+    lines = list(_lines(folder, units, runs, errors, population))
+    columns = [name for name in units[0].values if name not in COLUMNS][:_UNIT_COLUMNS]
+    content: dict[str, Any] = {
         "title": folder.name,
-        "found": found,
+        "found": population,
         "lines": lines,
         "columns": columns,
-        "quantities": shown(found),
-        "failed": [one for one in lines if one.error],
-        "outliers": [one for one in lines if (one.probability or 0.0) >= OUTLIER],
-        "figures": _draw(folder, found),
+        "quantities": _shown(population),
+        "failed": [line for line in lines if line.error],
+        "outliers": [line for line in lines if (line.probability or 0.0) >= OUTLIER],
+        "figures": _figures(folder, population),
         "version": __version__,
     }
-    return render("fleet.html.j2", **told)
+    return render("fleet.html.j2", **content)
 
 
 def _lines(
@@ -92,12 +91,12 @@ def _lines(
     units: Sequence[Unit],
     runs: Mapping[str, Summary],
     errors: Mapping[str, str],
-    found: FleetPopulation,
+    population: FleetPopulation,
 ) -> Iterator[Line]:
-    """Order units: outliers first, then as ranked, those without a rank last."""
-    ranked = {unit: (p, name) for unit, p, name in found.outliers}
-    place = {unit: k for k, unit in enumerate(ranked)}
-    for unit in sorted(units, key=lambda one: place.get(one.name, len(place))):
+    """List units by their probability of being an outlier, those without one last."""
+    ranked = {unit: (p, name) for unit, p, name in population.outliers}
+    rank = {unit: k for k, unit in enumerate(ranked)}
+    for unit in sorted(units, key=lambda x: rank.get(x.name, len(rank))):
         run = Path("units", unit.name)
         page = run / "report.html"
         p, where = ranked.get(unit.name, (None, ""))
@@ -108,7 +107,7 @@ def _lines(
             unit=unit,
             outcome=FAILED if summary is None else summary.verdict.outcome,
             error=errors.get(unit.name, ""),
-            findings=[] if summary is None else [one.kind for one in summary.findings],
+            findings=[] if summary is None else [finding.kind for finding in summary.findings],
             rows={name: row.reported for name, row in rows.items() if row.reported is not None},
             link=link.as_posix(),
             probability=p,
@@ -116,26 +115,26 @@ def _lines(
         )
 
 
-# Panels beside each other and in all; inches of one.
-_ACROSS, _PANELS, _HIGH = 2, 8, 1.5
-# More points than this are a picture inside the drawing.
+# Panels in a row and in all; height of a panel in inches.
+_ACROSS, _PANELS, _HEIGHT = 2, 8, 1.5
+# Above so many points they are rasterised.
 _VECTOR = 300
 
 
-def shown(found: FleetPopulation) -> Sequence[FleetQuantity]:
-    """Pick parameters and what no scaling changes; totals say the same in other words."""
-    told = [one for one in found.quantities if not one.name.startswith("total.")]
-    return (told or list(found.quantities))[:_PANELS]
+def _shown(population: FleetPopulation) -> Sequence[FleetQuantity]:
+    """Select the quantities that are not totals, which are redundant, if there are any."""
+    quantities = [x for x in population.quantities if not x.name.startswith("total.")]
+    return (quantities or list(population.quantities))[:_PANELS]
 
 
 def _distribution(quantities: Sequence[FleetQuantity]) -> Figure:
     """Draw each quantity over the units by rank, a panel each."""
     rows = math.ceil(len(quantities) / _ACROSS)
-    with style.paper_figure(style.PAGE, rows * _HIGH + 0.3) as figure:
+    with style.paper_figure(style.PAGE, rows * _HEIGHT + 0.3) as figure:
         axes = style.panel_grid(figure, len(quantities), _ACROSS)
         handles: list[Artist] = []
-        for ax, one in zip(axes, quantities, strict=True):
-            drawn = _panel(ax, one)
+        for ax, quantity in zip(axes, quantities, strict=True):
+            drawn = _panel(ax, quantity)
             handles = drawn if len(drawn) > len(handles) else handles
         for ax in axes[-_ACROSS:]:
             ax.set_xlabel("units by rank")
@@ -143,20 +142,20 @@ def _distribution(quantities: Sequence[FleetQuantity]) -> Figure:
     return figure
 
 
-def _panel(ax: Axes, one: FleetQuantity) -> list[Artist]:
-    names = sorted(one.units, key=lambda name: one.units[name].value)
+def _panel(ax: Axes, quantity: FleetQuantity) -> list[Artist]:
+    names = sorted(quantity.units, key=lambda name: quantity.units[name].value)
     x = np.arange(1.0, len(names) + 1.0)
-    ends = np.array([(told.low, told.high) for told in (one.units[name].printed for name in names)])
+    ends = np.array([(x.low, x.high) for x in (quantity.units[name].printed for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
-    y = np.array([one.units[name].value for name in names]) / scale
-    out = np.array([one.outlying[name] >= OUTLIER for name in names])
+    y = np.array([quantity.units[name].value for name in names]) / scale
+    out = np.array([quantity.outlying[name] >= OUTLIER for name in names])
     many = len(names) > _VECTOR
     low, high = (ends / scale).T
     ax.vlines(x, low, high, colors="#b4b4b4", linewidths=0.5, rasterized=many)
     dots: dict[str, Any] = {"ms": 1.8, "rasterized": many, "label": "unit"}
     drawn: list[Artist] = list(ax.plot(x[~out], y[~out], "o", color=style.POSTERIOR, **dots))
-    mean, spread = one.pool.mean.median / scale, one.pool.spread.median / scale
+    mean, spread = quantity.pool.mean.median / scale, quantity.pool.spread.median / scale
     drawn.append(ax.axhline(mean, color=style.MEASURED, label="population mean"))
     for end in (mean - HALF * spread, mean + HALF * spread):
         line = ax.axhline(end, color=style.MEASURED, ls=style.DASHED, lw=0.7)
@@ -167,5 +166,5 @@ def _panel(ax: Axes, one: FleetQuantity) -> list[Artist]:
     ax.margins(x=0.02, y=0.06)
     style.few_ticks(ax.yaxis, 4)
     style.few_ticks(ax.xaxis, 5)
-    ax.set_ylabel(style.axis_label(one.told.symbol, one.name, exponent, one.told.unit))
+    ax.set_ylabel(style.axis_label(quantity.row.symbol, quantity.name, exponent, quantity.row.unit))
     return drawn

@@ -1,38 +1,27 @@
-"""The table of a fleet's results: a row for each unit and quantity."""
+"""Results of a fleet: the table, and the population that the units are drawn from."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesfric.fleet.fleet_units import Unit
+from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
+from bayesfric.population.outliers import WithOutliers, with_outliers
+from bayesfric.report.comparison.between_runs import SharedQuantity, read_draws, shared_quantities
 from bayesfric.report.summary.record import Summary
+from bayesfric.report.summary.rows import PosteriorRow
 
 if TYPE_CHECKING:
     import pandas as pd
-
-# Columns before those of the units, and their types.
-COLUMNS = {
-    "unit": "string",  # of the fleet
-    "outcome": "string",  # of its fit, as its verdict has it, or "failed"
-    "quantity": "string",
-    "value": "float64",
-    "sd": "float64",
-    "low": "float64",
-    "high": "float64",
-    "level": "float64",
-    "measure": "string",  # unit of the numbers
-    "status": "string",  # identified, doubtful, limit, prior or unidentified
-    "findings": "string",  # that move it by more than its interval
-    "error": "string",  # why a unit failed
-}
-FAILED = "failed"
 
 
 def results_table(
     units: Sequence[Unit], runs: Mapping[str, Summary], errors: Mapping[str, str]
 ) -> pd.DataFrame:
-    """Tabulate what is reported of each unit's fit, or why it failed; the units' columns last."""
+    """Tabulate the reported quantities of each unit, or why it failed, and the units' columns."""
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
@@ -62,5 +51,93 @@ def results_table(
     table = pd.DataFrame(rows, columns=[*COLUMNS]).astype(COLUMNS)
     values = {unit.name: unit.values for unit in units}
     columns = pd.DataFrame.from_dict(values, orient="index").convert_dtypes()
-    own = [name for name in columns if name not in COLUMNS]
-    return table.join(columns[own], on="unit")
+    return table.join(columns[[name for name in columns if name not in COLUMNS]], on="unit")
+
+
+# Probability from which a unit is reported as an outlier.
+OUTLIER = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class FleetQuantity:
+    """One quantity that the data of two units or more determine."""
+
+    name: str
+    units: Mapping[str, PosteriorRow]  # those pooled
+    pool: WithOutliers
+    outlying: Mapping[str, float]  # probability of each unit
+    distance: Mapping[str, float]  # of each from the mean, in sds of both
+
+    @property
+    def row(self) -> PosteriorRow:
+        """The first unit's row, for unit, symbol, meaning and level."""
+        return next(iter(self.units.values()))
+
+    def as_json(self) -> dict[str, Any]:
+        """Give its part of ``population.json``."""
+        return {
+            "name": self.name,
+            "unit": self.row.unit,
+            "meaning": self.row.meaning,
+            "level": self.row.level,
+            "units": len(self.units),
+            "mean": asdict(self.pool.mean),
+            "spread": asdict(self.pool.spread),
+            "outlier_share": asdict(self.pool.share),
+            "outlying": {name: p for name, p in self.outlying.items() if p >= OUTLIER},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class FleetPopulation:
+    """The population of each quantity."""
+
+    quantities: Sequence[FleetQuantity] = ()
+
+    @property
+    def outliers(self) -> list[tuple[str, float, str]]:
+        """Units with probability and quantity, the likeliest first."""
+        worst: dict[str, tuple[float, float, str]] = {}
+        for quantity in self.quantities:
+            for unit, p in quantity.outlying.items():
+                entry = (round(p, 6), quantity.distance[unit], quantity.name)
+                worst[unit] = max(worst.get(unit, entry), entry)
+        ranked = sorted(worst.items(), key=lambda pair: pair[1][:2], reverse=True)
+        return [(unit, p, name) for unit, (p, _, name) in ranked]
+
+    def as_json(self) -> dict[str, Any]:
+        """Give the content of ``population.json``."""
+        return {
+            "quantities": [quantity.as_json() for quantity in self.quantities],
+            "outliers": [
+                {"unit": unit, "probability": p, "quantity": name}
+                for unit, p, name in self.outliers
+                if p >= OUTLIER
+            ],
+        }
+
+
+def fleet_population(folder: Path, runs: Mapping[str, Summary]) -> FleetPopulation:
+    """Pool the finished runs in ``folder``, each named after its unit.
+
+    Quantities that a unit's data do not identify, and units that did not converge, are left out.
+    """
+    draws = {unit: read_draws(folder / unit, summary) for unit, summary in runs.items()}
+    quantities = [
+        _pooled(quantity)
+        for quantity in shared_quantities(runs, draws)
+        # an open scaling of link and gearbox may differ between units
+        if next(iter(quantity.runs.values())).gauge_free is not False
+    ]
+    return FleetPopulation(quantities)
+
+
+def _pooled(quantity: SharedQuantity) -> FleetQuantity:
+    level = next(iter(quantity.runs.values())).level
+    pool = with_outliers(list(quantity.likelihoods.values()), level)
+    outlying = dict(zip(quantity.likelihoods, pool.outlying, strict=True))
+    distance = {
+        name: abs(x.mean - pool.mean.median) / math.hypot(x.sd, pool.spread.median)
+        for name, x in quantity.likelihoods.items()
+    }
+    return FleetQuantity(quantity.name, quantity.runs, pool, outlying, distance)

@@ -1,8 +1,8 @@
-"""Fit units side by side by Dask distributed, on this machine or on a running cluster.
+"""Fit units in parallel by Dask distributed, on this machine or on a running cluster.
 
-Only texts and numbers pass the scheduler, whatever the recordings' size. Who may connect to it can
-have any code run by its workers: a local one takes Dask's temporary credentials, and one on a
-network what Dask's own configuration says (``distributed.comm.tls``).
+Only texts and numbers pass the scheduler. Anybody who can connect to it can run code on its
+workers: a local one takes Dask's temporary credentials, one on a network those of Dask's
+configuration (``distributed.comm.tls``).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 # The filled configuration, written into a unit's run directory when the fit is finished.
 UNIT = "unit.toml"
-# Bytes that a worker needs for its imports alone.
+# Bytes that a worker needs for its imports.
 _LEAST_MEMORY = 2**27
-# How long a scheduler may take to answer, s.
+# Timeout of a connection to the scheduler, s.
 _CONNECT = 10.0
 _SETTINGS = {
     "distributed.nanny.pre-spawn-environ": {
@@ -45,7 +45,7 @@ _SETTINGS = {
     "distributed.admin.tick.limit": "1 h",
 }
 
-# Takes a unit's name, why its fit failed (or nothing), whether the machine failed it, CPU seconds.
+# Callback with a unit's name, why its fit failed (or nothing), whether by the machine, CPU seconds.
 Finished = Callable[[str, str, bool, float], None]
 
 
@@ -57,13 +57,7 @@ def fit_units(
     options: ClusterOptions,
     finished: Finished,
 ) -> None:
-    """Fit units by name, each into a run directory in ``folder``, and report each as it is done.
-
-    Raises
-    ------
-    BadInput
-        If no scheduler answers, or it is gone meanwhile.
-    """
+    """Fit units by name, each into a run directory in ``folder``, and report each when finished."""
     from distributed import KilledWorker, as_completed
 
     with _client(options) as client:
@@ -76,7 +70,7 @@ def fit_units(
             pure=False,
         )
         names = dict(zip(futures, configurations, strict=True))
-        del futures  # Dask forgets what is done
+        del futures  # so that Dask releases results
         for future in as_completed(names, loop=client.loop):
             name = names.pop(future)
             if future.status == "finished":
@@ -94,15 +88,15 @@ def fit_units(
 
 
 def fit_unit(text: str, folder: str, *, template: str, draws: int | None) -> tuple[str, float]:
-    """Fit a unit, and give why its configuration or recordings do not allow it, and CPU seconds.
+    """Fit a unit, and return why it cannot be fitted (or nothing) and CPU seconds.
 
     File names in ``text`` are relative to the folder of ``template``.
     """
     import dask
 
-    began = time.process_time()
+    start = time.process_time()
     try:
-        # else xarray locks files by the scheduler
+        # otherwise xarray locks files by the scheduler
         with dask.config.set(scheduler="synchronous"):
             config = parse_config(text, Path(template))
             shutil.rmtree(folder, ignore_errors=True)
@@ -111,11 +105,11 @@ def fit_unit(text: str, folder: str, *, template: str, draws: int | None) -> tup
         Path(folder, UNIT).write_text(text, encoding="utf-8")
     except BadInput as error:
         why = str(error)
-    return why, time.process_time() - began
+    return why, time.process_time() - start
 
 
 def is_fitted(folder: Path, text: str, template: Path) -> bool:
-    """Whether a unit's run is finished, of this configuration, and newer than its recordings."""
+    """Whether a unit was fitted by this configuration, later than its recordings changed."""
     mark = folder / UNIT
     try:
         if mark.read_text(encoding="utf-8") != text:
@@ -129,27 +123,21 @@ def is_fitted(folder: Path, text: str, template: Path) -> bool:
 
 
 def check_dask(options: ClusterOptions) -> None:
-    """Refuse what no cluster can be made of, before anything is written.
-
-    Raises
-    ------
-    BadInput
-        If Dask is not installed, or a worker's limit of memory is not a size.
-    """
+    """Check that Dask is installed, and a worker's memory limit, before anything is written."""
     try:
         import cryptography  # noqa: F401 (makes a local cluster's credentials)
         import distributed  # noqa: F401
         from dask.utils import parse_bytes
     except ImportError:
-        what = "works with Dask distributed, which is not installed"
-        raise BadInput("bayesfric fleet", what, "pip install 'bayesfric[fleet]'") from None
+        problem = "needs Dask distributed, which is not installed"
+        raise BadInput("bayesfric fleet", problem, "pip install 'bayesfric[fleet]'") from None
     try:
         enough = parse_bytes(options.memory_limit) >= _LEAST_MEMORY
     except (ValueError, OverflowError):
         enough = False
     if not enough:
         where = f"cluster.memory_limit = {options.memory_limit!r}"
-        raise BadInput(where, "is not a size for a worker", 'write such as "2 GiB"')
+        raise BadInput(where, "is no valid size for a worker", 'write a size such as "2 GiB"')
 
 
 @contextmanager
@@ -158,7 +146,7 @@ def _client(options: ClusterOptions) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    given: Any = options.scheduler
+    scheduler: Any = options.scheduler
     local: dict[str, Any] = {
         "n_workers": options.workers,
         "threads_per_worker": 1,
@@ -168,10 +156,10 @@ def _client(options: ClusterOptions) -> Iterator[Client]:
         "host": "127.0.0.1",
         "silence_logs": logging.CRITICAL,
     }
-    with dask.config.set({} if given else _SETTINGS), ExitStack() as stack:
+    with dask.config.set({} if scheduler else _SETTINGS), ExitStack() as stack:
         for last_trial in (False, True):
             try:
-                cluster = given or stack.enter_context(LocalCluster(**local))
+                cluster = scheduler or stack.enter_context(LocalCluster(**local))
                 client = Client(cluster, timeout=_CONNECT, set_as_default=False)
                 break
             except (RuntimeError, OSError, ValueError, TypeError):
@@ -183,5 +171,5 @@ def _client(options: ClusterOptions) -> Iterator[Client]:
 
 
 def _no_scheduler(options: ClusterOptions) -> BadInput:
-    hint = "see whether it runs, and has memory; then go on with --resume"
+    hint = "check that it runs and has memory, then use --resume"
     return BadInput(str(options.scheduler or "bayesfric fleet"), "no scheduler answers", hint)

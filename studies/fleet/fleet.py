@@ -29,7 +29,7 @@ import psutil
 
 from bayesfric.commands.simulate import simulate
 from bayesfric.fleet.fleet import Fleet
-from bayesfric.fleet.fleet_population import fleet_population
+from bayesfric.fleet.results import fleet_population
 from bayesfric.problem.config import parse_config
 
 FOLDER = Path(__file__).resolve().parent

@@ -135,7 +135,7 @@ def by_one_joint() -> dict[str, dict[str, list[float]]]:
         joint_fit = bf.Arm(DATA / "ur10.urdf", {"joints": joint_options}).fit(LOG, seed=SEED)
         estimates[name] = {
             cause["name"]: [cause["value"], cause["sd"]]
-            for cause in joint_fit.found["causes"]
+            for cause in joint_fit.inertial_estimate["causes"]
             if cause["name"].startswith(("payload", "moment"))
         }
     return estimates
@@ -220,7 +220,7 @@ def main() -> None:
             "seconds": played.seconds,
             "log": played.log,
             "rms": {name: round(x, 4) for name, x in played.rms.items()},
-            "held": {name: round(x, 3) for name, x in played.held.items()},
+            "held": {name: round(x, 3) for name, x in played.coverage.items()},
         },
         "joints": joints,
     }

@@ -130,7 +130,7 @@ def one_arm(folder: Path, seed: int, options: Namespace) -> tuple[list[dict], di
                     "inside": bool(low <= value <= high),
                 }
             rows.append(row)
-    consistency = {key: fitted.found[key] for key in ("p", "agreed", "physical")}
+    consistency = {key: fitted.inertial_estimate[key] for key in ("p", "agreed", "physical")}
     findings = {name: joint.as_json()["findings"] for name, joint in fitted.joints.items()}
     extra = (
         {"rollout": rollout(fitted, seconds=PLAYED, seed=seed).as_json()} if options.rollout else {}

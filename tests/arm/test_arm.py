@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.arm.arm import Arm, remarks
 from bayesfric.arm.arm_log import ArmLog, Layout
-from bayesfric.arm.bodies import UrdfJoint
+from bayesfric.arm.inertial_prior import UrdfJoint
 from bayesfric.base.errors import BadInput
 from tests.commands.bench import Bench
 from tests.conftest import DATA, made_recording
@@ -33,7 +33,7 @@ TRUTH = {
 @pytest.fixture
 def here(tmp_path, monkeypatch, capfd):
     """A folder with a URDF and a log, and the command, which tries few motions."""
-    monkeypatch.setattr("bayesfric.arm.exciting._TRIES", 100)
+    monkeypatch.setattr("bayesfric.arm.excitation._TRIES", 100)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.urdf").write_text(bench.urdf())
     return Bench(tmp_path, monkeypatch, capfd)
@@ -46,7 +46,11 @@ def recorded(folder, change=lambda frame: frame, **more):
 def test_a_body_that_is_far_off_contradicts_the_urdf(here):
     bench.log(bench.urdf({"lower": 2.0}), TRUTH).to_csv(here.folder / "log.csv", index=False)
     options = {**QUICK, "joints": {SHOULDER: {"fit": False}}, "payload": {"mass_sd": "0.1 kg"}}
-    found = Arm(here.folder / "arm.urdf", options).fit(here.folder / "log.csv", seed=1).found
+    found = (
+        Arm(here.folder / "arm.urdf", options)
+        .fit(here.folder / "log.csv", seed=1)
+        .inertial_estimate
+    )
     assert found["p"] < 0.01
     assert max(found["causes"][:3], key=lambda cause: cause["value"])["value"] > 0.0
 
@@ -63,8 +67,8 @@ def test_a_payload_that_is_on_for_one_of_two_logs_is_weighed(here):
     found = Arm(here.folder / "arm.urdf", options).fit(logs, seed=1)
     assert [one.fitted for one in found.logs] == [1500, 1500]
     assert found.as_json()["samples"] == {"fitted": 3000, "of": 4000}
-    assert set(found.together.agreed) == set(TRUTH)
-    told = next(c for c in found.found["causes"] if c["name"] == "payload of tool")
+    assert set(found.consistency.agreed) == set(TRUTH)
+    told = next(c for c in found.inertial_estimate["causes"] if c["name"] == "payload of tool")
     assert told["sd"] < 0.3
     assert abs(told["value"] - 2.0) < 3.0 * told["sd"]
     with pytest.raises(BadInput, match=r"payload\.logs"):

@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from bayesfric.arm.arm_files import (
+from bayesfric.arm.arm_options import Payload, Uncertainty
+from bayesfric.arm.exports import (
     Identified,
     written_mjcf,
     written_python,
     written_ros2_control,
     written_urdf,
 )
-from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies
+from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
 from tests.conftest import DATA
 
@@ -46,7 +46,7 @@ def made(folder, text):
 def inertias(path):
     """Inertial parameters by link, as iDynTree reads them."""
     bodies = Bodies(path, GRAVITY)
-    nominal = bodies.doubt(Uncertainty(), Payload()).nominal
+    nominal = bodies.prior(Uncertainty(), Payload()).nominal
     return dict(zip(bodies.links, nominal.reshape(-1, 10), strict=True))
 
 
@@ -69,7 +69,7 @@ def somewhere(joints, n=5):
 
 def rigid(path, motion):
     bodies = Bodies(path, GRAVITY)
-    nominal = bodies.doubt(Uncertainty(), Payload()).nominal
+    nominal = bodies.prior(Uncertainty(), Payload()).nominal
     return bodies.torques(motion, np.repeat(nominal[None, :, None], motion.shape[1], axis=0))[:, 0]
 
 

@@ -10,10 +10,9 @@ import pytest
 from bayesfric.arm import arm_rollout
 from bayesfric.arm.arm import Arm
 from bayesfric.arm.arm_log import ArmLog, layout_of
-from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.arm_rollout import play, rollout
-from bayesfric.arm.bodies import Bodies
-from bayesfric.arm.joint_numbers import NUMBERS
+from bayesfric.arm.arm_options import NUMBERS, Payload, Uncertainty
+from bayesfric.arm.arm_rollout import rollout, simulate_arm
+from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
 
 from . import bench
@@ -33,7 +32,7 @@ def friction(**more):
 def played(dynamics, numbers, motion, effort):
     count = motion.shape[2]
     time, on = PERIOD * np.arange(count), np.arange(len(effort))
-    return play(dynamics, numbers, time, motion, effort, on, time == 0.0)
+    return simulate_arm(dynamics, numbers, time, motion, effort, on, time == 0.0)
 
 
 def test_coulomb_friction_stops_a_joint_and_holds_it():
@@ -84,7 +83,7 @@ def test_several_joints_stick_and_slide_as_their_impulses_allow():
             rng.normal(size=4),
             rng.uniform(size=(2, 4)),
         )
-        v = arm_rollout._rubbed(mass, free, lost, np.zeros(4))
+        v = arm_rollout._with_friction(mass, free, lost, np.zeros(4))
         push = mass @ (free - v)
         assert np.all(push <= lost[0] + 1e-7)
         assert np.all(push >= -lost[1] - 1e-7)
@@ -113,7 +112,7 @@ def test_without_coulomb_friction_it_moves_as_in_mujoco(tmp_path):
     motion = np.zeros((3, 2, count))
     motion[0, :, 0] = start
     numbers = friction(armature=[0.4, 0.2], viscous=[1.5, 0.8])
-    dynamics = bodies.dynamics(bodies.doubt(Uncertainty(), Payload()).columns(loaded=False)[:, 0])
+    dynamics = bodies.dynamics(bodies.prior(Uncertainty(), Payload()).columns(loaded=False)[:, 0])
     q = played(dynamics, numbers, motion, np.repeat(effort[:, None], count, axis=1))
     assert np.ptp(exact, axis=0).min() > 0.3
     np.testing.assert_allclose(q.T, exact, atol=1e-3)
@@ -150,13 +149,13 @@ def test_bands_hold_another_motion(predicting):
 def test_a_fitted_arm_moves_as_measured(arm):
     found = rollout(arm, seconds=0.5, draws=12, seed=1)
     assert found.joints == (SHOULDER, ELBOW)
-    assert np.count_nonzero(found.begins) == 40
+    assert np.count_nonzero(found.restarts) == 40
     for name, rms in found.rms.items():
         j = found.joints.index(name)
-        still = found.measured[j] - found.measured[j][found.begins][np.cumsum(found.begins) - 1]
+        still = found.measured[j] - found.measured[j][found.restarts][np.cumsum(found.restarts) - 1]
         assert rms < 0.1 * np.std(still)
         # 40 times anew: of 12 draws' ends 77 % are held, and by chance half as many never
-        assert found.held[name] > 0.5
+        assert found.coverage[name] > 0.5
     assert (found.low <= found.middle).all()
     assert (found.middle <= found.high).all()
     assert f"{ELBOW}" in found.text()
@@ -169,7 +168,7 @@ def test_a_median_that_is_off_all_along_is_off_by_that():
     told = "log", 0.5, ("one",), ("rad",), np.arange(4.0), begins
     found = arm_rollout.ArmRollOut(*told, on, off - 0.1, off, off + 0.1)
     assert found.rms == {"one": pytest.approx(0.3)}
-    assert found.held == {"one": 0.0}
+    assert found.coverage == {"one": 0.0}
 
 
 def test_what_cannot_be_played_is_refused(arm):

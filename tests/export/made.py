@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.export.at_joint import Moved
-from bayesfric.export.central import vectors
+from bayesfric.export.joint_model import Trajectory
+from bayesfric.export.point_estimate import parameter_vectors
 from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
@@ -55,7 +55,7 @@ def rms(x):
 
 
 def middle(done):
-    return vectors(done, [Moved.of(o) for o in done.model.observations], 10).middle
+    return parameter_vectors(done, [Trajectory.of(o) for o in done.model.observations], 10).point
 
 
 def check_announced_torque(done, exported, taken):

@@ -12,9 +12,9 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import Moved, torque_along
-from bayesfric.export.central import vectors
 from bayesfric.export.format import filled
+from bayesfric.export.joint_model import Trajectory, torque_along
+from bayesfric.export.point_estimate import parameter_vectors
 from bayesfric.export.written_law import law
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
@@ -78,9 +78,9 @@ def compiled(compiler, files, folder, *more):
 
 def c_files(joint, vector):
     """Write a joint as the format does, of a vector alone."""
-    given = {"remarks": [], "name": "joint", "law": law(joint, vector, "c"), "unit": "N m"}
+    given = {"remarks": [], "stem": "joint", "law": law(joint, vector, "c"), "unit": "N m"}
     names = ("feedforward.c", "feedforward.h")
-    return {f"joint_{name}": filled(f"{name}.j2", position="rad", **given) for name in names}
+    return {f"joint_{name}": filled(f"{name}.j2", position_unit="rad", **given) for name in names}
 
 
 def python_of(joint, vector):
@@ -99,8 +99,8 @@ def along(function, q, qd, qdd):
 def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, compiler, tmp_path):
     done = found(name)
     files = bf.export(done, "c").files
-    motions = [Moved.of(o) for o in done.model.observations]
-    vector = vectors(done, motions, 10).middle
+    motions = [Trajectory.of(o) for o in done.model.observations]
+    vector = parameter_vectors(done, motions, 10).point
     wanted = torque_along(done.joint, vector[None], motions)[0]
     moving = [np.concatenate([getattr(m, x) for m in motions]) for x in MOVING]
     largest = np.abs(wanted).max()
@@ -159,8 +159,8 @@ def test_ros2_control_has_a_file_of_parameters_and_a_law_that_cpp_compiles(tmp_p
     run = lambda *words: subprocess.run(words, cwd=tmp_path, check=True)  # noqa: E731
     run("gcc", *FLAGS, "-c", "knee_feedforward.c")
     run("g++", "-Wall", "-Wextra", "-Werror", "main.cpp", "knee_feedforward.o", "-lm", "-o", "law")
-    motions = [Moved.of(o) for o in done.model.observations]
-    vector = vectors(done, motions, 10).middle
+    motions = [Trajectory.of(o) for o in done.model.observations]
+    vector = parameter_vectors(done, motions, 10).point
     wanted = torque_along(done.joint, vector[None], motions)[0]
     moving = np.column_stack([np.concatenate([getattr(m, x) for m in motions]) for x in MOVING])
     text = "\n".join(" ".join(map(repr, row)) for row in moving.tolist())
@@ -263,5 +263,5 @@ def test_a_term_of_ones_own_is_written_out(compiler, tmp_path):
 @pytest.mark.parametrize("column", [lambda m: math.sin(m.position), lambda m: np.sin(m.time)])
 def test_one_without_a_formula_is_refused_by_name(column):
     joint = with_own(column)
-    with pytest.raises(BadInput, match=r"motor\.own: is a term of one's own"):
+    with pytest.raises(BadInput, match=r"motor\.own: is a custom term"):
         law(joint, np.ones(len(joint.names)), "c")

@@ -5,8 +5,7 @@ from contextlib import contextmanager
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.fleet.fleet_units import find_units, read_units
-from bayesfric.fleet.plan import read_plan
+from bayesfric.fleet.plan import find_units, read_plan, read_units
 
 from ..commands.bench import has
 from .made import FLEET, TEMPLATE, write_fleet
@@ -68,7 +67,7 @@ def test_a_glob_names_parts(tmp_path):
         ("unit,x\n../a,1\n", ("row 2", "cannot be the name of a folder")),
         ("unit,x\n.a,1\n", ("row 2", "cannot be the name of a folder")),
         ("unit,x\na,1,2\n", ("Expected 2 fields in line 2, saw 3",)),
-        ("serial,x\na,1\n", ("does not say what units are called",)),
+        ("serial,x\na,1\n", ("has no names of units",)),
         ("unit,unit\na,1\n", ("columns 1 and 2 are both named 'unit'",)),
         ("unit,x\n", ("has no rows",)),
         ("", ("is empty",)),

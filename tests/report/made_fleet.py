@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pandas as pd
 
-from bayesfric.fleet.fleet_population import fleet_population
-from bayesfric.fleet.fleet_units import units_of
 from bayesfric.fleet.page import fleet_page
+from bayesfric.fleet.plan import units_of
+from bayesfric.fleet.results import fleet_population
 from bayesfric.report.summary.record import Summary
 
 from .made_summaries import knee, write_draws

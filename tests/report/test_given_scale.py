@@ -3,7 +3,7 @@
 import copy
 from types import SimpleNamespace
 
-from bayesfric.export.central import open_scalings
+from bayesfric.export.point_estimate import open_scalings
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.paper.tables import parameter_table

@@ -18,13 +18,13 @@ from bayesfric.recordings.measurement import Law
 from bayesfric.report.messages import roll_out_messages
 from bayesfric.report.summary.rows import rollout_part
 from bayesfric.rollouts.rollout import (
-    Recorded,
-    Series,
-    _over,
-    _rolled,
-    memory,
+    PreparedRecording,
+    Residuals,
+    _compare,
+    _overturned,
+    autocorrelation_time,
+    bootstrapped,
     moving_share,
-    played,
     rollout,
 )
 from tests.commands.bench import Bench, has, without_figures
@@ -229,7 +229,7 @@ def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, tu
     far = replace(m, position=np.linspace(0.0, 8.0 * np.pi, m.time.size))
     moved = far.position + np.linspace(-2.0, 2.0, 5)[:, None], np.zeros((5, m.time.size))
     some = SimpleNamespace(joint=joint if gravity else CHAIN)
-    x = _rolled(some, Recorded(far, o, "new"), moved, moved)
+    x = _compare(some, PreparedRecording(far, o, "new"), moved, moved)
     assert x.room == pytest.approx(2.0 * np.pi * turns)
     # ends of nine tenths of five draws over 4 rad: wider than half a turn, not than four
     assert (x.blind, x.wide) == (float(gravity), gravity)
@@ -245,7 +245,9 @@ def test_plays_that_go_another_way_over_the_top_do_not_make_the_bands(made, join
     near[:lost, m.time.size // 2 :] += 2.0 * np.pi
     still = np.zeros_like(near)
     for chain in (joint, CHAIN):
-        x = _rolled(SimpleNamespace(joint=chain), Recorded(m, o, "new"), *[(near, still)] * 2)
+        x = _compare(
+            SimpleNamespace(joint=chain), PreparedRecording(m, o, "new"), *[(near, still)] * 2
+        )
         assert x.over == (lost / 100 if chain is joint else 0.0)
         if chain is joint:
             assert x.wide == (lost == 30)
@@ -279,11 +281,11 @@ def test_one_play_over_the_top_does_not_say_how_much_torque_moves_the_joint(made
     moved = alone + 0.2 * rng.standard_normal((40, m.time.size))
     measured = m.position + 0.1 * rng.standard_normal(m.time.size)
     alone[7, 100:] += 2.0 * np.pi
-    stays = ~_over(joint, measured, alone, moved)
+    stays = ~_overturned(joint, measured, alone, moved)
     assert np.flatnonzero(~stays).tolist() == [7]
     # a quantile of 2000 squares, and variances of 39 draws
     assert moving_share(measured, alone[stays], moved[stays], 0.0) == pytest.approx(0.5, rel=0.15)
-    assert not _over(CHAIN, measured, alone, moved).any()
+    assert not _overturned(CHAIN, measured, alone, moved).any()
 
 
 def test_a_fit_by_targets_is_that_by_the_torque(made, joint):
@@ -370,15 +372,17 @@ def remembering(n=20_000, a=0.8, seed=0):
 
 def test_memory_of_an_autoregression_is_its_integrated_time():
     # (1 + a) / (1 - a); its estimate's relative sd is about sqrt(2 (2 W + 1) / N), Sokal
-    assert memory(remembering()) == pytest.approx(9.0, rel=0.25)
-    assert memory(np.random.default_rng(1).standard_normal(20_000)) == pytest.approx(1.0, abs=0.1)
-    assert memory(np.zeros(30)) == 1.0
+    assert autocorrelation_time(remembering()) == pytest.approx(9.0, rel=0.25)
+    assert autocorrelation_time(np.random.default_rng(1).standard_normal(20_000)) == pytest.approx(
+        1.0, abs=0.1
+    )
+    assert autocorrelation_time(np.zeros(30)) == 1.0
 
 
 def test_pieces_keep_size_and_neighbours():
     x = remembering()
     rng = np.random.default_rng(2)
-    drawn = played([Series(x, 0.02)], 40, 2000, 0.02, rng)
+    drawn = bootstrapped([Residuals(x, 0.02)], 40, 2000, 0.02, rng)
     # 80,000 outputs of which every nine are one: sd of a variance sqrt(2 * 9 / 80000) = 0.015
     assert drawn.var() == pytest.approx(1.0, abs=0.06)
     lag = np.mean(drawn[:, 1:] * drawn[:, :-1]) / drawn.var()

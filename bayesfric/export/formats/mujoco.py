@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
+from typing import Any
 from xml.parsers import expat
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.safe_read import read_text
-from bayesfric.export.format import Content, Files, Format
-from bayesfric.export.written_law import law, unwritten
+from bayesfric.export.format import Files, Format, filled
 
-# Step of the model that is written, s. With a friction constraint as stiff as two steps allow,
-# motion is that of the fitted joint to a tenth of a milliradian.
+# Time step of the model, s. With a friction constraint as stiff as two steps allow, its motion is
+# that of the fitted joint to a tenth of a milliradian.
 _STEP = 5e-4
 _NAMES = {
     "joint armature": "armature",
@@ -30,78 +29,64 @@ _NAMES = {
 }
 
 
-def _joint(numbers: Mapping[str, float]) -> dict[str, str]:
-    """Attributes of the joint, as text."""
+def _attributes(numbers: Mapping[str, float]) -> dict[str, str]:
+    """Format the attributes of the joint."""
     damping, quadratic = numbers["damping"], numbers["quadratic"]
     stiffness, cubic = numbers["stiffness"], numbers["stiffness_cubic"]
-    found = {
+    attributes = {
         "armature": repr(numbers["armature"]),
         "damping": f"{damping!r} {quadratic!r} 0" if quadratic else repr(damping),
         "frictionloss": repr(numbers["friction"]),
     }
     if stiffness or cubic:
-        found["stiffness"] = f"{stiffness!r} 0 {cubic!r}" if cubic else repr(stiffness)
-    return found
+        attributes["stiffness"] = f"{stiffness!r} 0 {cubic!r}" if cubic else repr(stiffness)
+    return attributes
 
 
-def _write(content: Content) -> Files:
-    chain, options, numbers = content.found.joint, content.options, dict(content.numbers)
+def _write(content: Mapping[str, Any]) -> Files:
+    options, numbers, stem = content["options"], content["numbers"], content["stem"]
     files: Files = {}
-    if unwritten(chain) is None:
-        made = law(chain, content.vectors.middle, "python")
-        text = content.filled("mujoco_friction.py.j2", law=made)
-        files = {f"{content.stem}_friction.py": text}
+    if "law" in content:
+        files = {f"{stem}_friction.py": filled("mujoco_friction.py.j2", **content)}
     if (path := options.into) is not None:
-        attributes = _joint(numbers)
-        return {path.name: patched(_read(path), options.joint, attributes, str(path)), **files}
-    body = content.body
-    joint = _joint(numbers | {"armature": body.armature})
-    text = content.filled("mujoco.xml.j2", joint=joint, body=body, step=_STEP)
-    return {f"{content.stem}.xml": text, **files}
-
-
-def _read(path: Path) -> str:
-    return read_text(path, "name an MJCF file with --into")
+        text = read_text(path, "name an MJCF file with --into")
+        return {path.name: patched(text, options.joint, _attributes(numbers), str(path)), **files}
+    joint = _attributes({**numbers, "armature": content["body"].armature})
+    return {f"{stem}.xml": filled("mujoco.xml.j2", joint=joint, step=_STEP, **content), **files}
 
 
 def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> str:
-    """Set attributes of a named joint of an MJCF text; every other byte stays.
-
-    Raises
-    ------
-    BadInput
-        If the text is no XML, or has no such joint or several.
-    """
+    """Set attributes of a named joint in an MJCF text; every other byte stays."""
     data, parser = text.encode(), expat.ParserCreate("utf-8")
-    around: list[str] = [""]
-    places: list[tuple[str, int]] = []
+    open_tags: list[str] = [""]
+    joints: list[tuple[str, int]] = []  # name, and position of the tag
 
-    def begin(tag: str, given: dict[str, str]) -> None:
-        if (around[-1], tag) == ("body", "joint") and "name" in given:
-            places.append((given["name"], parser.CurrentByteIndex))
-        around.append(tag)
+    def begin(tag: str, tag_attributes: dict[str, str]) -> None:
+        if (open_tags[-1], tag) == ("body", "joint") and "name" in tag_attributes:
+            joints.append((tag_attributes["name"], parser.CurrentByteIndex))
+        open_tags.append(tag)
 
     parser.StartElementHandler = begin
-    parser.EndElementHandler = lambda _: around.pop()
+    parser.EndElementHandler = lambda _: open_tags.pop()
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         raise BadInput(f"--into {where}", f"is no XML ({error})", "name an MJCF file") from None
-    named = [place for known, place in places if known == name]
-    if len(named) != 1:
-        what = f"has {'several joints' if named else 'no joint'} {name!r}"
-        raise BadInput(f"--into {where}", what, nearest(name, sorted(dict(places))))
-    before, rest = data[: named[0]].decode(), data[named[0] :].decode()
-    tag = re.match(r"(?:[^>\"']|\"[^\"]*\"|'[^']*')*>", rest)
+    positions = [position for joint, position in joints if joint == name]
+    if len(positions) != 1:
+        problem = f"has {'several joints' if positions else 'no joint'} {name!r}"
+        raise BadInput(f"--into {where}", problem, nearest(name, sorted(dict(joints))))
+    before, after = data[: positions[0]].decode(), data[positions[0] :].decode()
+    tag = re.match(r"(?:[^>\"']|\"[^\"]*\"|'[^']*')*>", after)
     assert tag is not None
     changed = tag[0]
     for key, value in attributes.items():
-        there = rf"(\s{key}\s*=\s*)(?:\"[^\"]*\"|'[^']*')"
-        changed, count = re.subn(there, rf'\g<1>"{value}"', changed, count=1)
+        attribute = rf"(\s{key}\s*=\s*)(?:\"[^\"]*\"|'[^']*')"
+        changed, count = re.subn(attribute, rf'\g<1>"{value}"', changed, count=1)
         if not count:
             inside = changed.rstrip("/>").rstrip()
             changed = f'{inside} {key}="{value}"{changed[len(inside) :]}'
-    return before + changed + rest[tag.end() :]
+    return before + changed + after[tag.end() :]
 
 
 FORMATS = (
@@ -110,6 +95,7 @@ FORMATS = (
         meaning="MuJoCo",
         names=_NAMES,
         write=_write,
+        language="python",
         options=frozenset({"into"}),
         notes=frozenset({"mujoco"}),
     ),

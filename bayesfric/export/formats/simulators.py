@@ -1,6 +1,4 @@
-"""Joints as simulators and controllers read them: URDF, SDF, Isaac, ros2_control.
-
-URDF is plain, for Drake, or for Pinocchio with what its dynamics leave out.
+"""Formats that are templates: URDF, SDF, Drake, Pinocchio, Isaac, ros2_control, C99 and Python.
 
 Isaac Lab's names and units: ``isaaclab/actuators/actuator_base_cfg.py`` of isaac-sim/IsaacLab
 (efforts in N m, viscous friction in N m s/rad); Isaac Sim's: the Physx Joint Schema of NVIDIA's
@@ -8,96 +6,83 @@ Omni Physics documentation, ``PhysxJointAxisAPI:angular``, whose viscousFriction
 degree of what turns (its parser multiplies by 57.2958), as of Isaac Sim 5.0.
 
 ``gains.<joint>.ff_velocity_scale`` of the joint_trajectory_controller (control.ros.org, "Details
-about parameters") is effort per wanted speed where it commands an effort: viscous friction. It has
-no place for more; what a controller of one's own wants beside it stands under ``friction``, and the
-whole law beside it in C.
+about parameters") is effort per reference speed where it commands an effort: viscous friction. It
+has no other friction; numbers for a custom controller are under ``friction``, and the law is in C.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from bayesfric.export.format import Content, Files, Format
-from bayesfric.export.formats.feedforward import c_files
+import numpy as np
 
-# What all of them have: the link, and the way from the motor's torque to the joint's.
-_AROUND = {
+from bayesfric.base.errors import BadInput
+from bayesfric.export.extra_terms import omitted
+from bayesfric.export.format import Files, Format
+from bayesfric.export.joint_model import NUMBERS, Trajectory, torque_along
+from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.arrays import Array
+
+# Formats with a body have the link, and the transmission from the motor's torque to the joint's.
+_BODY = {
     "inertia about the joint": "link_inertia",
     "mass times distance": "link_moment",
     "angle of the centre": "link_gravity_angle",
     "joint torque per motor torque": "gain",
     "joint torque, less": "torque_offset",
 }
+_URDF = {"{stem}.urdf": "joint.urdf.j2"}
+_C_FILES = {"{stem}_feedforward.c": "feedforward.c.j2", "{stem}_feedforward.h": "feedforward.h.j2"}
+_ABOUT = {f"about: {number}": number for number in NUMBERS}
 _DYNAMICS = {"dynamics damping": "damping", "dynamics friction": "friction"}
 
 
-def _urdf(content: Content, rotor: tuple[float, float] | None = None) -> Files:
-    text = content.filled("joint.urdf.j2", body=content.body, rotor=rotor)
-    return {f"{content.stem}.urdf": text}
+def _law_torque(chain: Joint, vector: Array, motions: Sequence[Trajectory]) -> Array:
+    """Compute the motor torque of the written law along the motions."""
+    written = [not omitted(p.row) for p in chain.parameters]
+    return np.asarray(torque_along(chain, np.where(written, vector, 0.0)[None], motions)[0])
 
 
-def _drake(content: Content) -> Files:
-    ratio = content.found.joint.ratio
-    return _urdf(content, (content.body.armature / ratio**2, ratio))
+def _write_draws(content: Mapping[str, Any]) -> Files:
+    """Write draws of numbers and parameters, a row each, to randomise simulations."""
+    import pandas as pd
 
-
-def _pinocchio(content: Content) -> Files:
-    given = {"file": f"{content.stem}.urdf", "armature": content.body.armature}
-    loader = content.filled("pinocchio.py.j2", **given)
-    return {**_urdf(content), f"{content.stem}_pinocchio.py": loader}
-
-
-def _sdf(content: Content) -> Files:
-    return {f"{content.stem}.sdf": content.filled("joint.sdf.j2", body=content.body)}
-
-
-def _isaac(content: Content) -> Files:
-    per_degree = math.pi / 180.0 if content.rotary else 1.0
-    given = {
-        "stem": content.stem,
-        "viscous": per_degree * content.numbers["damping"],
-    }
-    files = {
-        f"{content.stem}_isaac_lab.py": "isaac_lab.py.j2",
-        f"{content.stem}.usda": "joint.usda.j2",
-    }
-    return {name: content.filled(template, **given) for name, template in files.items()}
-
-
-def _ros2_control(content: Content) -> Files:
-    text = content.filled("ros2_control.yaml.j2", stem=content.stem)
-    return {f"{content.stem}_ros2_control.yaml": text, **c_files(content)}
-
-
-def _format(
-    name: str, meaning: str, own: Mapping[str, str], write: Callable[[Content], Files], *notes: str
-) -> Format:
-    """Declare a format; with the note ``body`` it has the link, and the way to the motor."""
-    names = {**own, **(_AROUND if "body" in notes else {})}
-    return Format(name, meaning, names, write, notes=frozenset({"joint torque", *notes}))
+    chain, vectors = content["run"].joint, content["vectors"].draws
+    count = content["options"].draws
+    if count is not None and count > len(vectors):
+        problem = f"is {count}, and the run has {len(vectors)}"
+        raise BadInput("--draws", problem, "reduce it, or fit with more steps")
+    columns = {(name, NUMBERS[name].unit(chain)): x for name, x in content["draws"].items()}
+    columns |= {(p.name, p.unit): x for p, x in zip(chain.parameters, vectors.T, strict=True)}
+    # remarks are in export.json only: many readers do not accept comments
+    titled = {f"{name} [{unit}]" if unit else name: x for (name, unit), x in columns.items()}
+    return {"draws.csv": pd.DataFrame(titled).to_csv(index=False).encode()}
 
 
 FORMATS = (
-    _format("urdf", "URDF", _DYNAMICS, _urdf, "body", "ignored", "gravity"),
-    _format(
+    Format(
+        "urdf",
+        "URDF",
+        _DYNAMICS | _BODY,
+        _URDF,
+        notes=frozenset({"joint torque", "body", "ignored", "gravity"}),
+    ),
+    Format(
         "sdf",
         "SDF",
-        _DYNAMICS | {"dynamics spring_stiffness": "stiffness"},
-        _sdf,
-        "body",
-        "gravity",
+        _DYNAMICS | {"dynamics spring_stiffness": "stiffness"} | _BODY,
+        {"{stem}.sdf": "joint.sdf.j2"},
+        notes=frozenset({"joint torque", "body", "gravity"}),
     ),
-    _format(
+    Format(
         "drake",
         "Drake",
-        {"rotor_inertia gear_ratio²": "armature", "dynamics damping": "damping"},
-        _drake,
-        "body",
-        "drake",
-        "gravity",
+        {"rotor_inertia gear_ratio²": "armature", "dynamics damping": "damping"} | _BODY,
+        _URDF,
+        notes=frozenset({"joint torque", "body", "drake", "gravity"}),
     ),
-    _format(
+    Format(
         "pinocchio",
         "Pinocchio",
         {
@@ -107,12 +92,12 @@ FORMATS = (
             "FRICTION": "friction",
             "STIFFNESS": "stiffness",
             "STIFFNESS_CUBIC": "stiffness_cubic",
-        },
-        _pinocchio,
-        "body",
-        "pinocchio",
+        }
+        | _BODY,
+        _URDF | {"{stem}_pinocchio.py": "pinocchio.py.j2"},
+        notes=frozenset({"joint torque", "body", "pinocchio"}),
     ),
-    _format(
+    Format(
         "isaac",
         "Isaac Lab and Isaac Sim",
         {
@@ -121,10 +106,10 @@ FORMATS = (
             "dynamic_friction": "friction",
             "viscous_friction": "damping",
         },
-        _isaac,
-        "isaac",
+        {"{stem}_isaac_lab.py": "isaac_lab.py.j2", "{stem}.usda": "joint.usda.j2"},
+        notes=frozenset({"joint torque", "isaac"}),
     ),
-    _format(
+    Format(
         "ros2-control",
         "ros2_control, and its feed-forward in C99",
         {
@@ -134,6 +119,33 @@ FORMATS = (
             "friction.quadratic": "quadratic",
             "friction.armature": "armature",
         },
-        _ros2_control,
+        {"{stem}_ros2_control.yaml": "ros2_control.yaml.j2"} | _C_FILES,
+        language="c",
+        notes=frozenset({"joint torque"}),
+    ),
+    Format(
+        "c",
+        "feed-forward in C99",
+        _ABOUT,
+        _C_FILES,
+        language="c",
+        complete=True,
+        torque=_law_torque,
+    ),
+    Format(
+        "python",
+        "feed-forward in Python",
+        _ABOUT,
+        {"{stem}_feedforward.py": "feedforward.py.j2"},
+        language="python",
+        complete=True,
+        torque=_law_torque,
+    ),
+    Format(
+        "csv",
+        "a CSV table of draws",
+        {name: name for name in NUMBERS},
+        write=_write_draws,
+        options=frozenset({"draws"}),
     ),
 )

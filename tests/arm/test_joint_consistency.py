@@ -6,16 +6,17 @@ import pytest
 from bayesfric.arm.arm import Arm
 from bayesfric.arm.arm_options import Payload, Uncertainty
 from bayesfric.arm.base_parameters import base_parameters, combinations
-from bayesfric.arm.bodies import Bodies
-from bayesfric.arm.inertia import (
-    completed,
-    drawn_possible,
-    possible,
+from bayesfric.arm.excitation import next_motion
+from bayesfric.arm.exports import files_of
+from bayesfric.arm.inertial_prior import (
+    Bodies,
+    feasible,
     pseudo_inertias,
+    sample_feasible,
     second_moments,
+    with_second_order,
 )
-from bayesfric.arm.onward import files_of, next_motion
-from bayesfric.arm.together import Said
+from bayesfric.arm.joint_consistency import InertialLikelihood
 
 from . import bench
 from .bench import ELBOW
@@ -48,21 +49,21 @@ def test_a_body_that_is_heavier_and_moved_is_completed_to_what_it_is():
     small = 1e-6
     slope = (of_points(1.2 * mass, at + small * moved) - of_points(1.2 * mass, at)) / small
     linear = 1.2 * nominal + slope
-    np.testing.assert_allclose(completed(linear, nominal), exact, atol=1e-4)
+    np.testing.assert_allclose(with_second_order(linear, nominal), exact, atol=1e-4)
 
 
 def test_bodies_that_can_be_are_those_of_points_and_no_others():
     rng = np.random.default_rng(2)
     mass, at = rng.uniform(0.1, 1.0, 7), rng.normal(size=(7, 3))
     body = of_points(mass, at)
-    assert possible(body).all()
-    assert possible(np.zeros(10)).all()
-    assert not possible(-body).any()
+    assert feasible(body).all()
+    assert feasible(np.zeros(10)).all()
+    assert not feasible(-body).any()
     # one diagonal moment larger than the sum of the two others
     flat = of_points(mass, at * [1.0, 1.0, 0.0])
-    assert possible(flat).all()
+    assert feasible(flat).all()
     flat[9] += 0.01
-    assert not possible(flat).any()
+    assert not feasible(flat).any()
 
 
 def test_draws_of_bodies_are_those_that_rejection_leaves():
@@ -71,10 +72,10 @@ def test_draws_of_bodies_are_those_that_rejection_leaves():
     nominal = of_points(np.full(6, 0.5), 0.2 * np.array([*np.eye(3), *-np.eye(3)]))
     spread = np.eye(10)[:, [0, 1, 4, 7]] * [1.0, 0.4, 0.1, 0.1]
     mean, covariance = np.array([-1.0, 0.8, 0.0, 0.0]), np.diag([1.0, 0.5, 1.0, 1.0])
-    found, share = drawn_possible(nominal, spread, mean, covariance, np.zeros(4), rng)
+    found, share = sample_feasible(nominal, spread, mean, covariance, np.zeros(4), rng)
     tried = rng.multivariate_normal(mean, covariance, 100_000)
-    kept = tried[possible(completed(nominal + tried @ spread.T, nominal))[:, 0]]
-    assert possible(completed(nominal + found @ spread.T, nominal)).all()
+    kept = tried[feasible(with_second_order(nominal + tried @ spread.T, nominal))[:, 0]]
+    assert feasible(with_second_order(nominal + found @ spread.T, nominal)).all()
     expected = len(kept) / len(tried)
     assert abs(share - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / 400)
     errors = kept.std(axis=0) / np.sqrt(len(found))
@@ -98,13 +99,13 @@ def test_what_joints_say_adds_up_to_the_regression_on_all_of_them():
     rng = np.random.default_rng(4)
     causes, sd = 5, 0.3
     z = rng.normal(size=causes)
-    said, rows, data = Said.nothing(causes), [], []
+    said, rows, data = InertialLikelihood.uninformative(causes), [], []
     for j in range(3):
         # each feels two directions
         kept = np.linalg.qr(rng.normal(size=(causes, 2))).Q
         x = rng.normal(size=(20, 2))
         y = x @ kept.T @ z + sd * rng.normal(size=20)
-        said = said + Said.by(fitted(x, y, sd, j), kept)
+        said = said + InertialLikelihood.from_draws(fitted(x, y, sd, j), kept)
         rows.append(x @ kept.T)
         data.append(y)
     every, y = np.concatenate(rows), np.concatenate(data)
@@ -119,9 +120,9 @@ def test_the_width_is_that_under_which_data_are_likeliest():
     rng = np.random.default_rng(6)
     for width in (0.3, 3.0):
         z = width * rng.normal(size=40)
-        found = Said(1e6 * np.eye(40), 1e6 * z).width
+        found = InertialLikelihood(1e6 * np.eye(40), 1e6 * z).width
         assert found == pytest.approx(max(np.sqrt(np.mean(z**2)), 1.0), rel=1e-4)
-    assert Said.nothing(4).width == 1.0
+    assert InertialLikelihood.uninformative(4).width == 1.0
 
 
 def test_a_chance_is_uniform_under_the_belief_it_is_of():
@@ -133,21 +134,23 @@ def test_a_chance_is_uniform_under_the_belief_it_is_of():
     mean, found = np.array([0.3, -1.0, 2.0]), []
     for _ in range(n):
         z = rng.multivariate_normal(mean, covariance)
-        found.append(Said(information, x.T @ (x @ z + rng.normal(size=8))).p(mean, covariance))
+        found.append(
+            InertialLikelihood(information, x.T @ (x @ z + rng.normal(size=8))).p(mean, covariance)
+        )
     off = np.abs(np.sort(found) - (np.arange(n) + 0.5) / n).max()
     assert off < 1.95 / np.sqrt(n)
 
 
 def test_both_joints_of_an_arm_agree_and_tell_more_than_one(arm):
-    assert set(arm.together.agreed) == set(TRUTH)
-    assert arm.found["p"] > 0.01
+    assert set(arm.consistency.agreed) == set(TRUTH)
+    assert arm.inertial_estimate["p"] > 0.01
     for name in TRUTH:
         one = arm.joints[name]
         alone = one.result.summary.parameters
         widths = [np.ptp(rows["motor.inertia"].reported.interval) for rows in (one.rows, alone)]
         assert widths[0] <= 1.05 * widths[1]
-    drawn = arm.doubt.nominal + arm.together.draws @ arm.doubt.spread.T
-    assert possible(completed(drawn, arm.doubt.nominal)).all()
+    drawn = arm.prior.nominal + arm.consistency.draws @ arm.prior.spread.T
+    assert feasible(with_second_order(drawn, arm.prior.nominal)).all()
 
 
 def test_intervals_hold_the_truth_beside_bodies_that_are_a_tenth_off(arm):
@@ -170,24 +173,24 @@ def test_a_joint_whose_drive_gain_is_wrong_is_not_believed_about_bodies(tmp_path
     frame.to_csv(tmp_path / "log.csv", index=False)
     options = {**QUICK, "payload": {"mass_sd": "0.1 kg"}}
     found = Arm(tmp_path / "arm.urdf", options).fit(tmp_path / "log.csv", seed=1)
-    assert not found.together.agreed
-    assert max(found.together.apart.values()) < 0.01
+    assert not found.consistency.agreed
+    assert max(found.consistency.p_values.values()) < 0.01
     for one in found.joints.values():
         assert one.rows == one.result.summary.parameters
-        assert any("contradicts the others" in line for line in one.lines)
+        assert any("contradicts the others" in line for line in one.messages)
 
 
 def test_files_and_the_next_motion_are_those_of_what_was_found(arm, monkeypatch):
-    monkeypatch.setattr("bayesfric.arm.exciting._TRIES", 300)
+    monkeypatch.setattr("bayesfric.arm.excitation._TRIES", 300)
     files = files_of(arm)
     assert set(files) == {
         "identified-arm.urdf", "robot.xml", "ros2_control.yaml", "feedforward.py"
     }  # fmt: skip
     path = arm.urdf.with_name("identified-arm.urdf")
     path.write_text(files[path.name])
-    written = Bodies(path, arm.bodies.gravity).doubt(Uncertainty(), Payload()).nominal
-    expected = arm.doubt.nominal + arm.doubt.spread @ arm.together.draws.mean(axis=0)
-    np.testing.assert_allclose(written, completed(expected, arm.doubt.nominal), atol=1e-9)
+    written = Bodies(path, arm.bodies.gravity).prior(Uncertainty(), Payload()).nominal
+    expected = arm.prior.nominal + arm.prior.spread @ arm.consistency.draws.mean(axis=0)
+    np.testing.assert_allclose(written, with_second_order(expected, arm.prior.nominal), atol=1e-9)
     motion = next_motion(arm, [f"{ELBOW}.load"], seconds=8.0, seed=1)
     visited, q = arm.visited, motion.motion[0]
     assert (q.min(axis=1) >= visited[:, 0] - 1e-9).all()
@@ -213,9 +216,9 @@ def test_base_parameters_of_a_pendulum_of_two_links(tmp_path):
     np.testing.assert_allclose(
         columns, np.einsum("jkn,kp->jpn", columns[:, first], sums), atol=1e-9
     )
-    doubt = bodies.doubt(Uncertainty(), Payload())
-    told = base_parameters(bodies, doubt, np.zeros((2, len(doubt.causes))))
-    values = dict(zip(bodies.links, doubt.nominal.reshape(-1, 10), strict=True))
+    prior = bodies.prior(Uncertainty(), Payload())
+    told = base_parameters(bodies, prior, np.zeros((2, len(prior.deviations))))
+    values = dict(zip(bodies.links, prior.nominal.reshape(-1, 10), strict=True))
     for one in told:
         assert (one.sd, one.value) == (0.0, pytest.approx(one.urdf))
         # the tool is bolted to the lower link: only sums of both

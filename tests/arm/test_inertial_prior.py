@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies, directions, resolution
+from bayesfric.arm.inertial_prior import Bodies, directions, resolution
 from bayesfric.base.errors import BadInput
 
 from . import bench
@@ -23,8 +23,8 @@ def somewhere(joints, n=5):
 
 
 def nominal(bodies, motion, **payload):
-    doubt = bodies.doubt(Uncertainty(), Payload(**payload))
-    parameters = np.repeat(doubt.nominal[None, :, None], len(bodies.joints), axis=0)
+    prior = bodies.prior(Uncertainty(), Payload(**payload))
+    parameters = np.repeat(prior.nominal[None, :, None], len(bodies.joints), axis=0)
     return bodies.torques(motion, parameters)[:, 0]
 
 
@@ -71,10 +71,10 @@ def test_a_mimic_joint_moves_with_another_whose_motor_carries_both(tmp_path):
 
 def test_directions_hold_all_of_the_doubt_but_a_little(tmp_path):
     bodies = made(tmp_path, bench.urdf())
-    doubt = bodies.doubt(Uncertainty(), Payload())
+    prior = bodies.prior(Uncertainty(), Payload())
     time, *motion = bench.motion(5.0, rate=50.0)
     motion = np.swapaxes(np.stack(motion), 1, 2)
-    each = bodies.torques(motion, np.repeat(doubt.spread[None], 2, axis=0))[0]
+    each = bodies.torques(motion, np.repeat(prior.spread[None], 2, axis=0))[0]
     found = directions(each, 0.05)
     assert found.T @ found == pytest.approx(np.eye(found.shape[1]), abs=1e-9)
     left = each - found @ (found.T @ each)
@@ -116,4 +116,4 @@ def test_what_is_no_urdf_of_an_arm_is_refused(tmp_path, capfd, text, told):
 
 def test_a_payload_is_on_a_link(tmp_path):
     with pytest.raises(BadInput, match=r"payload\.link"):
-        made(tmp_path, bench.urdf()).doubt(Uncertainty(), Payload(link="tol"))
+        made(tmp_path, bench.urdf()).prior(Uncertainty(), Payload(link="tol"))

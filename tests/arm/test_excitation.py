@@ -11,8 +11,8 @@ from scipy.signal import resample
 
 from bayesfric.arm.arm_log import layout_of
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.bodies import Bodies
-from bayesfric.arm.exciting import Limits, exciting, limits_of
+from bayesfric.arm.excitation import Limits, exciting_trajectory, limits_of
+from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
 
 from . import bench
@@ -36,7 +36,7 @@ def arm(tmp_path_factory):
     bodies = arm_of(tmp_path_factory.mktemp("arm"), bench.urdf())
     limits = replace(limits_of(bodies), speed=np.array([2.0, 3.0]))
     return SimpleNamespace(
-        bodies=bodies, doubt=bodies.doubt(Uncertainty(), Payload()), limits=limits
+        bodies=bodies, prior=bodies.prior(Uncertainty(), Payload()), limits=limits
     )
 
 
@@ -44,7 +44,7 @@ def found(arm, limits=None, **more):
     friction = {n: dict(zip(OWN, row, strict=True)) for n, row in zip(JOINTS, VALUES, strict=True)}
     more = {"seconds": SECONDS, "harmonics": HARMONICS, "seed": 1, "tries": 300, **more}
     noise = dict(zip(JOINTS, NOISE.tolist(), strict=True))
-    return exciting(arm.bodies, arm.doubt, friction, noise, limits or arm.limits, **more)
+    return exciting_trajectory(arm.bodies, arm.prior, friction, noise, limits or arm.limits, **more)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def weak(arm):
 def effort(arm, motion, z, values, torque=None):
     """Effort ``(n_joints, n)`` of bodies ``z`` and friction ``values``, and the bodies' torques."""
     if torque is None:
-        every = np.column_stack([arm.doubt.nominal, arm.doubt.spread])
+        every = np.column_stack([arm.prior.nominal, arm.prior.spread])
         torque = arm.bodies.torques(motion, np.repeat(every[None], 2, axis=0))
     carried = torque[:, 0] + np.einsum("jkn,k->jn", torque[:, 1:], z)
     armature, coulomb, viscous, load, offset = values.T[:, :, None]
@@ -73,7 +73,7 @@ def effort(arm, motion, z, values, torque=None):
 
 def sds(arm, motion, step, more=()):
     """Posterior sds of the friction, ``(2, 5)``, by differences of the effort."""
-    causes = arm.doubt.spread.shape[1]
+    causes = arm.prior.spread.shape[1]
     _, torque = effort(arm, motion, np.zeros(causes), VALUES)
     point = np.r_[np.zeros(causes), VALUES.ravel()]
 
@@ -137,7 +137,7 @@ def test_it_keeps_every_limit(arm, which, request):
 
 def test_it_keeps_limits_of_torque_and_uses_them(arm, weak):
     motion = densely(weak)
-    felt, _ = effort(arm, motion, np.zeros(arm.doubt.spread.shape[1]), VALUES)
+    felt, _ = effort(arm, motion, np.zeros(arm.prior.spread.shape[1]), VALUES)
     share = np.abs(felt).max(axis=1) / [22.0, 9.0]
     # between samples of 0.01 s waves of this speed rise by a thousandth at most
     assert share.max() <= 1.001
@@ -145,7 +145,7 @@ def test_it_keeps_limits_of_torque_and_uses_them(arm, weak):
 
 
 def test_effort_and_sds_are_those_of_the_posterior(arm, free):
-    expected, _ = effort(arm, free.motion, np.zeros(arm.doubt.spread.shape[1]), VALUES)
+    expected, _ = effort(arm, free.motion, np.zeros(arm.prior.spread.shape[1]), VALUES)
     assert free.torque == pytest.approx(expected, abs=1e-9)
     told = sds(arm, free.motion[:, :, :-1], free.time[1])[:, :4]
     # both ends are one moment of 800
@@ -261,8 +261,8 @@ def test_limits_are_those_of_the_urdf_cut_to_where_the_arm_was(tmp_path):
 def test_a_slide_is_in_metres(tmp_path):
     bodies = arm_of(tmp_path, bench.urdf(slides=True))
     noise = {bench.SLIDE: 0.01}
-    one = exciting(
-        bodies, bodies.doubt(Uncertainty(), Payload()), {}, noise, limits_of(bodies), seed=1,
+    one = exciting_trajectory(
+        bodies, bodies.prior(Uncertainty(), Payload()), {}, noise, limits_of(bodies), seed=1,
         seconds=6.0, harmonics=2, tries=60,
     )  # fmt: skip
     assert f"effort[{bench.SLIDE}] [N]" in one.as_csv().partition("\n")[0]
@@ -278,7 +278,7 @@ def test_a_slide_is_in_metres(tmp_path):
         ({"low": np.array([0.0, 4.0])}, {}, f"limits of '{bench.ELBOW}'"),
         ({"high": np.array([np.inf, 1.0])}, {}, f"limits of '{bench.SHOULDER}'"),
         ({"speed": np.array([0.0, 1.0])}, {}, f"limits of '{bench.SHOULDER}'"),
-        ({"low": np.ones(2), "high": np.ones(2)}, {}, "room to move"),
+        ({"low": np.ones(2), "high": np.ones(2)}, {}, "do not allow a motion"),
         ({"torque": np.array([1.0, 90.0])}, {"tries": 60}, "torque"),
         ({}, {"seconds": 1.0}, r"give at least two, and 1\.5 s"),
         ({}, {"harmonics": 1}, "at least two"),

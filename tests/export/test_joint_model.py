@@ -10,15 +10,15 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.at_joint import (
-    Moved,
-    at_joint,
+from bayesfric.export.extra_terms import fold_extra_terms, lost_terms
+from bayesfric.export.format import formats, pendulum
+from bayesfric.export.joint_model import (
+    Trajectory,
+    joint_model,
     simulated_torque,
     torque_along,
 )
-from bayesfric.export.carried import carried, lost_terms
-from bayesfric.export.central import central
-from bayesfric.export.format import formats, pendulum
+from bayesfric.export.point_estimate import representative_draw
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, LOAD_CHOICES
@@ -31,7 +31,7 @@ from .made import found, made, numbers, preset
 def wave(n=300):
     t = np.linspace(0.0, 6.0, n)
     q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
-    return [Moved(q, qd, qdd, t, Inputs())]
+    return [Trajectory(q, qd, qdd, t, Inputs())]
 
 
 def test_a_chain_without_load_losses_is_carried_exactly():
@@ -47,7 +47,7 @@ def test_a_chain_without_load_losses_is_carried_exactly():
     values = np.random.default_rng(1).uniform(0.1, 2.0, (5, len(joint.names)))
     # what is known of the load is on a simulator's, too
     there = [replace(m, inputs=Inputs(added_mass=1.5, radius=0.3)) for m in wave()]
-    numbers = at_joint(joint, values, there).values
+    numbers = joint_model(joint, values, there).values
     for k, one in enumerate(torque_along(joint, values, there)):
         theirs = simulated_torque(joint, {n: float(x[k]) for n, x in numbers.items()}, there)
         np.testing.assert_allclose(theirs, one, rtol=1e-12)
@@ -81,16 +81,16 @@ def test_load_losses_are_right_at_the_reference_load_both_ways(load):
     one = vector.copy()
     one[[joint.names.index(f"motor.load_{side}") for side in ("drive", "back")]] = 0.0
     still = np.zeros(4)
-    ends = [Moved(still, np.array([1.0, 1.0, -1.0, -1.0]), load * np.array([1, -1, 1, -1.0]),
+    ends = [Trajectory(still, np.array([1.0, 1.0, -1.0, -1.0]), load * np.array([1, -1, 1, -1.0]),
                   still, Inputs())]  # fmt: skip
-    numbers = at_joint(joint, one[None], ends, load).values
+    numbers = joint_model(joint, one[None], ends, load).values
     theirs = simulated_torque(joint, {n: float(x[0]) for n, x in numbers.items()}, ends)
     np.testing.assert_allclose(theirs, torque_along(joint, one[None], ends)[0], rtol=1e-12)
     # without a reference of one's own it is the mean size of what passes, here the same
-    np.testing.assert_allclose(at_joint(joint, one[None], ends).values["friction"],
+    np.testing.assert_allclose(joint_model(joint, one[None], ends).values["friction"],
                                numbers["friction"])  # fmt: skip
     # and of two, the torque that passes the second
-    passes = at_joint(joint, vector[None], ends, load).reference["motor"][0]
+    passes = joint_model(joint, vector[None], ends, load).reference["motor"][0]
     assert passes == pytest.approx(load * (1.0 + 0.5 * (0.3 - 0.4)))
 
 
@@ -136,8 +136,8 @@ def test_every_choice_of_the_table_has_a_place_or_is_told(bearer, option, choice
     of_load = {"inertia": True, **(chosen if bearer == "load" else {"first_moment": True})}
     joint = Joint(elements=(Element("motor", **of_element),), load=Load(**of_load))
     values = np.full((1, len(joint.names)), 0.3)
-    there = [Moved(m.q, m.qd, m.qdd, m.time, AT_ROOM) for m in wave()]
-    at = at_joint(joint, values, there)
+    there = [Trajectory(m.q, m.qd, m.qdd, m.time, AT_ROOM) for m in wave()]
+    at = joint_model(joint, values, there)
     told = {name for one in lost_terms(joint, at, values[0], ()) for name in one["parameters"]}
     used = {name for names in at.made_from.values() for name in names}
     # these shape what another row stands for, which is told
@@ -148,7 +148,7 @@ def test_every_choice_of_the_table_has_a_place_or_is_told(bearer, option, choice
 def test_a_power_of_speed_is_fitted_over_what_was_recorded():
     joint = Joint(elements=(Element("motor", inertia=True, power=True),), load=Load())
     vector = joint.vector({"motor.inertia": 0.1, "motor.power": 0.4, "motor.power_exponent": 1.0})
-    at = at_joint(joint, vector[None], wave())
+    at = joint_model(joint, vector[None], wave())
     # with an exponent of one it is viscous
     assert at.values["damping"][0] == pytest.approx(0.4)
     assert at.values["friction"][0] == pytest.approx(0.0, abs=1e-12)
@@ -161,16 +161,16 @@ def test_static_friction_is_what_the_stribeck_rise_ends_at():
     )
     values = {"inertia": 0.1, "coulomb": 0.2, "stribeck_ratio": 0.5, "stribeck_velocity": 0.1}
     vector = joint.vector({f"motor.{k}": v for k, v in values.items()})
-    numbers = at_joint(joint, vector[None], wave()).values
+    numbers = joint_model(joint, vector[None], wave()).values
     assert numbers["friction"][0] == pytest.approx(0.8)
     assert numbers["static_friction"][0] == pytest.approx(1.2)
 
 
 @pytest.mark.parametrize("name", ["urdf", "drake", "mujoco"])
 def test_what_is_folded_keeps_the_torque_of_a_joint_alone(name):
-    numbers = at_joint(*_knee(), wave())
+    numbers = joint_model(*_knee(), wave())
     carries = formats()[name].names.values()
-    kept, _ = carried(numbers, carries, wave(), _knee()[0])
+    kept, _ = fold_extra_terms(numbers, carries, wave(), _knee()[0])
     whole = numbers.values["armature"] + numbers.values["link_inertia"]
     np.testing.assert_allclose(kept["armature"] + kept["link_inertia"], whole)
 
@@ -220,9 +220,9 @@ def test_a_link_of_its_own_inertia_alone_is_of_any_mass():
     ("options", "words"),
     [
         ({"to": "mojoco"}, "did you mean 'mujoco'"),
-        ({"to": "urdf", "draws": 3}, "says nothing to the format urdf"),
+        ({"to": "urdf", "draws": 3}, "has no effect in the format urdf"),
         ({"to": "csv", "draws": 1000}, "the run has 60"),
-        ({"to": "csv", "draws": 0}, "ask for one or more"),
+        ({"to": "csv", "draws": 0}, "give 1 or more"),
         ({"to": "mujoco", "at_load": -1.0}, "zero or more"),
         ({"to": "mujoco", "joint": 'a"b'}, "is no name"),
     ],
@@ -254,12 +254,12 @@ def test_one_draw_stands_for_all_where_medians_would_not_fit():
     shares = np.random.default_rng(4).dirichlet([0.2, 0.2, 0.2], 400)
     middle = np.median(shares, axis=0)
     assert middle.sum() < 0.7
-    found_one = central(joint, shares, middle, there)
+    found_one = representative_draw(joint, shares, middle, there)
     assert found_one.sum() == pytest.approx(1.0)
     assert (shares == found_one).all(axis=1).any()
     # where parameters are known apart, the medians are it
     known = np.random.default_rng(5).normal(1.0, 0.01, (400, 3))
-    assert central(joint, known, np.median(known, axis=0), there) is None
+    assert representative_draw(joint, known, np.median(known, axis=0), there) is None
 
 
 def test_a_run_of_any_name_ends_no_comment():
@@ -294,25 +294,27 @@ def test_a_rise_at_low_speed_is_in_the_constants_of_a_format_that_has_no_rise():
     joint = Joint((Element("motor", coulomb="symmetric", viscous=True, stribeck=True),), Load())
     values = {"viscous": 0.3, "coulomb": 0.2, "stribeck_ratio": 0.5, "stribeck_velocity": 2.0}
     vector = joint.vector({f"motor.{k}": v for k, v in values.items()})[None]
-    at, (motion,) = at_joint(joint, vector, wave()), wave()
+    at, (motion,) = joint_model(joint, vector, wave()), wave()
     law = torque_along(joint, vector, wave())[0] * np.sign(motion.qd)
     basis = np.stack([np.ones(law.size), np.abs(motion.qd)], axis=1)
     nearest = np.linalg.lstsq(basis, law, rcond=None)[0]
-    kept, _ = carried(at, ("friction", "damping", "static_friction"), wave(), joint)
+    kept, _ = fold_extra_terms(at, ("friction", "damping", "static_friction"), wave(), joint)
     np.testing.assert_allclose([kept["friction"][0], kept["damping"][0]], nearest, rtol=1e-9)
     # what holds at rest is no less than what slides
     assert kept["static_friction"][0] == pytest.approx(max(0.3, kept["friction"][0]))
     # where it falls all the way a loss that grows would be negative: the mean is nearest then
     vector[0, joint.names.index("motor.viscous")] = 0.0
-    kept, _ = carried(at_joint(joint, vector, wave()), ("friction", "damping"), wave(), joint)
+    kept, _ = fold_extra_terms(
+        joint_model(joint, vector, wave()), ("friction", "damping"), wave(), joint
+    )
     law = torque_along(joint, vector, wave())[0] * np.sign(motion.qd)
     assert (kept["damping"][0], kept["friction"][0]) == (0.0, pytest.approx(law.mean()))
     # without a constant the damping that is nearest
-    only, _ = carried(at_joint(joint, vector, wave()), ("damping",), wave(), joint)
+    only, _ = fold_extra_terms(joint_model(joint, vector, wave()), ("damping",), wave(), joint)
     slope = law.mean() * np.abs(motion.qd).sum() / (motion.qd @ motion.qd)
     assert (only["damping"][0], only["friction"][0]) == (pytest.approx(slope), 0.0)
     # a format with a rise of its own keeps the law's
-    own, _ = carried(at, ("friction", "damping"), wave(), joint, ("stribeck_ratio",))
+    own, _ = fold_extra_terms(at, ("friction", "damping"), wave(), joint, ("stribeck_ratio",))
     assert (own["friction"][0], own["damping"][0]) == pytest.approx((0.2, 0.3))
 
 

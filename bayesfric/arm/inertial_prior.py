@@ -1,0 +1,421 @@
+"""Rigid-body torques of a URDF, and a prior over its inertial parameters.
+
+Rigid-body dynamics are iDynTree's. Its wheel takes 21 MB and NumPy; Pinocchio's, as fast and as
+well maintained, brings Boost, Assimp, coal and others, 380 MB in all.
+
+The regressor is linear in ten inertial parameters a body (Atkeson, An and Hollerbach 1986): mass,
+first moment and inertia about the frame of its link. So a Gaussian over these, the URDF its mean,
+is a Gaussian over the torque along any motion; one joint's torque on one motion depends on few
+principal directions of it (singular value decomposition).
+
+The parameters are those of a physical body if the pseudo-inertia ``[[S, h], [h', m]]`` is positive
+definite, ``S = tr(I)/2 - I`` the second moments of mass (Traversaro et al. 2016; Wensing, Kim and
+Slotine 2018).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesfric.arm.arm_options import Payload, Uncertainty, Vector
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.safe_read import read_text
+from bayesfric.estimates.information import long_run_variance
+from bayesfric.mechanism.quantities import Motion
+from bayesfric.recordings.arrays import Array
+
+PER_BODY = 10  # inertial parameters of a body
+_MAX_BYTES = 10_000_000
+_MOTIONS: dict[str, Motion] = {"revolute": "rotary", "continuous": "rotary", "prismatic": "linear"}
+# Complaints of iDynTree on stderr after which it reads on although it should not.
+_REFUSED = ("[ERROR]", "[WARNING] InertiaElement")
+# Chains, their steps, and shrinkages of a slice at most: enough for forty deviations to be
+# independent of the start.
+_CHAINS, _STEPS, _SHRINKS = 400, 150, 60
+_ROUNDING = 1e-9  # of a pseudo-inertia's trace
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint of the URDF that moves."""
+
+    name: str
+    motion: Motion
+    range: float  # between its limits, rad or m; infinite without
+    mimics: tuple[str, float, float] | None  # joint, multiplier, offset
+    endless: bool = False  # continuous
+    limit: Mapping[str, str] = field(default_factory=dict)  # as it is written
+
+
+@dataclass(frozen=True, eq=False)
+class InertialPrior:
+    """A Gaussian over inertial parameters: ``nominal + spread @ z``, ``z`` standard normal.
+
+    ``deviations`` holds name, standard deviation and unit of each component of ``z``.
+    """
+
+    nominal: Array  # (10 n_links,)
+    spread: Array  # (10 n_links, n_deviations)
+    deviations: Sequence[tuple[str, float, str]]
+    feasible: Array  # (n_deviations,) a z of which the payload is a physical body
+    payload: Array  # (10 n_links,) part of the nominal, as the last deviations are
+
+    def columns(self, *, loaded: bool) -> Array:
+        """Stack nominal and spread, ``(10 n_links, 1 + n_deviations)``, with payload or without."""
+        stacked = np.column_stack([self.nominal, self.spread])
+        if not loaded:
+            stacked[:, 0] -= self.payload
+            stacked[:, -PER_BODY:] = 0.0
+        return stacked
+
+
+class Bodies:
+    """The rigid bodies of a URDF whose root is fixed.
+
+    ``joints`` are those that move and mimic none, by name; ``links`` the names of the bodies.
+    ``gravity`` is in the frame of the root, m/s².
+    """
+
+    def __init__(self, path: Path, gravity: Vector) -> None:
+        all_joints = _joints(path)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # as an error one of SWIG's ends Python
+                import idyntree.bindings as idyntree
+        except ImportError as error:
+            hint = "pip install 'bayesfric[arm]'"
+            raise BadInput(str(path), "is a URDF, whose torques iDynTree computes", hint) from error
+        loader = idyntree.ModelLoader()
+        if complaint := _stderr_of(lambda: loader.loadModelFromFile(str(path))):
+            raise BadInput(str(path), f"is no URDF of an arm: {complaint}", "look with check_urdf")
+        model = loader.model()
+        self.path = path
+        self.joints = {name: joint for name, joint in all_joints.items() if joint.mimics is None}
+        self.links = [model.getLinkName(k) for k in range(model.getNrOfLinks())]
+        self.gravity, self._engine = gravity, idyntree.KinDynComputations()
+        self._engine.loadRobotModel(model)
+        self._idyntree, self._model = idyntree, model.copy()
+        parameters = idyntree.VectorDynSize()
+        model.getInertialParameters(parameters)
+        self._nominal = parameters.toNumPy().reshape(-1, PER_BODY).copy()
+        if not self._nominal[:, 0].any():
+            raise BadInput(str(path), "no link has an <inertial> with a mass", "add it to links")
+        self._regressor = idyntree.MatrixDynSize(6 + model.getNrOfDOFs(), self._nominal.size)
+        # all coordinates of the model are _map @ q + _offset, torques of `joints` _map.T @ torque
+        order = list(self.joints)
+        self._map, self._offset = np.zeros((len(all_joints), len(order))), np.zeros(len(all_joints))
+        for name, joint in all_joints.items():
+            at = model.getJoint(model.getJointIndex(name)).getDOFsOffset()
+            source, multiplier, self._offset[at] = joint.mimics or (name, 1.0, 0.0)
+            if source not in order:
+                raise BadInput(str(path), f"{name!r} mimics {source!r}", nearest(source, order))
+            self._map[at, order.index(source)] = multiplier
+
+    def prior(self, uncertainty: Uncertainty, payload: Payload) -> InertialPrior:
+        """Build the prior of the inertial parameters, with the payload."""
+        moving_joints = self._moving_joints()
+        # of several links that most joints move the last
+        last = int(np.flatnonzero(moving_joints == moving_joints.max())[-1])
+        link = payload.link or self.links[last]
+        if link not in self.links:
+            problem = f"there is no link {link!r}"
+            raise BadInput("payload.link", problem, nearest(link, self.links))
+        spread, feasible = list[Array](), list[float]()
+        deviations = list[tuple[str, float, str]]()
+
+        def add(
+            name: str, sd: float, unit: str, body: int | slice, change: Any, start: float = 0.0
+        ) -> None:
+            column = np.zeros_like(self._nominal)
+            column[body] = sd * np.asarray(change)
+            spread.append(column.ravel())
+            deviations.append((name, sd, unit))
+            feasible.append(start)
+
+        add("all bodies", uncertainty.factor, "", slice(None), self._nominal)
+        for k, name in enumerate(self.links):
+            mass = self._nominal[k, 0]
+            if mass and moving_joints[k]:
+                add(f"{name} by itself", uncertainty.factor, "", k, self._nominal[k])
+                centre = self._nominal[k, 1:4] / mass
+                for axis, unit_vector in zip("xyz", np.eye(3), strict=True):
+                    change = mass * _centre_shift(centre, unit_vector)
+                    add(f"centre of {name}, {axis}", uncertainty.centre, "m", k, change)
+        k, centre = self.links.index(link), np.array(payload.centre)
+        add(f"payload of {link}", payload.mass_sd, "kg", k, _point_mass(centre), 1.0)
+        moment_sd = payload.mass_sd * payload.centre_sd
+        for axis, unit_vector in zip("xyz", np.eye(3), strict=True):
+            change = _centre_shift(centre, unit_vector)
+            add(f"moment of the payload, {axis}", moment_sd, "kg m", k, change)
+        for i, axes in enumerate(("xx", "xy", "xz", "yy", "yz", "zz")):
+            change = np.zeros(PER_BODY)
+            change[4:] = inertia_of(tensor(np.eye(6)[i]))
+            name, sd = f"second moment of the payload, {axes}", moment_sd * payload.centre_sd
+            add(name, sd, "kg m²", k, change, float(axes[0] == axes[1]))
+        known_payload = np.zeros_like(self._nominal)
+        known_payload[k] = payload.mass * _point_mass(centre)
+        return InertialPrior(
+            (self._nominal + known_payload).ravel(),
+            np.stack(spread, axis=1),
+            deviations,
+            np.array(feasible),
+            known_payload.ravel(),
+        )
+
+    def torques(self, motion: Array, parameters: Array) -> Array:
+        """Compute joint torques for inertial parameters, ``(n_joints, k, n)``, N m or N.
+
+        ``motion`` is ``(3, n_joints, n)`` position, speed and acceleration of :attr:`joints`;
+        ``parameters`` ``(n_joints, 10 n_links, k)`` holds k columns for each joint.
+        """
+        out = np.empty((motion.shape[2], len(parameters), parameters.shape[2]))
+        for i, regressor in enumerate(self._regressors(motion)):
+            out[i] = np.einsum("jp,jpk->jk", regressor, parameters)
+        return np.moveaxis(out, 0, 2)
+
+    def dynamics(self, parameters: Array) -> Callable[[Array, Array], tuple[Array, Array]]:
+        """Return a function for forward dynamics with inertial parameters ``(10 n_links,)``.
+
+        It maps position and speed ``(n_joints,)`` to the mass matrix ``(n_joints, n_joints)`` and
+        the bias torque ``(n_joints,)``, which is that without acceleration.
+        """
+        vector, engine = self._idyntree.VectorDynSize, self._idyntree.KinDynComputations()
+        self._model.updateInertialParameters(vector.FromPython(parameters))
+        engine.loadRobotModel(self._model)  # which is a copy
+        count = self._model.getNrOfDOFs()
+        mass = self._idyntree.MatrixDynSize(6 + count, 6 + count)
+        bias = self._idyntree.FreeFloatingGeneralizedTorques(self._model)
+        base, still, gravity = np.eye(4), np.zeros(6), np.array(self.gravity)
+
+        def mass_and_bias(q: Array, qd: Array) -> tuple[Array, Array]:
+            engine.setRobotState(base, self._map @ q + self._offset, still, self._map @ qd, gravity)
+            engine.getFreeFloatingMassMatrix(mass)
+            engine.generalizedBiasForces(bias)
+            inertia = self._map.T @ mass.toNumPy()[6:, 6:] @ self._map
+            return inertia, self._map.T @ bias.jointTorques().toNumPy()
+
+        return mass_and_bias
+
+    def _regressors(self, motion: Array) -> Iterator[Array]:
+        """Compute the regressor of every sample, ``(n_joints, 10 n_links)``."""
+        base, still, gravity = np.eye(4), np.zeros(6), np.array(self.gravity)
+        q, qd, qdd = (self._map @ x for x in motion)
+        q += self._offset[:, None]
+        out = self._regressor
+        for i in range(q.shape[1]):
+            self._engine.setRobotState(base, q[:, i], still, qd[:, i], gravity)
+            self._engine.inverseDynamicsInertialParametersRegressor(still, qdd[:, i], out)
+            yield self._map.T @ out.toNumPy()[6:]
+
+    def _moving_joints(self) -> NDArray[np.int64]:
+        """Count the joints whose torque depends on each link, ``(n_links,)``."""
+        motion = np.ones((3, len(self.joints), 1))
+        regressor = next(self._regressors(motion)).reshape(len(self.joints), -1, PER_BODY)
+        return np.asarray(np.count_nonzero(np.abs(regressor).sum(axis=2) > 1e-9, axis=0))
+
+
+def directions(columns: Array, threshold: float) -> Array:
+    """Find the combinations of deviations that a joint's torque depends on, ``(n_deviations, k)``.
+
+    They are orthonormal, so their coefficients are standard normal, too; the torque of all others
+    has an rms below ``threshold``. ``columns`` ``(n_deviations, n)`` are torques of one sd each.
+    """
+    left, size, _ = np.linalg.svd(columns / np.sqrt(columns.shape[1]), full_matrices=False)
+    beyond = np.sqrt(np.cumsum(size[::-1] ** 2)[::-1])
+    return np.asarray(left[:, beyond > max(threshold, 1e-6 * beyond[0])])
+
+
+def resolution(torque: Array, speed: Array, acceleration: Array, columns: Array) -> float:
+    """Estimate the smallest rms torque that a log identifies: the standard error of a mean.
+
+    It is that of the autocorrelated residual (Andrews 1991) of least squares on friction and
+    ``columns`` ``(k, n)``, the rigid-body torque first.
+    """
+    sign = np.sign(speed)
+    losses = [sign, speed, np.abs(columns[0]) * sign, acceleration, np.ones_like(speed)]
+    x = np.stack([*columns, *losses], axis=1)
+    residual = torque - x @ np.linalg.lstsq(x, torque, rcond=None)[0]
+    variance = long_run_variance(residual, np.arange(residual.size))
+    return float(math.sqrt(variance) / residual.size)
+
+
+def second_moments(inertia: Array) -> Array:
+    """Give second moments of mass of inertia tensors, ``(..., 3, 3)`` both; ``I = tr(S) - S``."""
+    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
+    return np.asarray(0.5 * trace * np.eye(3) - inertia)
+
+
+def inertia_of(second: Array) -> Array:
+    """Give the inertia ``(..., 6)`` of second moments ``(..., 3, 3)``, about the same point."""
+    trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
+    rows, columns = np.triu_indices(3)
+    return np.asarray((trace * np.eye(3) - second)[..., rows, columns])
+
+
+def tensor(six: Array) -> Array:
+    """Lay out ``(..., 6)``, xx, xy, xz, yy, yz, zz, as symmetric matrices ``(..., 3, 3)``."""
+    return np.asarray(six[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])
+
+
+def pseudo_inertias(parameters: Array) -> Array:
+    """Give the pseudo-inertias ``(..., n, 4, 4)`` of ``(..., 10 n)`` parameters."""
+    body = parameters.reshape(*parameters.shape[:-1], -1, PER_BODY)
+    out = np.empty((*body.shape[:-1], 4, 4))
+    out[..., :3, :3] = second_moments(tensor(body[..., 4:]))
+    out[..., :3, 3] = out[..., 3, :3] = body[..., 1:4]
+    out[..., 3, 3] = body[..., 0]
+    return out
+
+
+def feasible(parameters: Array) -> NDArray[np.bool_]:
+    """Test which bodies ``(..., n)`` of ``(..., 10 n)`` parameters are physical, or nothing."""
+    pseudo_inertia = pseudo_inertias(parameters)
+    smallest = np.linalg.eigvalsh(pseudo_inertia)[..., 0]
+    trace = np.trace(pseudo_inertia, axis1=-2, axis2=-1)
+    return np.asarray((trace >= 0.0) & (smallest >= -_ROUNDING * np.abs(trace)))
+
+
+def with_second_order(parameters: Array, nominal: Array) -> Array:
+    """Add the second-order term of a shifted centre, ``(..., 10 n)`` both.
+
+    A body shifted by ``d`` has second moments larger by ``m d d'``, which a Gaussian over
+    parameters leaves out. That torque is negligible, but without it no body is physical.
+    """
+    body = parameters.reshape(*parameters.shape[:-1], -1, PER_BODY).copy()
+    reference = nominal.reshape(-1, PER_BODY)
+    mass = body[..., 0]
+    heavy = reference[:, 0] > 0.0
+    scale = np.divide(mass, reference[:, 0], out=np.zeros_like(mass), where=heavy)
+    moment = body[..., 1:4] - scale[..., None] * reference[:, 1:4]
+    inertia = inertia_of(moment[..., :, None] * moment[..., None, :])
+    positive = mass[..., None] > 0.0
+    body[..., 4:] += np.divide(inertia, mass[..., None], out=np.zeros_like(inertia), where=positive)
+    return np.asarray(body.reshape(parameters.shape))
+
+
+def sample_feasible(
+    nominal: Array,
+    spread: Array,
+    mean: Array,
+    covariance: Array,
+    start: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, float]:
+    """Sample a Gaussian over ``z``, truncated to where all bodies are physical.
+
+    These are :func:`with_second_order` of ``nominal + spread @ z``; links that are not physical at
+    ``start`` are not tested. By elliptical slice sampling (Murray, Adams and MacKay 2010). Returns
+    draws ``(400, k)`` and the share of the Gaussian's own draws that are feasible.
+    """
+    tested = feasible(with_second_order(nominal + spread @ start, nominal))
+
+    def inside(z: Array) -> NDArray[np.bool_]:
+        physical = feasible(with_second_order(nominal + z @ spread.T, nominal))
+        return np.asarray(physical[..., tested].all(axis=-1))
+
+    root = np.linalg.cholesky(covariance)
+
+    def draw() -> Array:
+        return np.asarray(rng.normal(size=(_CHAINS, mean.size)) @ root.T)
+
+    share = float(np.mean(inside(mean + draw())))
+    state = np.tile(start - mean, (_CHAINS, 1))
+    for _ in range(_STEPS):
+        auxiliary, angle = draw(), rng.uniform(0.0, 2.0 * np.pi, _CHAINS)
+        low, high, active = angle - 2.0 * np.pi, angle.copy(), np.arange(_CHAINS)
+        previous = state.copy()
+        for _ in range(_SHRINKS):
+            at = angle[active, None]
+            proposal = previous[active] * np.cos(at) + auxiliary[active] * np.sin(at)
+            accepted = inside(mean + proposal)
+            state[active[accepted]] = proposal[accepted]
+            active = active[~accepted]
+            if not active.size:
+                break
+            low[active] = np.where(angle[active] < 0.0, angle[active], low[active])
+            high[active] = np.where(angle[active] < 0.0, high[active], angle[active])
+            angle[active] = rng.uniform(low[active], high[active])
+    return mean + state, share
+
+
+def _point_mass(at: Array) -> Array:
+    """Inertial parameters of a point of 1 kg at a position in the link's frame."""
+    return np.array([1.0, *at, *inertia_of(np.outer(at, at))])
+
+
+def _centre_shift(centre: Array, direction: Array) -> Array:
+    """Differentiate the inertial parameters per kg by a shift of the centre of mass, 1/m."""
+    second = np.outer(centre, direction) + np.outer(direction, centre)
+    return np.array([0.0, *direction, *inertia_of(second)])
+
+
+def urdf_text(path: Path) -> str:
+    """Read the text of a URDF."""
+    return read_text(path, "name the robot's .urdf file", largest=_MAX_BYTES)
+
+
+def parsed_urdf(
+    path: Path, text: str, parser: ElementTree.XMLParser | None = None
+) -> ElementTree.Element:
+    """Parse the text of a URDF."""
+    try:
+        return ElementTree.fromstring(text, parser)
+    except ElementTree.ParseError as error:
+        raise _no_urdf(path, error) from None
+
+
+def _no_urdf(path: Path, error: Exception) -> BadInput:
+    return BadInput(str(path), f"is no URDF ({error})", "give what xacro makes")
+
+
+def _joints(path: Path) -> dict[str, UrdfJoint]:
+    """Read the joints that move: their limits and mimics, which iDynTree does not give."""
+    joints = {}
+    for joint in parsed_urdf(path, urdf_text(path)).findall("joint"):
+        name, kind = joint.get("name", ""), joint.get("type", "")
+        limit, mimic = (getattr(joint.find(tag), "attrib", {}) for tag in ("limit", "mimic"))
+        if kind not in _MOTIONS:
+            continue
+        try:
+            width = float(limit.get("upper", 0)) - float(limit.get("lower", 0))
+            multiplier, offset = float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0))
+        except ValueError as error:
+            raise _no_urdf(path, error) from None
+        joints[name] = UrdfJoint(
+            name,
+            _MOTIONS[kind],
+            width if width > 0.0 and kind != "continuous" else np.inf,
+            (mimic.get("joint", ""), multiplier, offset) if mimic else None,
+            kind == "continuous",
+            limit,
+        )
+    if not joints:
+        raise BadInput(str(path), "has no joint that moves", "give the URDF of an arm")
+    return joints
+
+
+def _stderr_of(load: Callable[[], Any]) -> str:
+    """Call a function, and return the first complaint on stderr, where C++ libraries write."""
+    with tempfile.TemporaryFile() as captured:
+        stderr = os.dup(2)
+        os.dup2(captured.fileno(), 2)
+        try:
+            load()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        captured.seek(0)
+        lines = captured.read().decode("utf-8", "replace").splitlines()
+    complaint = next((line for line in lines if line.startswith(_REFUSED)), "")
+    return complaint.rpartition(" : ")[2].strip()
