@@ -22,12 +22,6 @@ def explain(
     """Give what ``--json`` prints, and words: what is found, and what this motion does not tell.
 
     ``output`` is a file to write beside the configuration, with what explains the torque put in.
-
-    Raises
-    ------
-    BadInput
-        Before anything is computed, if that is no TOML, lies elsewhere, where names of files mean
-        something else, or is there.
     """
     told: dict[str, Any] = {}
     taken: Sequence[Finding] = ()

@@ -90,11 +90,6 @@ def configuration_from(
 
     ``presets`` are those that could be meant where none was named. File names are relative to where
     ``output`` will be.
-
-    Raises
-    ------
-    BadInput
-        If the log cannot be read, or there is no such joint.
     """
     log = recognise(read_table(path, TableOptions.model_validate({"table": table})), joint)
     given = preset or _DEFAULT
@@ -127,13 +122,7 @@ def configuration_from(
 
 
 def arm_configuration(log: Path, urdf: Path, table: str | None = None) -> dict[str, Any]:
-    """Write an ``arm.toml``: ``text``, and the keys left ``open``.
-
-    Raises
-    ------
-    BadInput
-        If log and URDF do not go together.
-    """
+    """Write an ``arm.toml``: ``text``, and the keys left ``open``."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_log import layout_of
 

@@ -46,59 +46,34 @@ _FASTEST = 0.3
 
 @dataclass(frozen=True)
 class Scales:
-    """What shapes columns: of the recordings that were measured; twins have the same.
+    """What shapes columns: of the recordings that were measured; twins have the same."""
 
-    Attributes
-    ----------
-    speed
-        Nearly the largest, the 95 % quantile of its absolute value, rad/s or m/s.
-    reach
-        Twice the median distance from the last reversal, rad or m.
-    carried, torque, lost
-        Root mean square of the motor torque of inertia, gravity and springs; of the measured one;
-        and of all else in the model's, such as friction. N m or N.
-    duration
-        Of the longest recording, s.
-    cycles
-        Name, and radians a radian of the joint, of waves that the motion goes through at least
-        once.
-    push
-        Width of a push, s: at least 0.25, and a hundred-and-twentieth of ``duration``.
-    names, others
-        Of the recordings; and of further columns of any of them.
-    inertia
-        Motor torque an acceleration of the joint, by least squares, in N m s² and alike.
-    need
-        ``carried`` over ``inertia``: acceleration that the motor gives the load, root mean square.
-    band
-        Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is.
-    weighs
-        Whether gravity and springs vary by more than a thousandth of ``carried``.
-    """
-
-    speed: float
-    reach: float
+    speed: float  # Nearly the largest, the 95 % quantile of its absolute value, rad/s or m/s
+    reach: float  # Twice the median distance from the last reversal, rad or m
+    # Root mean square of the motor torque of inertia, gravity and springs; of the measured one; and
+    # of all else in the model's, such as friction. N m or N
     carried: float
     torque: float
     lost: float
-    duration: float
+    duration: float  # Of the longest recording, s
+    # Name, and radians a radian of the joint, of waves that the motion goes through at least once
     cycles: tuple[tuple[str, float], ...]
-    push: float
+    push: float  # Width of a push, s: at least 0.25, and a hundred-and-twentieth of duration
+    # Of the recordings; and of further columns of any of them
     names: tuple[str, ...]
     others: tuple[str, ...]
+    # Motor torque an acceleration of the joint, by least squares, in N m s² and alike
     inertia: float
+    # carried over inertia: acceleration that the motor gives the load, root mean square
     need: float
-    band: float
-    weighs: bool
+    band: float  # Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is
+    weighs: bool  # Whether gravity and springs vary by more than a thousandth of carried
 
 
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
     """Take the scales of columns from recordings and an estimate.
 
-    Parameters
-    ----------
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
+    Shapes: ``values`` (n_parameters,).
     """
     speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
     each = [_carried(chain, values, o) for o in observations]
@@ -163,23 +138,15 @@ def _torque(chain: Joint, values: Array, o: Observation) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """One recording's motion, and the model's torque along it; signals are ``(N,)``.
+    """One recording's motion, and the model's torque along it; signals are ``(N,)``."""
 
-    Attributes
-    ----------
-    chain, values
-        The joint and its parameters ``(n_parameters,)``.
-    o, recording
-        The recording as prepared, and as read.
-    scales
-        Of all recordings together.
-    """
-
+    # The joint and its parameters (n_parameters,)
     chain: Joint
     values: Array
+    # The recording as prepared, and as read
     o: Observation
     recording: Measurement
-    scales: Scales
+    scales: Scales  # Of all recordings together
 
     @cached_property
     def torque(self) -> Array:
@@ -262,15 +229,7 @@ class Along:
     def behind(self) -> Iterator[tuple[str, float, Array]]:
         """Give what a gearbox carries with each share of the inertia behind it.
 
-        Yields
-        ------
-        label : str
-            The share in words.
-        share : float
-            Of the inertia; one alone where gravity and springs hardly vary, as then it is only a
-            factor.
-        carried : ndarray
-            ``(N,)`` that share of the inertia's torque, and all of gravity and springs, N m or N.
+        Shapes: ``carried : ndarray`` (N,).
         """
         for share in _BEHIND if self.scales.weighs else (1.0,):
             carried = self.weight + share * (self.carried - self.weight)

@@ -41,14 +41,6 @@ _NEGATIVE = 3.0
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
     """Doubt a mechanism that leaves much of the torque even with its best base parameters.
 
-    Returns
-    -------
-    list of dict
-        Empty, or one doubt of ``kind`` ``unexplained``: the ``share`` of the torque's variance that
-        is explained, and what may be wrong, see :func:`instead`.
-
-    Notes
-    -----
     There is a doubt where less than 80 % of the variance is explained and neighbouring residuals
     correlate by more than 0.2: a small signal in white noise is left little of, too, and its model
     may be right.
@@ -62,19 +54,7 @@ def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[
 
 
 def instead(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
-    """Say what may be wrong where little is explained: never the mechanism that is in use.
-
-    Parameters
-    ----------
-    share
-        Of the torque's variance, what the best base parameters explain.
-
-    Returns
-    -------
-    dict
-        ``units``, see :func:`other_units`; and ``presets``, names of those that have gravity and
-        the same ratio, where a rotary load is modelled without gravity.
-    """
+    """Say what may be wrong where little is explained: never the mechanism that is in use."""
     weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
     known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
     presets = [
@@ -88,20 +68,7 @@ def instead(chain: Joint, observations: Sequence[Observation], share: float) -> 
 
 
 def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Look for what makes any fit doubtful, in recordings and their base parameters.
-
-    Parameters
-    ----------
-    totals
-        Estimate of :func:`bayesfric.estimates.least_squares.least_squares`.
-
-    Returns
-    -------
-    list of dict
-        Of ``kind`` ``feedback`` (the torque follows the motion by a simple law), ``attenuated`` (a
-        band that was asked for, in which the inertia comes out smaller than in a narrower one) and
-        ``negative`` (a loss or an inertia below zero). None names ``parameters``: all are doubtful.
-    """
+    """Look for what makes any fit doubtful, in recordings and their base parameters."""
     return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
 
 
@@ -109,18 +76,6 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
     """Say that too few outputs are left to ask whether the model is right, and how long would do.
 
     A run says so by itself, where it has asked.
-
-    Parameters
-    ----------
-    parameters
-        How many there are; :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` more outputs are
-        wanted.
-
-    Yields
-    ------
-    dict
-        At most one, of ``kind`` ``few``; ``seconds`` is how long the recordings would have to last
-        with the same share of outputs.
     """
     outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
     if outputs < wanted:
@@ -130,13 +85,7 @@ def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterato
 
 
 def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[dict[str, Any]]:
-    """Doubt what is made of data and a prior that contradict each other: neither supports it.
-
-    Parameters
-    ----------
-    contradicted
-        By :func:`bayesfric.estimates.input_error.contradicted`.
-    """
+    """Doubt what is made of data and a prior that contradict each other: neither supports it."""
     if contradicted:
         values = {name: value for name, (value, _) in contradicted.items()}
         times = {name: sds for name, (_, sds) in contradicted.items()}
@@ -144,20 +93,7 @@ def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[d
 
 
 def strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name recorded velocities of another unit or column than their positions.
-
-    Parameters
-    ----------
-    observations
-        The recordings; a velocity is strange where it is less than half or more than twice the
-        differentiated position, both filtered alike.
-
-    Yields
-    ------
-    dict
-        Of ``kind`` ``velocity``: ``recording`` and ``factor``, 0 where the two have nothing in
-        common.
-    """
+    """Name recorded velocities of another unit or column than their positions."""
     for o in observations:
         if (factor := o.settings.get("velocity_factor")) is not None:
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
@@ -211,13 +147,7 @@ def _loses(row: Quantity | None) -> bool:
 def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
     """Give the share of the torque's variance that the best base parameters explain.
 
-    Returns
-    -------
-    share : float
-        ``1 - var(r) / var(y)`` of the filtered torque ``y`` and the least squares residual ``r``,
-        all recordings together.
-    residual : ndarray
-        ``(n,)`` N m or N, recording after recording.
+    Shapes: ``residual : ndarray`` (n,).
     """
     projection = TotalsProjection(chain, observations)
     measured = np.concatenate([o.measured for o in observations])
@@ -230,22 +160,6 @@ def other_units(
 ) -> list[dict[str, Any]]:
     """List units of the position that explain far more of the torque, the best first.
 
-    Parameters
-    ----------
-    chain, observations
-        The joint, and its recordings as they were read.
-    explained
-        Share of the variance that they explain as read, where it is known already.
-
-    Returns
-    -------
-    list of dict
-        Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that
-        base parameters then explain. Named are those that leave less than half of the variance that
-        is unexplained now. Empty for a load that slides.
-
-    Notes
-    -----
     Position, speed and acceleration are scaled together. Only a torque that is no power of the
     angle, such as gravity's, tells: the coefficients of inertia and friction absorb the scale.
     """

@@ -79,44 +79,26 @@ _ANOTHER = 0.3
 
 @dataclass(frozen=True)
 class Kind:
-    """A row of the table of candidates.
+    """A row of the table of candidates."""
 
-    Attributes
-    ----------
-    name
-        Of the kind, a key of the words.
-    columns
-        Makes the sets of columns ``(N,)``, by name of the shape; empty where the recording has
-        none.
-    beside
-        Makes columns that stand for shapes between those of the grid, see the module.
-    option, choice
-        Of the mechanism's configuration, which put it in; empty where nothing does.
-    positive
-        Whether its coefficients must be positive, as those of a loss that grows.
-    other
-        Choice of the same option that may be negative, where there is one.
-    loss
-        Whether it is friction, and so of the size of what the model loses.
-    of_speed
-        Whether it is a shape of friction over speed, which the friction law of a fit takes in.
-    of_recording
-        Whether it is a fault of the recorded torque, which no term of the model makes up for.
-    least
-        Share of the torque, rms, that it has where it is there: another current differs from the
-        winding's by about as much as the torque, and so many columns fit a little of anything.
-    """
-
-    name: str
+    name: str  # Of the kind, a key of the words
+    # Makes the sets of columns (N,), by name of the shape; empty where the recording has none
     columns: Callable[[Along], Sets]
+    # Makes columns that stand for shapes between those of the grid, see the module
     beside: Callable[[Along], Sequence[Array]] = lambda _: ()
+    # Of the mechanism's configuration, which put it in; empty where nothing does
     option: str = ""
     choice: str | bool = True
+    # Whether its coefficients must be positive, as those of a loss that grows
     positive: bool = False
-    other: str = ""
-    loss: bool = False
+    other: str = ""  # Choice of the same option that may be negative, where there is one
+    loss: bool = False  # Whether it is friction, and so of the size of what the model loses
+    # Whether it is a shape of friction over speed, which the friction law of a fit takes in
     of_speed: bool = False
+    # Whether it is a fault of the recorded torque, which no term of the model makes up for
     of_recording: bool = False
+    # Share of the torque, rms, that it has where it is there: another current differs from the
+    # winding's by about as much as the torque, and so many columns fit a little of anything
     least: float = 0.0
 
 

@@ -37,41 +37,22 @@ Reason = Literal["few", "still"]
 
 @dataclass(frozen=True)
 class Explanation:
-    """What else explains the torque of recordings.
+    """What else explains the torque of recordings."""
 
-    Attributes
-    ----------
-    findings
-        Of what is no chance, in the order of the ranking.
-    kinds
-        Of candidates that were asked.
-    untold
-        Kinds that this motion does not tell from what the model has.
-    twins
-        Simulated recordings that judge.
-    largest, limit
-        Of all candidates' statistics, a standard normal's, before any is taken in; and what 95 % of
-        the twins stay below, or what as many independent normals do, the larger of the two.
-    cpu_seconds
-        Spent on the regression and its twins.
-    missing
-        All candidates, to be marginalised as model discrepancy.
-    reason
-        Why it was not asked: there are too ``few`` outputs, or most twins stand ``still``; else
-        ``None``.
-    share
-        Of the samples that were asked, the share of all; below one for long recordings.
-    """
-
-    findings: tuple[Finding, ...] = ()
-    kinds: tuple[str, ...] = ()
-    untold: tuple[str, ...] = ()
-    twins: tuple[Twin, ...] = field(default=(), repr=False)
+    findings: tuple[Finding, ...] = ()  # Of what is no chance, in the order of the ranking
+    kinds: tuple[str, ...] = ()  # Of candidates that were asked
+    untold: tuple[str, ...] = ()  # Kinds that this motion does not tell from what the model has
+    twins: tuple[Twin, ...] = field(default=(), repr=False)  # Simulated recordings that judge
+    # Of all candidates' statistics, a standard normal's, before any is taken in; and what 95 % of
+    # the twins stay below, or what as many independent normals do, the larger of the two
     largest: float = 0.0
     limit: float = 0.0
-    cpu_seconds: float = 0.0
+    cpu_seconds: float = 0.0  # Spent on the regression and its twins
+    # Why it was not asked: there are too few outputs, or most twins stand still; else None
     reason: Reason | None = None
+    # Of the samples that were asked, the share of all; below one for long recordings
     share: float = 1.0
+    # All candidates, to be marginalised as model discrepancy
     missing: Missing | None = field(default=None, repr=False)
 
     @property
@@ -114,14 +95,7 @@ class Explanation:
 
 
 def unasked(chain: Joint, observations: Sequence[Observation]) -> Reason | None:
-    """Say why recordings cannot be asked, as far as that is known before anything is computed.
-
-    Returns
-    -------
-    str or None
-        ``few`` where there are fewer outputs than the parameters and
-        :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` together.
-    """
+    """Say why recordings cannot be asked, as far as that is known before anything is computed."""
     few = sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS
     return "few" if few else None
 
@@ -135,27 +109,7 @@ def explain(
     known: Sequence[str],
     seed: int,
 ) -> Explanation:
-    """Ask recordings what else explains their torque.
-
-    Parameters
-    ----------
-    chain, recordings, observations, processing
-        The joint, and what was measured of it, as read and as prepared by which filters.
-    point
-        Parameters by name, an estimate by the input error.
-    known
-        Names of parameters that are fixed.
-    seed
-        Of the twins.
-
-    Returns
-    -------
-    Explanation
-        What no chance is, in the order in which it explains; see
-        :mod:`bayesfric.diagnostics.regression` for the method and its sources. Where twins cannot
-        be simulated it has the ``reason`` and nothing else. Of more samples than
-        :data:`~bayesfric.diagnostics.policy.LONGEST` an excerpt of half as many is asked.
-    """
+    """Ask recordings what else explains their torque."""
     begun, values = time.process_time(), chain.vector(point)
     whole = sum(r.time.size for r in recordings)
     try:
@@ -199,21 +153,6 @@ def finding(chain: Joint, step: Step) -> Finding:
 
     What has a sign that it cannot have stands for what this motion hardly tells it from, where that
     may have any; else it has no name.
-
-    Parameters
-    ----------
-    chain
-        The joint, which says what configuration would put the term in.
-    step
-        What was taken in, its coefficients, and what it moves.
-
-    Returns
-    -------
-    Finding
-        A ``doubt`` where it moves a reported number by more than
-        :data:`~bayesfric.diagnostics.policy.MOVES` standard deviations or is a fault of the
-        recorded torque, else a ``note``. Not
-        ``physical`` where what must be positive came out negative and nothing else looks like it.
     """
     kind, rivals, shape = BY_NAME.get(step.kind), step.alike, step.shape
     negative = kind is not None and kind.positive and bool((step.coefficients < 0.0).any())
@@ -249,21 +188,7 @@ def _carries(chain: Joint) -> bool:
 
 
 def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
-    """Give the line of a configuration that puts a candidate into a joint; empty if none does.
-
-    Parameters
-    ----------
-    chain
-        The joint as it is.
-    kind, shape
-        The candidate; of one that repeats, the shape says how often a turn, and of which side.
-
-    Returns
-    -------
-    str
-        Such as ``mechanism.elements.motor.coulomb = "symmetric"``: the first element that does not
-        have the choice yet; of load losses the one that has one, else the last.
-    """
+    """Give the line of a configuration that puts a candidate into a joint; empty if none does."""
     option, value = kind.option, "true" if kind.choice is True else f'"{kind.choice}"'
     if option in ("offset", "delay"):
         return "" if getattr(chain, option) else f"mechanism.{option} = true"

@@ -14,48 +14,24 @@ Severity = Literal["note", "doubt"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that the recordings show and that recordings of a right model do not.
+    """One thing that the recordings show and that recordings of a right model do not."""
 
-    Attributes
-    ----------
-    kind
-        What it is, a key of the words.
-    severity
-        ``doubt`` where it moves a reported number by more than half its interval, else ``note``.
-    shape
-        Which of its kind it is, such as a speed or a frequency; empty where there is one.
-    recording
-        In which it is; empty for all.
-    span
-        Seconds in which it is, where it is not all along.
-    statistic
-        How far beyond what its twins show, as a standard normal.
-    p
-        How often twins show as much of anything.
-    share
-        Root mean square of its torque over that of all torque.
-    rivals
-        Kinds that this motion does not tell it from.
-    moves
-        By name of a parameter, by how many of its standard deviations its value is off; the most
-        first.
-    setting
-        Line of a configuration that would put it in; empty where none does.
-    physical
-        Whether the sign that it was found with is possible for what ``setting`` says.
-    """
-
-    kind: str
+    kind: str  # What it is, a key of the words
+    # doubt where it moves a reported number by more than half its interval, else note
     severity: Severity
-    statistic: float
-    p: float
+    statistic: float  # How far beyond what its twins show, as a standard normal
+    p: float  # How often twins show as much of anything
+    # Which of its kind it is, such as a speed or a frequency; empty where there is one
     shape: str = ""
-    recording: str = ""
-    span: tuple[float, float] | None = None
-    share: float = 0.0
-    rivals: tuple[str, ...] = ()
+    recording: str = ""  # In which it is; empty for all
+    span: tuple[float, float] | None = None  # Seconds in which it is, where it is not all along
+    share: float = 0.0  # Root mean square of its torque over that of all torque
+    rivals: tuple[str, ...] = ()  # Kinds that this motion does not tell it from
+    # By name of a parameter, by how many of its standard deviations its value is off; the most
+    # first
     moves: Mapping[str, float] = field(default_factory=dict)
-    setting: str = ""
+    setting: str = ""  # Line of a configuration that would put it in; empty where none does
+    # Whether the sign that it was found with is possible for what setting says
     physical: bool = True
 
     @property

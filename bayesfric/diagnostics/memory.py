@@ -39,21 +39,12 @@ _FORGOTTEN = 300
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where outputs lie in time, recording by recording.
+    """Where outputs lie in time, recording by recording."""
 
-    Attributes
-    ----------
-    runs
-        ``(M - 1,)`` of each recording: whether an output is followed by the next one step later.
-    at
-        ``(M,)`` of each: whole steps since its first output.
-    stamps
-        ``(M,)`` of each, s.
-    """
-
+    # (M - 1,) of each recording: whether an output is followed by the next one step later
     runs: tuple[Flags, ...]
-    at: tuple[Index, ...]
-    stamps: tuple[Array, ...]
+    at: tuple[Index, ...]  # (M,) of each: whole steps since its first output
+    stamps: tuple[Array, ...]  # (M,) of each, s
 
     @classmethod
     def of(cls, observations: Sequence[Observation]) -> Layout:
@@ -78,14 +69,7 @@ class Layout:
     def grid(self) -> tuple[float, float, int, Index]:
         """Even grids of time, one for each recording, on which a periodogram is taken.
 
-        Returns
-        -------
-        step, span : float
-            From one place to the next, and the longest recording, s.
-        size : int
-            Of one grid, a power of two, at least twice the longest recording.
-        places : ndarray
-            ``(n,)`` of all outputs, grid after grid.
+        Shapes: ``places : ndarray`` (n,).
         """
         steps = [float(np.median(np.diff(t))) for t in self.stamps if t.size > 1]
         step, span = float(np.median(steps)), max(float(np.ptp(t)) for t in self.stamps)
@@ -106,8 +90,6 @@ class Layout:
     def waves(self) -> list[Array]:
         """Cosines of each recording's clock, falling as one over the root of the frequency.
 
-        Notes
-        -----
         Of a recording of M outputs and span S they are ``(M, K)``, ``cos(pi k (t - t0) / S) /
         sqrt(k)`` for k from 1 to K; independent normal coefficients of one size make 1/f noise of
         them. K is at most 60, an eighth of M, and 2 S (or 4), where they end at a hertz.
@@ -124,37 +106,19 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """Autocorrelation of noise: autoregressive, with a slow wander on top.
+    """Autocorrelation of noise: autoregressive, with a slow wander on top."""
 
-    Attributes
-    ----------
-    partial
-        ``(p,)`` partial autocorrelations, each between -1 and 1.
-    slow
-        Standard deviation of the slowest cosine of the wander, in that of the innovations; 0 for
-        none.
-    """
-
-    partial: Array
+    partial: Array  # (p,) partial autocorrelations, each between -1 and 1
+    # Standard deviation of the slowest cosine of the wander, in that of the innovations; 0 for none
     slow: float = 0.0
 
     def whitened(self, x: Array, layout: Layout) -> Array:
         """Take from every row what the rows before it predict, over its standard deviation.
 
-        Parameters
-        ----------
-        x
-            ``(n, m)`` columns, one row an output.
-
-        Returns
-        -------
-        ndarray
-            ``(n, m)``; of noise of this memory, white with the variance of the innovations.
-
-        Notes
-        -----
         With W the whitened cosines times their size, the wander is taken out by ``(I + W
         W')^(-1/2)``, which is ``I - W (R + R^2)^-1 W'`` with ``R = (I + W' W)^(1/2)``.
+
+        Shapes: ``x`` (n, m), returns (n, m).
         """
         out, unforetold = [], _unforetold(self.partial)
         for part, at, waves in zip(layout.split(x), layout.at, layout.waves, strict=True):
@@ -193,20 +157,6 @@ WHITE = Memory(np.zeros(0))
 def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
     """Choose the memory of a residual: order and wander together.
 
-    Parameters
-    ----------
-    left
-        ``(n,)`` what is left of the torque, N m or N.
-
-    Returns
-    -------
-    memory : Memory
-        Partial autocorrelations by Burg's method, at most six and one for 20 outputs.
-    bic : float
-        Its Bayesian information criterion, the least of those that were tried.
-
-    Notes
-    -----
     For sizes of the wander, none and four that grow (none alone for 40 outputs and fewer), the
     order is chosen first, by ``n sum(log(1 - partial^2)) + p log(n)``; then wander and order are
     compared by the exact density, ``n log(variance) + log det + p log(n)`` [1]_. Once a wander
@@ -215,6 +165,8 @@ def memory_of(left: Array, layout: Layout) -> tuple[Memory, float]:
     References
     ----------
     .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461-464.
+
+    Shapes: ``left`` (n,).
     """
     n, found, least = left.size, WHITE, math.inf
     for size in _SIZES if n > 2 * _OUTPUTS else _SIZES[:1]:

@@ -84,109 +84,58 @@ _SLOW = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What one round chose, and all that it knew.
+    """What one round chose, and all that it knew."""
 
-    Attributes
-    ----------
-    kind, shape
-        The candidate.
-    own
-        Numbers of its columns.
-    sure
-        Whether it is no chance.
-    z, p
-        Its statistic as a standard normal; and ``(1 + k) / (n + 1)`` where k of n twins have one as
-        large, of whichever candidate.
-    largest, limit
-        ``z`` of all candidates, and what it must exceed.
-    worth
-        Of every candidate, scans last: its gain, less the log of the number of outputs for each
-        coefficient, shape or place after the first.
-    scan
-        Where a tone, push or far delay was found.
-    """
-
+    # The candidate
     kind: str
     shape: str
-    own: list[int]
-    sure: bool
+    own: list[int]  # Numbers of its columns
+    sure: bool  # Whether it is no chance
+    # Its statistic as a standard normal; and (1 + k) / (n + 1) where k of n twins have one as
+    # large, of whichever candidate
     z: float
     p: float
+    # z of all candidates, and what it must exceed
     largest: float
     limit: float
+    # Of every candidate, scans last: its gain, less the log of the number of outputs for each
+    # coefficient, shape or place after the first
     worth: Array
-    scan: Scan | None = None
+    scan: Scan | None = None  # Where a tone, push or far delay was found
 
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A simulated recording whose truth is known, and whose torque has no noise.
+    """A simulated recording whose truth is known, and whose torque has no noise."""
 
-    Attributes
-    ----------
-    values
-        ``(n_parameters,)`` it was made with.
-    base, left
-        ``(n, n_parameters)`` derivatives of its outputs there, and ``(n,)`` what the model leaves
-        of its torque: the error of encoder and filters.
-    layout
-        Where its outputs lie in time.
-    """
-
-    values: Array
+    values: Array  # (n_parameters,) it was made with
+    # (n, n_parameters) derivatives of its outputs there, and (n,) what the model leaves of its
+    # torque: the error of encoder and filters
     base: Array
     left: Array
-    layout: Layout
+    layout: Layout  # Where its outputs lie in time
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Step(Choice):
-    """One candidate that is taken in.
+    """One candidate that is taken in."""
 
-    Attributes
-    ----------
-    share
-        Root mean square of its torque over that of all torque.
-    recording, span
-        What a push is in, and its seconds; the recording also of what is one recording's alone.
-    coefficients
-        Of its own columns.
-    moves
-        Parameter or derived quantity: by how many of its standard deviations it moves, where the
-        recordings determine it.
-    alike
-        Kinds that explain as much, or look alike on this motion.
-    """
-
-    share: float
+    share: float  # Root mean square of its torque over that of all torque
+    # What a push is in, and its seconds; the recording also of what is one recording's alone
     recording: str
     span: tuple[float, float] | None
-    coefficients: Array
+    coefficients: Array  # Of its own columns
+    # Parameter or derived quantity: by how many of its standard deviations it moves, where the
+    # recordings determine it
     moves: dict[str, float]
-    alike: tuple[str, ...]
+    alike: tuple[str, ...]  # Kinds that explain as much, or look alike on this motion
 
 
 @dataclass(eq=False)
 class Regression:
     """Recordings, twins and everything that is computed once.
 
-    Parameters
-    ----------
-    chain, recordings, observations, processing
-        The joint, and what was measured of it.
-    values
-        ``(n_parameters,)`` an estimate by the input error.
-    known
-        Names of parameters that are fixed.
-    seed
-        Of the twins.
-    number
-        How many twins.
-
-    Raises
-    ------
-    NoTwin
-        If the filters leave fewer than half of the twins.
+    Shapes: ``values`` (n_parameters,).
     """
 
     chain: Joint
@@ -326,18 +275,7 @@ class Regression:
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
     def steps(self, most: int = MOST) -> list[Step]:
-        """Rank what the model lacks: what no chance is, in order, or the first that may be.
-
-        Parameters
-        ----------
-        most
-            How many are looked for, one after the other.
-
-        Returns
-        -------
-        list of Step
-            The last one may be chance, see :attr:`Choice.sure`.
-        """
+        """Rank what the model lacks: what no chance is, in order, or the first that may be."""
         found = []
         for choice, extra in self._climbed(most):
             found.append(self._step(choice, extra))

@@ -35,42 +35,19 @@ _NEAR_DELAY = 0.01
 
 @dataclass(frozen=True)
 class Scan:
-    """The largest of one kind, as a gain of chi squared.
+    """The largest of one kind, as a gain of chi squared."""
 
-    Attributes
-    ----------
-    kind
-        ``tone``, ``push``, or one of :data:`DELAYS`.
-    peak
-        What it takes of the residual's sum of squares, in variances of the residual: about how much
-        twice the log-likelihood rises. A tone's and a delay's variance is of what they leave.
-    place
-        Hz of a tone, s of a push and of a delay.
-    recording
-        Number of the one that a push is in.
-    """
-
-    kind: str
+    kind: str  # tone, push, or one of :data:`DELAYS`
+    # What it takes of the residual's sum of squares, in variances of the residual: about how much
+    # twice the log-likelihood rises. A tone's and a delay's variance is of what they leave
     peak: float
-    place: float
-    recording: int = 0
+    place: float  # Hz of a tone, s of a push and of a delay
+    recording: int = 0  # Number of the one that a push is in
 
 
 def tone(y: Array, layout: Layout) -> Scan:
     """Find the largest peak of a whitened residual's periodogram, over what it leaves.
 
-    Parameters
-    ----------
-    y
-        ``(n,)`` whitened residual, all recordings.
-
-    Returns
-    -------
-    Scan
-        Of the recordings' summed power; the frequency is interpolated by a parabola.
-
-    Notes
-    -----
     The power P of a frequency is scaled to chi squared of two degrees of freedom in white noise;
     the gain is ``P / (1 - P/n)``, which orders peaks as Fisher's test of hidden periods does [1]_.
     Frequencies go from two periods of the longest recording to 0.45 of the rate.
@@ -79,6 +56,8 @@ def tone(y: Array, layout: Layout) -> Scan:
     ----------
     .. [1] R. A. Fisher, "Tests of significance in harmonic analysis", Proceedings of the Royal
        Society A 125 (1929) 54-59.
+
+    Shapes: ``y`` (n,).
     """
     step, span, size, at = layout.grid
     rows = np.bincount(at, y, len(layout.at) * size).reshape(-1, size)
@@ -98,17 +77,7 @@ def tone(y: Array, layout: Layout) -> Scan:
 def push(y: Array, layout: Layout, width: float) -> Scan:
     """Find where the mean of a whitened residual over a short while is the farthest off.
 
-    Parameters
-    ----------
-    y
-        ``(n,)`` whitened residual, all recordings.
-    width
-        From one place to the next, s; the mean is over three of them.
-
-    Returns
-    -------
-    Scan
-        Of ``(sum y)^2 / (count var(y))``, where three outputs are in the window at least.
+    Shapes: ``y`` (n,), returns (sum y)^2 / (count var(y)).
     """
     best = Scan(PUSH, 0.0, 0.0)
     variance = float(np.mean(y**2))
@@ -146,22 +115,10 @@ def bump(layout: Layout, scan: Scan, width: float) -> Array:
 def tuned(y: Array, layout: Layout, hertz: float, left: Callable[[Array], Array]) -> float:
     """Tune a tone's frequency by Gauss and Newton.
 
-    Parameters
-    ----------
-    y
-        ``(n,)`` whitened residual.
-    left
-        Whitens columns ``(n, k)`` and takes out what the model explains.
-
-    Returns
-    -------
-    float
-        Hz, after four steps, each of at most 0.2 Hz over the seconds of the longest recording.
-
-    Notes
-    -----
     Beside ``b0 sin + b1 cos`` stand ``(t - t0) cos`` and ``(t - t0) sin``, fitted as b2 and b3; the
     step of the angular frequency is ``(b0 b2 - b1 b3) / (b0^2 + b1^2)``, sums over recordings.
+
+    Shapes: ``y`` (n,), ``left`` (n, k).
     """
     t = np.concatenate(layout.stamps)
     span = max(float(np.ptp(one)) for one in layout.stamps)
@@ -184,16 +141,6 @@ def tuned(y: Array, layout: Layout, hertz: float, left: Callable[[Array], Array]
 def late(a: Along) -> Mapping[float, tuple[Array, Array]]:
     """Give what the recorded torque has changed by since another time, and how fast it did then.
 
-    Returns
-    -------
-    dict
-        By delay d in s, of either sign, too long for what is linear in it: ``y(t) - y(t - d)``,
-        whose coefficient is one, and the rate ``y'(t - d)``, whose coefficient is what d is wrong
-        by. Zero where ``t - d`` is outside the segment. Of a torque that is computed from a target
-        the same by a target that is late; d is positive. Empty where the model has a delay.
-
-    Notes
-    -----
     A position that comes late by d belongs to the torque of then, ``y(t - d)``, see
     :mod:`bayesfric.recordings.timing`.
     """

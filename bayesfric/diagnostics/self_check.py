@@ -44,50 +44,30 @@ class SelfCheckOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class QuickFit:
-    """What a fit finds of a twin without noise in the torque.
+    """What a fit finds of a twin without noise in the torque."""
 
-    Attributes
-    ----------
-    nearby
-        ``(d,)`` sampled parameters, a small way from the truth towards the estimate. How any
-        quantity changes is asked there, since steps along what is open may be of any length.
-    share
-        Which share of the way that is.
-    unexplained
-        Mean square of what the model then cannot explain, over the variance of the noise.
-    """
-
+    # (d,) sampled parameters, a small way from the truth towards the estimate. How any quantity
+    # changes is asked there, since steps along what is open may be of any length
     nearby: Array
-    share: float
+    share: float  # Which share of the way that is
+    # Mean square of what the model then cannot explain, over the variance of the noise
     unexplained: float
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What came of it: truths, and where fits went from them.
+    """What came of it: truths, and where fits went from them."""
 
-    Attributes
-    ----------
-    truth
-        ``(n, d)`` sampled parameters that twins were made with.
-    fits
-        Of each twin.
-    seconds, cpu_seconds
-        That it took.
-    reason
-        Why it could not be made, else ``None``: the ``likelihood`` is not of the torque, samples at
-        ``rest`` say what a quick fit cannot use, the ``sampling`` failed, most twins stood
-        ``still``, or there are too ``few`` outputs.
-    share
-        Of the recordings' samples that twins have: below one they are of excerpts.
-    """
-
-    truth: Array
-    fits: tuple[QuickFit, ...]
+    truth: Array  # (n, d) sampled parameters that twins were made with
+    fits: tuple[QuickFit, ...]  # Of each twin
+    # That it took
     seconds: float
     cpu_seconds: float
+    # Why it could not be made, else None: the likelihood is not of the torque, samples at rest say
+    # what a quick fit cannot use, the sampling failed, most twins stood still, or there are too few
+    # outputs
     reason: Reason | None = None
-    share: float = 1.0
+    share: float = 1.0  # Of the recordings' samples that twins have: below one they are of excerpts
 
 
 def self_check(
@@ -98,22 +78,6 @@ def self_check(
 ) -> Checked:
     """Fit the twins of recordings from where their truth is: a parametric bootstrap of the bias.
 
-    Parameters
-    ----------
-    target, posterior
-        What was sampled.
-    observations
-        Of the fitted recordings.
-    explained
-        Holds the twins, or says why there are none.
-
-    Returns
-    -------
-    Checked
-        Truths and fits of all twins, or the reason why there are none.
-
-    Notes
-    -----
     Filters, steps of the encoder and differentiation bias an estimate: the mean over twins of fit
     less truth is that bias [1]_. Each fit is one Gauss-Newton step, as the torque is linear in
     nearly every parameter. The twins' torque has no noise here, so few of them show the bias well.

@@ -23,26 +23,14 @@ _DAMPING, _FEW = 0.05, 20
 def deflection(q, reach):  # type: ignore[no-untyped-def]
     """Deflection of a bristle over its most, along a motion.
 
-    Parameters
-    ----------
-    q
-        ``(N,)`` position, rad or m.
-    reach
-        Distance after which 1/e of the way to the largest deflection is left, rad or m.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)``, -1 to 1; 0 at the first sample.
-
-    Notes
-    -----
     Dahl's model of presliding [1]_, ``dz/dq = (1 - z sign(v)) / reach``, exact between samples.
 
     References
     ----------
     .. [1] P. R. Dahl, "A solid friction model", The Aerospace Corporation, TOR-0158(3107-18)-1
        (1968).
+
+    Shapes: ``q`` (N,), returns (N,).
     """
     z = np.zeros(q.size)
     for i in range(1, q.size):
@@ -56,17 +44,7 @@ def deflection(q, reach):  # type: ignore[no-untyped-def]
 def since_reversal(q, least):  # type: ignore[no-untyped-def]
     """Distance since the last reversal that went further than a least distance.
 
-    Parameters
-    ----------
-    q
-        ``(N,)`` position, rad or m.
-    least
-        Reversals that go no further are passed over, as steps of the encoder; rad or m.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)`` rad or m.
+    Shapes: ``q`` (N,), returns (N,).
     """
     out = np.empty(q.size)
     turn = far = q[0]
@@ -92,21 +70,7 @@ def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
     It flies freely from where the acceleration that the motor must give it changes sign, until it
     meets the other side, and stays there.
 
-    Parameters
-    ----------
-    need
-        ``(N,)`` acceleration that the motor must give the load, rad/s² or m/s².
-    period
-        From one sample to the next, s.
-    half
-        Half of the gap, rad or m.
-    segments
-        ``(k, 2)`` first sample of each and one past its last; there the state begins anew.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)``, -1 to 1.
+    Shapes: ``need`` (N,), ``segments`` (k, 2), returns (N,).
     """
     out = np.zeros(need.size)
     for a, b in segments:
@@ -128,24 +92,10 @@ def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
 def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[float]) -> Array:
     """Give what elastic transmissions add to a load's torque, by their antiresonances.
 
-    Parameters
-    ----------
-    x
-        ``(N,)`` torque of the load behind a stiff transmission, N m or N.
-    segments, period
-        Of the samples: parts without gaps, and s from one to the next.
-    hertz
-        ``k`` antiresonances: the load on its spring while the motor is held.
-
-    Returns
-    -------
-    ndarray
-        ``(k, N)``; zero in segments of 20 samples and fewer.
-
-    Notes
-    -----
     ``1 / (1 - r^2 + 2 i D r) - 1`` of each frequency, r its ratio to the antiresonance, with D =
     0.05 of critical damping.
+
+    Shapes: ``x`` (N,), returns (k, N).
     """
     out = np.zeros((len(hertz), x.size))
     for a, b in segments:

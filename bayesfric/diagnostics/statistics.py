@@ -30,51 +30,28 @@ _SAME, _SINGULAR = 0.9999, 1e-4
 
 @dataclass(frozen=True)
 class Key:
-    """Which column of which candidate.
+    """Which column of which candidate."""
 
-    Attributes
-    ----------
-    kind, shape, number
-        The candidate, and which of its columns.
-    beside
-        Whether it is no candidate, and goes in with one: for shapes between those of a grid.
-    delay
-        s; its column, the first of two, then has the coefficient one. 0 for what is no far delay.
-    """
-
+    # The candidate, and which of its columns
     kind: str
     shape: str
     number: int
+    # Whether it is no candidate, and goes in with one: for shapes between those of a grid
     beside: bool = False
+    # s; its column, the first of two, then has the coefficient one. 0 for what is no far delay
     delay: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What passed the filters: of one recording or twin, or of several together.
+    """What passed the filters: of one recording or twin, or of several together."""
 
-    Attributes
-    ----------
-    base
-        ``(n, d)`` derivatives of the torque by the model's parameters.
-    others
-        ``(n, m)`` columns of the candidates.
-    left
-        ``(n,)`` what the model leaves of the torque, N m or N.
-    layout
-        Where outputs lie in time.
-    keys
-        ``m``, one for each column of ``others``.
-    memory
-        Autocorrelation of the noise.
-    """
-
-    base: Array
-    others: Array
-    left: Array
-    layout: Layout
-    keys: tuple[Key, ...]
-    memory: Memory = WHITE
+    base: Array  # (n, d) derivatives of the torque by the model's parameters
+    others: Array  # (n, m) columns of the candidates
+    left: Array  # (n,) what the model leaves of the torque, N m or N
+    layout: Layout  # Where outputs lie in time
+    keys: tuple[Key, ...]  # m, one for each column of others
+    memory: Memory = WHITE  # Autocorrelation of the noise
 
     @cached_property
     def whitened(self) -> Columns:
@@ -97,15 +74,7 @@ class Columns:
 
 
 def testable(d: Columns) -> list[tuple[Key, list[int]]]:
-    """Group columns to candidates; leave out what the model's own, or each other's, can do.
-
-    Returns
-    -------
-    list of tuple
-        A key of each candidate that this motion can show, and the numbers of its columns. A column
-        is left out where less than 1.5 % of its norm is outside what the model's own and those
-        before it span; a candidate of several, where the only one left is another candidate.
-    """
+    """Group columns to candidates; leave out what the model's own, or each other's, can do."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, key in enumerate(d.keys):
         if not (key.beside or key.delay):
@@ -140,15 +109,7 @@ def testable(d: Columns) -> list[tuple[Key, list[int]]]:
 def basis_of(x: Array) -> Array:
     """Orthonormal basis of what columns span.
 
-    Parameters
-    ----------
-    x
-        ``(n, d)``, of any sizes.
-
-    Returns
-    -------
-    ndarray
-        ``(n, k)``, k at most d; from the eigenvectors of the Gram matrix of the scaled columns.
+    Shapes: ``x`` (n, d), returns (n, k).
     """
     size = np.sqrt((x**2).sum(axis=0))
     x = x[:, size > 0.0] / size[size > 0.0]
@@ -172,21 +133,8 @@ def mean_square(x: Array, taken: int = 0) -> float:
 def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
     """Least squares, along the directions that the columns determine.
 
-    Parameters
-    ----------
-    x, y
-        ``(n, d)`` columns and ``(n,)`` what they explain.
-    size
-        ``(d,)`` what counts as a change of one, in each parameter's unit.
-
-    Returns
-    -------
-    estimate : ndarray
-        ``(d,)``; along the other directions nothing moves.
-    covariance : ndarray
-        ``(d, d)``, of the residual's variance.
-    directions : ndarray
-        ``(d, k)`` orthonormal, in units of ``size``: those that are determined.
+    Shapes: ``x, y`` (n, d), ``size`` (d,), ``estimate : ndarray`` (d,), ``covariance : ndarray``
+    (d, d), ``directions : ndarray`` (d, k).
     """
     rows = x * size
     unit = np.sqrt((rows**2).sum(axis=0))
@@ -202,20 +150,11 @@ def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Statistics of one recording or twin: of each candidate, and of the scans.
+    """Statistics of one recording or twin: of each candidate, and of the scans."""
 
-    Attributes
-    ----------
-    t
-        Joint t ``(k,)`` of each group's k coefficients; NaN where nothing of it is left.
-    gains
-        ``(m,)`` what each takes of chi squared.
-    scans
-        The largest of each kind that is looked for at any place: tone, push, far delay.
-    """
-
-    t: list[Array]
-    gains: Array
+    t: list[Array]  # Joint t (k,) of each group's k coefficients; NaN where nothing of it is left
+    gains: Array  # (m,) what each takes of chi squared
+    # The largest of each kind that is looked for at any place: tone, push, far delay
     scans: tuple[Scan, ...]
 
 
@@ -227,21 +166,6 @@ def asked(
 ) -> Asked:
     """Ask every candidate beside the model's own columns and those that were taken in.
 
-    Parameters
-    ----------
-    groups
-        Candidates, see :func:`testable`.
-    extra
-        Numbers of columns that were taken in.
-    width
-        That of a push, s, see :func:`bayesfric.diagnostics.scans.push`.
-
-    Returns
-    -------
-    Asked
-
-    Notes
-    -----
     Of whitened columns z and residual y, both beside the model's own, ``b = (z'z)^-1 z'y``; t is b
     over its standard deviations, and the gain is ``b'z'y`` over the variance of what is left.
     """
@@ -301,22 +225,6 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
     """How unlikely each statistic is among the twins', as a standard normal; scans last.
 
-    Parameters
-    ----------
-    mine
-        Statistics of the recordings.
-    others
-        Those of n twins.
-
-    Returns
-    -------
-    z : ndarray
-        ``(m,)`` of the recordings; 0 where a candidate could not be asked.
-    null : ndarray
-        ``(n, m)`` of the twins, each among the others.
-
-    Notes
-    -----
     The squared distance of a candidate's t from the twins' mean, in their covariance, is
     Hotelling's [1]_. Half of the mean counts as spread: the recording may share what filters and
     encoder make of a right model or not. The largest of a scan is taken for Gumbel's, with the
@@ -326,6 +234,8 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
     ----------
     .. [1] H. Hotelling, "The generalization of Student's ratio", Annals of Mathematical Statistics
        2 (1931) 360-378.
+
+    Shapes: ``z : ndarray`` (m,), ``null : ndarray`` (n, m).
     """
     n, m = len(others), len(mine.t)
     more = len(mine.scans)

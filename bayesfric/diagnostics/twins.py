@@ -49,23 +49,7 @@ def twins(
     processing: Processing,
     seeds: Sequence[np.random.SeedSequence],
 ) -> Iterator[Observation | None]:
-    """Repeat a recording at parameter vectors ``(n, n_parameters)``, and look at each alike.
-
-    Parameters
-    ----------
-    chain, values
-        The joint, and the vectors.
-    recording, observation, processing
-        What is repeated, as read and as prepared by which filters.
-    seeds
-        Of each vector's sample phase, encoder grid and noise in the position.
-
-    Yields
-    ------
-    Observation or None
-        What was made of it, with the torque free of noise; ``None`` where the filters leave
-        nothing.
-    """
+    """Repeat a recording at parameter vectors ``(n, n_parameters)``, and look at each alike."""
     alike = settled_as(processing, observation)
     for one, seed in zip(values, seeds, strict=True):
         rng = np.random.default_rng(seed)
@@ -87,11 +71,6 @@ def excerpt(
     """Cut a recording to ``most`` samples, prepared as the whole was; the same if it has fewer.
 
     ``values`` ``(n_parameters,)`` are those that its motion is refined with.
-
-    Raises
-    ------
-    NoTwin
-        If the filters leave nothing of it.
     """
     short = recording.excerpt(most)
     if short is recording:
@@ -118,17 +97,7 @@ def played(
 ) -> tuple[Array, Array, Array]:
     """Give a recorded motion ``phase`` samples late, and what a joint needs for it.
 
-    Parameters
-    ----------
-    chain, values
-        The joint and its parameters ``(n_parameters,)``.
-    recording, observation
-        What is repeated.
-
-    Returns
-    -------
-    q, qd, torque : ndarray
-        ``(N,)`` at the samples; the torque is recorded earlier by a delay of the position.
+    Shapes: ``chain, values`` (n_parameters,), returns (N,).
     """
     o, period = observation, recording.period
     q, qd, qdd = np.empty((3, recording.time.size))

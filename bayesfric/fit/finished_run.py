@@ -56,13 +56,7 @@ class Finished:
 
 
 def finished(posterior: Any) -> Finished:
-    """Take a posterior from :meth:`bayesfric.Model.sample`, or the folder of a finished run.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds no run, or none of the recordings that it was fitted to.
-    """
+    """Take a posterior from :meth:`bayesfric.Model.sample`, or the folder of a finished run."""
     if not isinstance(posterior, str | Path):
         return _sampled(result_of(posterior))
     run = Path(posterior)
@@ -77,11 +71,6 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     """Put a finished run's fit together again, from its draws and recordings.
 
     Its point estimates are in the summary only.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds no run, or none of the recordings that it was fitted to.
     """
     summary, model, groups = _read(run)
     told, rows = summary.sampler, summary.parameters

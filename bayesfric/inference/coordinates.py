@@ -60,20 +60,13 @@ class Coordinates(ABC):
 class BoundedCoordinates(Coordinates):
     """Each parameter alone.
 
-    Parameters
-    ----------
-    lower, upper
-        ``(d,)`` bounds, infinite where there are none.
-    widths
-        ``(d,)`` approximate standard deviations of the posterior, if known.
-
-    Notes
-    -----
     Without widths, for the search, a parameter with one bound is represented by the logarithm of
     its distance from it. With widths, for the sampler, it represents itself: the torque is linear
     in it, and the bound cuts the posterior. A parameter between two bounds is represented by the
     normal quantile of its place between them; with widths only if they are less than ten widths
     apart.
+
+    Shapes: ``lower, upper`` (d,), ``widths`` (d,).
     """
 
     def __init__(

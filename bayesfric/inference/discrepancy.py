@@ -60,24 +60,13 @@ _CHANCE_SCATTER = float(chi2.ppf(0.95, 10)) / 10.0
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """Moves of the free parameters, in the target's unbounded coordinates.
+    """Moves of the free parameters, in the target's unbounded coordinates."""
 
-    Attributes
-    ----------
-    chance
-        Probability that a candidate is missing; 0 where the recording speaks against it.
-    deviations
-        ``(n, k)`` draws of the moves less their mean.
-    mean
-        ``(k,)`` spread to either side of the estimate.
-    covariance
-        ``(k, k)`` of the posterior in these coordinates.
-    """
-
+    # Probability that a candidate is missing; 0 where the recording speaks against it
     chance: float
-    deviations: Array
-    mean: Array
-    covariance: Array
+    deviations: Array  # (n, k) draws of the moves less their mean
+    mean: Array  # (k,) spread to either side of the estimate
+    covariance: Array  # (k, k) of the posterior in these coordinates
 
     @property
     def shown(self) -> bool:
@@ -96,20 +85,7 @@ class Discrepancy:
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
         """Move draws of the posterior by as much as the model may be off.
 
-        Parameters
-        ----------
-        target
-            Whose unbounded coordinates the moves are in.
-        parameters
-            ``(n, d)`` draws, SI units.
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)``; noise scales stay as they are. Bounds cut what was moved: a pair of draw and
-            move that ends beyond one is replaced by another pair.
+        Shapes: ``parameters`` (n, d), returns (n, d).
         """
         widened = parameters.copy()
         if not self.moved:
@@ -130,22 +106,7 @@ class Discrepancy:
 
 
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
-    """Marginalise what may be missing from the torque.
-
-    Parameters
-    ----------
-    target, posterior
-        Of a fit.
-    missing
-        Candidates; ``None`` where they could not be evaluated.
-
-    Returns
-    -------
-    Discrepancy
-        No moves without candidates, for positions, and for an unusable sample. Where the
-        probability that something is missing is below the one before the recording is seen, 0.1,
-        its chance is 0 and moves are the residual's.
-    """
+    """Marginalise what may be missing from the torque."""
     k = len(target.free)
     known = isinstance(target.likelihood, TorqueLikelihood)
     if missing is None or not known or posterior.diagnostics.status == "unusable":

@@ -53,34 +53,18 @@ _MOST_SIMULATED = 20
 
 @dataclass(frozen=True)
 class Fit:
-    """A finished fit; the target's likelihood holds mechanism and observations.
+    """A finished fit; the target's likelihood holds mechanism and observations."""
 
-    Attributes
-    ----------
-    target
-        The log-posterior, in the coordinates that were sampled.
-    posterior
-        Draws, the model taken for true.
-    estimates
-        Point estimates of the same recordings, least squares first.
-    held_out
-        Predictions of what the likelihood did not see.
-    linearisation
-        What :func:`linearisation_change` said before sampling; far below 1 it does not matter.
-        ``None`` where nothing is linearised.
-    discrepancy
-        How far the model may be off, where that was asked.
-    told
-        ``(n, d)`` reported draws, widened by model discrepancy, as a finished run holds them; they
-        are made from ``discrepancy`` where left out.
-    """
-
-    target: Target
-    posterior: Posterior
-    estimates: tuple[Estimate, ...]
-    held_out: tuple[Prediction, ...] = ()
+    target: Target  # The log-posterior, in the coordinates that were sampled
+    posterior: Posterior  # Draws, the model taken for true
+    estimates: tuple[Estimate, ...]  # Point estimates of the same recordings, least squares first
+    held_out: tuple[Prediction, ...] = ()  # Predictions of what the likelihood did not see
+    # What :func:`linearisation_change` said before sampling; far below 1 it does not matter. None
+    # where nothing is linearised
     linearisation: float | None = None
-    discrepancy: Discrepancy | None = None
+    discrepancy: Discrepancy | None = None  # How far the model may be off, where that was asked
+    # (n, d) reported draws, widened by model discrepancy, as a finished run holds them; they are
+    # made from discrepancy where left out
     told: Array | None = None
 
     @cached_property
@@ -143,15 +127,7 @@ class Fit:
     def chain_draws(self, n: int | None = None) -> Array:
         """Draws of all parameters of the mechanism, fixed ones included.
 
-        Parameters
-        ----------
-        n
-            At most so many, evenly spread; all if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n, n_parameters)`` in the order of ``chain.names``, SI units.
+        Shapes: returns (n, n_parameters).
         """
         return self.target.chain_values(self.posterior.flat(n))
 
@@ -162,30 +138,7 @@ def read_priors(
     observations: Sequence[Observation],
     noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
-    """Give priors of every parameter and noise scale: a configuration's, and defaults for the rest.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    texts
-        What is said of parameters, by name. ``offset`` stands for those of all recordings that have
-        their own.
-    observations
-        The recordings, whose size sets the scale of defaults.
-    noise
-        Scales that the likelihood has: ``sigma`` makes ``noise.sigma``.
-
-    Returns
-    -------
-    dict
-        By name, the mechanism's parameters first.
-
-    Raises
-    ------
-    BadInput
-        If a name is unknown, a prior cannot be, a noise scale is fixed, or nothing is left free.
-    """
+    """Complete the configured priors of parameters and noise scales with defaults."""
     noises = [f"noise.{quantity}" for quantity in noise]
     # one prior for the offset stands for those of all recordings that have none of their own
     if "offset" in texts and chain.own_offsets:
@@ -221,36 +174,14 @@ def make_target(
     noise_scale: NoiseScale,
     noise: Autoregressive | None = None,
 ) -> Target:
-    """Put the likelihood of the torque, priors and noise together.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism, and prepared recordings of it.
-    priors
-        As :func:`read_priors` gives them, for the noise's scales too.
-    noise_scale
-        Whether recordings share their noise's size.
-    noise
-        Model of the torque's noise; white if left out.
-    """
+    """Put the likelihood of the torque, priors and noise together."""
     return target_of(TorqueLikelihood(chain, observations, noise), priors, noise_scale)
 
 
 def target_of(
     likelihood: Likelihood, priors: Mapping[str, Prior], noise_scale: NoiseScale
 ) -> Target:
-    """Put any likelihood and its priors together.
-
-    Parameters
-    ----------
-    likelihood
-        Of torque or position.
-    priors
-        As :func:`read_priors` gives them for the likelihood's noise scales.
-    noise_scale
-        Whether recordings share their noise's size.
-    """
+    """Put any likelihood and its priors together."""
     recordings = [o.name for o in likelihood.observations]
     noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
@@ -265,30 +196,6 @@ def fit(
 ) -> Fit:
     """Estimate, climb to the mode, sample.
 
-    Parameters
-    ----------
-    target
-        The log-posterior.
-    sampling
-        How it is sampled.
-    estimates
-        Already made, for the search to start from; least squares if there are none.
-    progress
-        See :func:`bayesfric.inference.sampling.sampling.sample`.
-
-    Returns
-    -------
-    Fit
-        The posterior, with the target in the coordinates that were sampled.
-
-    Raises
-    ------
-    BadInput
-        If the motion cannot tell the totals of eq. (11) apart, the priors leave no place the search
-        could start from, or a simulation's linearisation does not hold over the posterior.
-
-    Notes
-    -----
     Estimates that simulate, and only stand beside a posterior of the torque, are not started from:
     they may be cut off by the clock, and a fit must be repeatable. Everything else random comes
     from ``sampling.seed``.

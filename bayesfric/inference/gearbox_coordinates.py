@@ -35,17 +35,6 @@ Scale = Literal[
 class GearboxCoordinates(Coordinates):
     """Torques seen at the motor while it drives, and how motor, leg and gearbox share them.
 
-    Parameters
-    ----------
-    chain
-        A mechanism with one element of load-dependent friction and something behind it.
-    priors
-        By name, of every parameter; where mu_2 is free its prior ends at 1 or below.
-    widths
-        ``(d,)`` about the posterior's standard deviations, for those that go each by itself.
-
-    Notes
-    -----
     With ``A = 1 + mu_1``, a parameter ``a`` in front of the load loss and the one behind it of the
     same kind, ``b``, brought to the motor by ``c``, are seen there as ``D = a c_a + A b c_b``; one
     that is only behind it as ``D = A b c_b``. The coordinates are
@@ -70,6 +59,8 @@ class GearboxCoordinates(Coordinates):
 
     One mu for both directions leaves no scale, ``m = 2 mu/(1 + mu)``. All other parameters go by
     :class:`BoundedCoordinates`, such a mu among them where it is known or may be above one.
+
+    Shapes: ``widths`` (d,).
     """
 
     def __init__(
@@ -348,20 +339,7 @@ def choose_coordinates(
 ) -> Coordinates:
     """Take the coordinates that suit a mechanism best.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    priors
-        By name, of every parameter.
-    widths
-        ``(d,)`` about the posterior's standard deviations of the free parameters, if known.
-
-    Returns
-    -------
-    Coordinates
-        :class:`GearboxCoordinates` where one element has load-dependent friction, something is
-        behind it, and it cannot be irreversible (mu_2 above one); else :class:`BoundedCoordinates`.
+    Shapes: ``widths`` (d,).
     """
     lossy = [e for e in chain.elements if e.load_loss != "none"]
     if len(lossy) == 1 and _sides(chain)[1]:

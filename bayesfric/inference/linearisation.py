@@ -32,26 +32,6 @@ def linearisation_change(target: Target, start: Start, rng: np.random.Generator)
     At some places where the posterior is expected to be, the log-likelihood linearised there is
     compared with the one linearised at the mode. A constant difference does not matter to a
     posterior, so the standard deviation over the places is what counts.
-
-    Parameters
-    ----------
-    target
-        An output-error posterior, linearised at its mode.
-    start
-        A normal about where the posterior lies, in the target's coordinates.
-    rng
-        Draws the places.
-
-    Returns
-    -------
-    float
-        Standard deviation of the change, in units of the log-likelihood; far below 1 it is
-        harmless.
-
-    Raises
-    ------
-    BadInput
-        If it is above 2, or no number: intervals would mean nothing.
     """
     apart: list[float] = []
     # the sum of squares about the mean only grows: once it is too large, so is the final one

@@ -24,45 +24,22 @@ _SMALL_SIGNED = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class LocalUnits:
-    """What counts as a change of one, in logarithms wherever there is one.
+    """What counts as a change of one, in logarithms wherever there is one."""
 
-    Attributes
-    ----------
-    names
-        Free parameters of the mechanism.
-    labels
-        What is changed by one: the parameter, or the alpha of a load-dependent friction.
-    ways
-        ``(d,)`` 1 and -1 for coefficients with alpha_1 and alpha_2, 0 for all others.
-    units
-        ``(d,)`` change of each parameter, SI units, that counts as one: its own value, so that ones
-        are changes of logarithms; the prior's sd where the value is next to zero.
-    shifted
-        ``(d,)`` where it is the prior's sd.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # Free parameters of the mechanism
+    # What is changed by one: the parameter, or the alpha of a load-dependent friction
     labels: tuple[str, ...]
+    # (d,) 1 and -1 for coefficients with alpha_1 and alpha_2, 0 for all others
     ways: NDArray[np.int_]
+    # (d,) change of each parameter, SI units, that counts as one: its own value, so that ones are
+    # changes of logarithms; the prior's sd where the value is next to zero
     units: Array
-    shifted: Flags
+    shifted: Flags  # (d,) where it is the prior's sd
 
     def moved(self, values: Array, step: Array) -> Array:
         """Move parameters by a step in these units, along logarithms.
 
-        Parameters
-        ----------
-        values
-            ``(d,)`` free parameters, SI units.
-        step
-            ``(d,)``; parts beyond 50 either way are cut in what grows by a logarithm.
-
-        Returns
-        -------
-        ndarray
-            ``(d,)``: ``value exp(step)``; ``value + step unit`` where shifted; and of a
-            load-dependent friction mu what multiplies its ``alpha = 1/(1 + way mu)`` by
-            ``exp(step)``.
+        Shapes: ``values`` (d,), ``step`` (d,), returns (d,).
         """
         grown = np.exp(np.clip(step, -50.0, 50.0))
         out = np.where(self.shifted, values + step * self.units, values * grown)
@@ -73,19 +50,12 @@ class LocalUnits:
 def units_of(target: Target, parameters: Array) -> LocalUnits:
     """Say what counts as one at sampled parameters.
 
-    Parameters
-    ----------
-    target
-        Whose free parameters and priors are meant.
-    parameters
-        ``(d,)`` sampled ones, SI units; noise scales behind the free ones are not looked at.
-
-    Notes
-    -----
     Logarithms of all but load-dependent friction; of that the logarithm of alpha,
     ``alpha_1 = 1/(1 + mu_1)`` or ``alpha_2 = 1/(1 - mu_2)``, in which the paper's scaling (section
     4.2) is one straight line. A value next to zero, as on a bound, has no logarithm worth the
     name: there the prior's sd counts as one.
+
+    Shapes: ``parameters`` (d,).
     """
     chain, values = target.likelihood.chain, parameters[: len(target.free)]
     free = [chain.parameters[chain.names.index(name)] for name in target.free]

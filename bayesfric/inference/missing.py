@@ -54,40 +54,24 @@ _IDLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """Candidates of what the model lacks, as regression columns.
+    """Candidates of what the model lacks, as regression columns."""
 
-    Attributes
-    ----------
-    observations
-        The recordings that were asked, or excerpts of them.
-    columns
-        ``(M, m)`` of all their outputs, filtered as they are, N m or N; their largest value is the
-        torque's rms, or for friction what the model loses. A size of one is then as large as that.
-    kinds
-        Names of candidates, and of each the columns of every shape that it may have.
-    gram, scores, power
-        ``(m, m)``, ``(m,)`` and a number: products of what is left of columns and residual beside
-        the model's own, whitened; scores of a right model are taken off.
-    rough
-        ``(m,)`` mean squares of columns, over the noise's in that of its innovations.
-    spread
-        ``(m,)`` sd of a right model's scores, in those of white noise; at least one.
-    free
-        Outputs beyond the model's own parameters.
-    biases_friction
-        ``(m,)`` whether a column biases friction in full: those of candidates that were found and
-        that are no function of speed. What the others do to friction is part of its law.
-    """
-
-    observations: tuple[Observation, ...]
+    observations: tuple[Observation, ...]  # The recordings that were asked, or excerpts of them
+    # (M, m) of all their outputs, filtered as they are, N m or N; their largest value is the
+    # torque's rms, or for friction what the model loses. A size of one is then as large as that
     columns: Array
+    # Names of candidates, and of each the columns of every shape that it may have
     kinds: dict[str, tuple[tuple[int, ...], ...]]
+    # (m, m), (m,) and a number: products of what is left of columns and residual beside the model's
+    # own, whitened; scores of a right model are taken off
     gram: Array
     scores: Array
-    rough: Array
+    rough: Array  # (m,) mean squares of columns, over the noise's in that of its innovations
     power: float
-    spread: Array
-    free: int
+    spread: Array  # (m,) sd of a right model's scores, in those of white noise; at least one
+    free: int  # Outputs beyond the model's own parameters
+    # (m,) whether a column biases friction in full: those of candidates that were found and that
+    # are no function of speed. What the others do to friction is part of its law
     biases_friction: NDArray[np.bool_]
 
 
@@ -101,18 +85,6 @@ def chance_missing(missing: Missing) -> float:
 
     Scores beyond what twins show count in the twins' own standard deviations.
 
-    Parameters
-    ----------
-    missing
-        Candidates, their scores and the residual's power.
-
-    Returns
-    -------
-    float
-        0 without candidates.
-
-    Notes
-    -----
     For a candidate of sd ``s`` the evidence against none is that of a linear regression with a
     normal size, the noise's variance integrated out, averaged over the grid of ``s``, over its
     shapes, and over kinds. Prior odds are 1 to 9.
@@ -196,13 +168,7 @@ def _evidence(grid, told, pull, columns, places, active, sd):  # type: ignore[no
 
 
 class Sizes:
-    """Gibbs sampler of candidates' shapes and scales; sizes are integrated out.
-
-    Parameters
-    ----------
-    missing
-        Candidates, their Gram matrix and scores; at least one.
-    """
+    """Gibbs sampler of candidates' shapes and scales; sizes are integrated out."""
 
     def __init__(self, missing: Missing) -> None:
         zero, shapes = missing.scores.size, missing.kinds.values()
@@ -223,15 +189,7 @@ class Sizes:
     def drawn(self, rng: np.random.Generator) -> Array:
         """Draw sizes of all candidates together.
 
-        Parameters
-        ----------
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        ndarray
-            ``(n, m)`` factors of the columns; zero of shapes that are not taken.
+        Shapes: returns (n, m).
         """
         grid = self.grid
         ratio = grid[:, None] / grid

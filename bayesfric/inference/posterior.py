@@ -24,70 +24,35 @@ Status = Literal["reliable", "tentative", "unusable"]
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Whether the sampling can be trusted; arrays are of every sampled parameter, ``(d,)``.
+    """Whether the sampling can be trusted; arrays are of every sampled parameter, ``(d,)``."""
 
-    Attributes
-    ----------
-    status
-        ``reliable`` where every criterion is met, ``tentative`` where sampling ended before, but
-        the ensembles roughly agree, ``unusable`` otherwise.
-    problems
-        One sentence for each criterion that is not met, with a hint; empty when reliable.
-    rhat
-        ``(d,)`` nested R-hat: between-ensemble against within-ensemble variance, 1 where they
-        agree.
-    tau
-        ``(d,)`` integrated autocorrelation time in steps.
-    ess
-        ``(d,)`` effective sample size, walkers times steps over ``tau``.
-    acceptance
-        ``(ensembles, walkers)`` accepted share of each walker's proposals.
-    warmup, steps, thin
-        Steps of warm-up, steps after it, and how many of these one kept draw stands for.
-    not_finite, not_finite_share
-        How often the likelihood was no number, warm-up included; and the share of the proposals
-        after warm-up.
-    seconds
-        Wall-clock time.
-    warnings
-        Sentences on a sample that may have converged all the same, such as walkers that never
-        moved.
-    max_rhat
-        Largest ``rhat`` that the settings accepted.
-    """
-
+    # reliable where every criterion is met, tentative where sampling ended before, but the
+    # ensembles roughly agree, unusable otherwise
     status: Status
+    # One sentence for each criterion that is not met, with a hint; empty when reliable
     problems: tuple[str, ...]
+    # (d,) nested R-hat: between-ensemble against within-ensemble variance, 1 where they agree
     rhat: Array
-    tau: Array
-    ess: Array
-    acceptance: Array
+    tau: Array  # (d,) integrated autocorrelation time in steps
+    ess: Array  # (d,) effective sample size, walkers times steps over tau
+    acceptance: Array  # (ensembles, walkers) accepted share of each walker's proposals
     ensembles: int
     walkers: int
+    # Steps of warm-up, steps after it, and how many of these one kept draw stands for
     warmup: int
     steps: int
     thin: int
+    # How often the likelihood was no number, warm-up included; and the share of the proposals after
+    # warm-up
     not_finite: int
-    seconds: float
+    seconds: float  # Wall-clock time
     not_finite_share: float = 0.0
+    # Sentences on a sample that may have converged all the same, such as walkers that never moved
     warnings: tuple[str, ...] = ()
-    max_rhat: float = 1.01
+    max_rhat: float = 1.01  # Largest rhat that the settings accepted
 
     def sound(self, rhat: Array, ess: Array) -> NDArray[np.bool_]:
-        """Tell which numbers may be reported, whatever the diagnostics of others are.
-
-        Parameters
-        ----------
-        rhat, ess
-            Nested R-hat and effective sample size of each number, sampled or derived, of one shape.
-
-        Returns
-        -------
-        ndarray of bool
-            All true for a reliable sample; else where ``rhat`` is accepted and ``ess`` at least
-            400, with which the ends of a 90 % interval are right to a tenth of a standard
-            deviation.
-        """
+        """Tell which numbers may be reported, whatever the diagnostics of others are."""
         if self.status == "reliable":
             return np.ones(rhat.shape, dtype=np.bool_)
         return np.asarray((rhat <= self.max_rhat) & (ess >= _SOUND_ESS))
@@ -95,29 +60,17 @@ class Diagnostics:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of the sampled parameters, noise scales last.
+    """Draws of the sampled parameters, noise scales last."""
 
-    Attributes
-    ----------
-    names, priors
-        Of the ``d`` sampled parameters: the free ones of the mechanism, then those of the noise.
-    draws
-        ``(ensembles, walkers, steps, d)`` in SI units, thinned.
-    log_density
-        ``(ensembles, walkers, steps)`` log posterior density in the sampler's coordinates, that is
-        with the Jacobian; up to a constant.
-    diagnostics
-        Of the whole sample, before thinning.
-    seed
-        That everything random came from; later steps derive their own streams from it.
-    """
-
+    # Of the d sampled parameters: the free ones of the mechanism, then those of the noise
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
-    draws: Array
+    draws: Array  # (ensembles, walkers, steps, d) in SI units, thinned
+    # (ensembles, walkers, steps) log posterior density in the sampler's coordinates, that is with
+    # the Jacobian; up to a constant
     log_density: Array
-    diagnostics: Diagnostics
-    seed: int
+    diagnostics: Diagnostics  # Of the whole sample, before thinning
+    seed: int  # That everything random came from; later steps derive their own streams from it
 
     def flat(self, most: int | None = None) -> Array:
         """Lay all draws side by side, for quantiles, never for convergence checks.
@@ -125,15 +78,7 @@ class Posterior:
         Walkers that never moved are left out, unless none did: what they repeat is where they were
         put.
 
-        Parameters
-        ----------
-        most
-            At most so many draws, evenly spread; all if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)``, SI units.
+        Shapes: returns (n, d).
         """
         moved = self.diagnostics.acceptance > 0.0
         draws = self.draws if moved.all() or not moved.any() else self.draws[moved]

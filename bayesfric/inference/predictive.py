@@ -34,23 +34,13 @@ class Prediction:
     It is a mixture with one component a draw: that draw's modelled torque, and about it
     one residual of that draw's noise. The noise's correlation with neighbouring outputs is not
     used: the prediction is made from the motion alone.
-
-    Attributes
-    ----------
-    held_out
-        What is predicted, with its measured torque.
-    torque
-        ``(n, M)`` modelled by each of ``n`` draws, filtered like the measured one, N m or N.
-    noise
-        SciPy's distribution of a residual in each draw, of shape ``(n, 1)``.
-    borrowed
-        What the recording would have of its own but no fit has seen, ``noise scale`` or ``offset``:
-        each draw takes them from one fitted recording, picked at random.
     """
 
-    held_out: HeldOut
-    torque: Array
-    noise: Any
+    held_out: HeldOut  # What is predicted, with its measured torque
+    torque: Array  # (n, M) modelled by each of n draws, filtered like the measured one, N m or N
+    noise: Any  # SciPy's distribution of a residual in each draw, of shape (n, 1)
+    # What the recording would have of its own but no fit has seen, noise scale or offset: each draw
+    # takes them from one fitted recording, picked at random
     borrowed: tuple[str, ...]
 
     @property
@@ -95,25 +85,6 @@ def predict_held_out(
 ) -> tuple[Prediction, ...]:
     """Predict what was held out, with the posterior of a finished fit of the torque.
 
-    Parameters
-    ----------
-    target, posterior
-        Of the fit.
-    held_out
-        Recordings or ends of recordings.
-
-    Returns
-    -------
-    tuple of Prediction
-        One for each, from up to 400 draws, fewer of very long recordings.
-
-    Raises
-    ------
-    TypeError
-        If the likelihood is of positions.
-
-    Notes
-    -----
     The end of a fitted recording is predicted with that recording's own noise scale and
     offset. Those of a recording that was held out as a whole are not known; where recordings
     have their own, the predictive is a mixture over those of the fitted ones.

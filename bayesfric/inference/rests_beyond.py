@@ -27,28 +27,17 @@ _NOISE, _SHARE, _LEAST = 3.0, 0.1, 3
 
 @dataclass(frozen=True)
 class RestsBeyond:
-    """Standstills of one recording at which the law would have moved the joint.
+    """Standstills of one recording at which the law would have moved the joint."""
 
-    Attributes
-    ----------
-    recording
-        Its name.
-    share
-        Of all outputs at standstill in it.
-    start, stop
-        Of the first and the last, s from the file's first stamp.
-    beyond
-        How far the torque lies outside what the law can hold, the worst, N m or N at the motor.
-    held
-        Most friction that held the joint there, N m or N at the motor: static friction is at least
-        this.
-    """
-
-    recording: str
-    share: float
+    recording: str  # Its name
+    share: float  # Of all outputs at standstill in it
+    # Of the first and the last, s from the file's first stamp
     start: float
     stop: float
+    # How far the torque lies outside what the law can hold, the worst, N m or N at the motor
     beyond: float
+    # Most friction that held the joint there, N m or N at the motor: static friction is at least
+    # this
     held: float
 
 
@@ -57,23 +46,6 @@ def rests_beyond(
 ) -> Iterator[RestsBeyond]:
     """Find standstills at which the law would have moved, recording by recording.
 
-    Parameters
-    ----------
-    fit
-        A finished fit. Its draws with room for model discrepancy are asked.
-    recordings
-        As read, in the order of the fit's observations.
-    processing
-        As the fit had it.
-
-    Yields
-    ------
-    RestsBeyond
-        For each recording in which a tenth of the outputs at standstill, and at least three, lie
-        outside the limits of 95 % of the draws by more than three times the residuals' rms.
-
-    Notes
-    -----
     Where the fit uses standstill, or explains positions, there is nothing to ask, and nothing is
     found. The friction that holds is the distance of the torque from the middle of the limits: at
     standstill the rest of the law, gravity and offset, is there in both.

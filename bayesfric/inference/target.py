@@ -26,32 +26,15 @@ Array = NDArray[np.float64]
 
 
 class LogPosterior(ABC):
-    """A log-posterior in coordinates, made of prior, likelihood and a change of variables.
+    """A log-posterior in coordinates, made of prior, likelihood and a change of variables."""
 
-    Attributes
-    ----------
-    not_finite
-        How often the likelihood came out as no number so far; see :class:`Target`.
-    """
-
-    not_finite: int
+    not_finite: int  # How often the likelihood came out as no number so far; see :class:`Target`
 
     @abstractmethod
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
         """Map coordinates to physical parameters.
 
-        Parameters
-        ----------
-        u
-            ``(n, d)``, any real numbers.
-
-        Returns
-        -------
-        parameters
-            ``(n, d)``, SI units.
-        jacobian
-            ``(n,)`` log absolute determinant of their derivative by ``u``; not finite where a row
-            has no counterpart.
+        Shapes: ``u`` (n, d), ``parameters`` (n, d), ``jacobian`` (n,).
         """
 
     @abstractmethod
@@ -86,30 +69,7 @@ class LogPosterior(ABC):
 class Target(LogPosterior):
     """Posterior of the free parameters and the noise scales, the mechanism's first.
 
-    Parameters
-    ----------
-    likelihood
-        Of torque or position; holds the mechanism and its recordings.
-    priors
-        By name, of every parameter of the mechanism, fixed ones included.
-    noise
-        Which noise scales there are, with priors of their own.
-    widths
-        ``(d,)`` about the posterior's standard deviations, SI units. They shape the coordinates,
-        not the posterior; simpler coordinates are used where they are not known yet.
-
-    Attributes
-    ----------
-    free
-        Names of the mechanism's parameters that are sampled.
-    names, priors
-        Of all ``d`` sampled parameters, ``free`` and then those of the noise.
-    coordinates
-        Of the free parameters.
-    not_finite
-        How often the likelihood came out as no number; such points are impossible. So is the edge
-        of a prior that is infinitely dense there: a walker that rounding put on it would never
-        leave.
+    Shapes: ``widths`` (d,).
     """
 
     def __init__(
@@ -150,16 +110,6 @@ class Target(LogPosterior):
 
         The ends of a prior over a whole turn mean nothing, so they are put where the posterior is
         least likely to be, and do not tear it apart.
-
-        Parameters
-        ----------
-        values
-            Likely values by parameter's name, rad for angles; others are ignored.
-
-        Returns
-        -------
-        Target
-            Itself where no prior is a whole turn; else a new one, in coordinates without widths.
         """
         cut = {name: self._all_priors[name].cut_opposite(value) for name, value in values.items()}
         if all(prior is self._all_priors[name] for name, prior in cut.items()):
@@ -169,15 +119,7 @@ class Target(LogPosterior):
     def about(self, parameters: Array) -> Target:
         """Make the same target, the likelihood's approximations made at another place.
 
-        Parameters
-        ----------
-        parameters
-            ``(d,)`` sampled parameters, SI units.
-
-        Returns
-        -------
-        Target
-            In coordinates without widths.
+        Shapes: ``parameters`` (d,).
         """
         likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
@@ -185,11 +127,7 @@ class Target(LogPosterior):
     def prepared(self, u: Array) -> Target:
         """Make the same target, cheaper to evaluate near some places.
 
-        Parameters
-        ----------
-        u
-            ``(n, d)`` coordinates, about as spread as the posterior. They decide how fast the
-            result is, not what it is.
+        Shapes: ``u`` (n, d).
         """
         parameters, jacobian = self.to_parameters(u)
         draws = self.chain_values(parameters[np.isfinite(jacobian)])
@@ -226,15 +164,7 @@ class Target(LogPosterior):
     def to_linear(self, u: Array) -> tuple[Array, Array]:
         """Map coordinates to straight ones, in which the torque is closer to linear.
 
-        Parameters
-        ----------
-        u
-            ``(n, d)``.
-
-        Returns
-        -------
-        v, slope
-            ``(n, d)``, and ``(n,)`` the log Jacobian ``log|dv/du|``. Noise scales stay as they are.
+        Shapes: ``u`` (n, d), returns (n, d).
         """
         k = len(self.free)
         v, slope = self.coordinates.to_linear(u[:, :k])
@@ -256,16 +186,7 @@ class Target(LogPosterior):
     def from_unbounded(self, v: Array) -> Array:
         """Undo :meth:`unbounded`.
 
-        Parameters
-        ----------
-        v
-            ``(n, d)``, anywhere.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)`` parameters, SI units; a row that is beyond a bound, or that the prior rules
-            out, is not finite as a whole.
+        Shapes: ``v`` (n, d), returns (n, d).
         """
         u, out = self.from_linear(v), np.full(v.shape, np.nan)
         possible = np.isfinite(u).all(axis=1)

@@ -26,13 +26,7 @@ _MODEL = Path("Model")
 
 
 def config_of(document: Mapping[str, Any]) -> Config:
-    """Write tables as a configuration, and check it as if it had been read.
-
-    Raises
-    ------
-    BadInput
-        With the key and the mend, for anything that cannot be used.
-    """
+    """Write tables as a configuration, and check it as if it had been read."""
     return parse_config(document_text(document), _MODEL)
 
 

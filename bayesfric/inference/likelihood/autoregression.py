@@ -31,21 +31,10 @@ PASSES = 0.05
 def predictors(partial: Array) -> list[Array]:
     """Coefficients of the best predictors from 0, 1, .., p predecessors.
 
-    Parameters
-    ----------
-    partial
-        ``(n, p)`` partial autocorrelations of ``n`` series.
-
-    Returns
-    -------
-    list of ndarray
-        ``(n, k)`` for each ``k`` from 0 to ``p``, the nearest predecessor first; the last are the
-        coefficients of the series.
-
-    Notes
-    -----
     With ``a_(k-1)`` the coefficients before and ``r`` the k-th partial autocorrelation,
     ``a_k = [a_(k-1) - r reversed(a_(k-1)), r]``.
+
+    Shapes: ``partial`` (n, p), returns (n, k).
     """
     found = [np.empty((partial.shape[0], 0))]
     for k in range(partial.shape[1]):
@@ -57,16 +46,7 @@ def predictors(partial: Array) -> list[Array]:
 def variances(partial: Array) -> Array:
     """Variances of what 0, 1, .., p predecessors leave, in those of the innovations.
 
-    Parameters
-    ----------
-    partial
-        ``(n, p)`` partial autocorrelations.
-
-    Returns
-    -------
-    ndarray
-        ``(n, p + 1)``, the k-th ``1 / prod(1 - r_j^2)`` over the lags ``j > k``: the first is that
-        of the series itself, the last is one.
+    Shapes: ``partial`` (n, p), returns (n, p + 1).
     """
     left = np.cumprod(1.0 / (1.0 - partial[:, ::-1] ** 2), axis=1)[:, ::-1]
     return np.concatenate([left, np.ones((partial.shape[0], 1))], axis=1)
@@ -94,19 +74,7 @@ def autocovariance(partial: Array) -> Array:
 def whitened(x: Array, partial: Array, follows: Flags) -> Array:
     """Take from every value what its predecessors predict, and make what is left of one variance.
 
-    Parameters
-    ----------
-    x
-        ``(..., M)`` values of all runs of one recording.
-    partial
-        ``(p,)`` partial autocorrelations.
-    follows
-        ``(M - 1,)`` whether each value is followed by the next in the same run.
-
-    Returns
-    -------
-    ndarray
-        ``(..., M)`` uncorrelated values of the innovations' variance, for the right series.
+    Shapes: ``x`` (..., M), ``partial`` (p,), ``follows`` (M - 1,), returns (..., M).
     """
     age = ages(follows, partial.size)
     coefficients, sds = _one(partial)
@@ -121,15 +89,7 @@ def whitened(x: Array, partial: Array, follows: Flags) -> Array:
 def runs(follows: Flags) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find the runs of a series.
 
-    Parameters
-    ----------
-    follows
-        ``(M - 1,)`` whether each value is followed by the next in the same run.
-
-    Returns
-    -------
-    begins, lengths
-        Index of the first value of each run, and how many it has.
+    Shapes: ``follows`` (M - 1,).
     """
     begins = np.concatenate([[0], np.flatnonzero(~follows) + 1])
     return begins, np.diff(np.append(begins, follows.size + 1))
@@ -145,21 +105,7 @@ def ages(follows: Flags, most: int) -> NDArray[np.int64]:
 def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) -> Array:
     """Draw stationary series with innovations of variance one.
 
-    Parameters
-    ----------
-    partial
-        ``(p,)`` partial autocorrelations.
-    follows
-        ``(M - 1,)``; every run begins anew, from the stationary distribution.
-    n
-        How many series.
-    rng
-        Random numbers.
-
-    Returns
-    -------
-    ndarray
-        ``(n, M)``.
+    Shapes: ``partial`` (p,), ``follows`` (M - 1,), returns (n, M).
     """
     p = partial.size
     noise = rng.standard_normal((n, follows.size + 1))
@@ -188,25 +134,11 @@ def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) 
 def burg(series: Sequence[Array], follows: Sequence[Flags], order: int) -> Array:
     """Estimate partial autocorrelations by Burg's method, all runs together.
 
-    Parameters
-    ----------
-    series
-        ``(M,)`` a recording, of mean zero.
-    follows
-        ``(M - 1,)`` a recording, whether each value is followed by the next in the same run.
-    order
-        How many to estimate.
-
-    Returns
-    -------
-    ndarray
-        ``(order,)``. Always stationary, whatever the series; fewer are the first of more.
-
-    Notes
-    -----
     The k-th is ``2 sum(f b) / sum(f^2 + b^2)``, of the errors ``f`` and ``b`` of predicting
     forwards and backwards from ``k - 1`` values between (J. P. Burg, "Maximum entropy spectral
     analysis", thesis, Stanford University, 1975).
+
+    Shapes: ``series`` (M,), ``follows`` (M - 1,), returns (order,).
     """
     runs = [
         part
@@ -230,22 +162,6 @@ def ljung_box(
 ) -> float:
     r"""Test that values of all runs together are uncorrelated.
 
-    Parameters
-    ----------
-    series, follows
-        As for :func:`burg`.
-    lags
-        How many correlations are tested.
-    fitted
-        Coefficients fitted to the series, taken off the degrees of freedom.
-
-    Returns
-    -------
-    float
-        p-value: small where the values are correlated.
-
-    Notes
-    -----
     The statistic is :math:`n(n+2) \sum_k \rho_k^2 / m_k` over lags, with :math:`m_k` pairs at each;
     chi-squared for white series [1]_.
 

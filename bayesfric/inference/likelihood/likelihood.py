@@ -24,34 +24,17 @@ LikelihoodMethod = Literal["input-error", "output-error"]
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """The measured numbers of one recording that a likelihood is about.
+    """The measured numbers of one recording that a likelihood is about."""
 
-    Attributes
-    ----------
-    name
-        Of the recording.
-    quantity, unit
-        ``motor torque`` or ``motor force`` in N m or N, or ``joint position`` in rad or m.
-    time
-        ``(M,)`` s since the file's first stamp.
-    measured
-        ``(M,)``.
-    period
-        From one output to the next of the same segment, s.
-    segment_of
-        ``(M,)`` number of the segment each belongs to.
-    follows
-        ``(M - 1,)`` whether the next comes one period after.
-    """
-
-    name: str
+    name: str  # Of the recording
+    # motor torque or motor force in N m or N, or joint position in rad or m
     quantity: str
     unit: str
-    time: Array
-    measured: Array
-    period: float
-    segment_of: NDArray[np.int64]
-    follows: NDArray[np.bool_]
+    time: Array  # (M,) s since the file's first stamp
+    measured: Array  # (M,)
+    period: float  # From one output to the next of the same segment, s
+    segment_of: NDArray[np.int64]  # (M,) number of the segment each belongs to
+    follows: NDArray[np.bool_]  # (M - 1,) whether the next comes one period after
 
 
 class Likelihood(ABC):
@@ -60,26 +43,13 @@ class Likelihood(ABC):
     Parameter vectors ``(n, n_parameters)`` are those of the whole mechanism, fixed ones included,
     in the order of ``chain.names`` and in SI units. Noise scales come as ``(n, R, Q)``: vectors,
     recordings, and :attr:`noise`'s own.
-
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    observations
-        The ``R`` prepared recordings.
-    outputs
-        What is compared in each of them.
-    method
-        ``input-error`` for torque, ``output-error`` for position.
-    noise
-        What the noise is described by.
     """
 
-    chain: Joint
-    observations: tuple[Observation, ...]
-    outputs: tuple[Outputs, ...]
-    method: LikelihoodMethod
-    noise: NoiseDescription
+    chain: Joint  # The mechanism
+    observations: tuple[Observation, ...]  # The R prepared recordings
+    outputs: tuple[Outputs, ...]  # What is compared in each of them
+    method: LikelihoodMethod  # input-error for torque, output-error for position
+    noise: NoiseDescription  # What the noise is described by
 
     @property
     def outside(self) -> int:
@@ -114,17 +84,7 @@ class Likelihood(ABC):
     def log_density(self, values: Array, scales: Array) -> Array:
         """Log-likelihood of all recordings together.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(n, R, Q)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``.
+        Shapes: ``values`` (n, n_parameters), ``scales`` (n, R, Q), returns (n,).
         """
 
     @abstractmethod
@@ -145,17 +105,7 @@ class Likelihood(ABC):
 
         Their derivatives ``J`` by the parameters make up the Fisher information ``J'J``.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(R, Q)``, the same for all vectors.
-
-        Returns
-        -------
-        list of ndarray
-            ``(n, terms)`` a recording, up to constants and sign.
+        Shapes: ``values`` (n, n_parameters), ``scales`` (R, Q), returns (n, terms).
         """
 
     @abstractmethod
@@ -173,15 +123,5 @@ class Likelihood(ABC):
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
         """Draw noise of the outputs, for posterior predictions.
 
-        Parameters
-        ----------
-        scales
-            ``(n, R, Q)``.
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        list of ndarray
-            ``(n, M)`` a recording, in the outputs' unit.
+        Shapes: ``scales`` (n, R, Q), returns (n, M).
         """

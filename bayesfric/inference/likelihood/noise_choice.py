@@ -52,29 +52,14 @@ _APART = 50
 
 @dataclass(frozen=True)
 class Evidence:
-    """How well residuals are autoregressive noise of one order.
+    """How well residuals are autoregressive noise of one order."""
 
-    Attributes
-    ----------
-    order
-        Of the autoregression, 0 for white noise.
-    bic
-        Bayesian information criterion less that of white noise; the smallest is chosen.
-    innovation_share
-        Root mean square of the innovations over that of the residuals.
-    p_value
-        Of the Ljung-Box test that the innovations are white.
-    shift
-        By how much it moves the estimate at most, in robust standard deviations.
-    rise
-        Root mean square of the residuals that it then has, over that of least squares.
-    """
-
-    order: int
-    bic: float
-    innovation_share: float
-    p_value: float
-    shift: float = 0.0
+    order: int  # Of the autoregression, 0 for white noise
+    bic: float  # Bayesian information criterion less that of white noise; the smallest is chosen
+    innovation_share: float  # Root mean square of the innovations over that of the residuals
+    p_value: float  # Of the Ljung-Box test that the innovations are white
+    shift: float = 0.0  # By how much it moves the estimate at most, in robust standard deviations
+    # Root mean square of the residuals that it then has, over that of least squares
     rise: float = 1.0
 
     @property
@@ -85,41 +70,20 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Choice:
-    """The order chosen, and every one that was tried.
+    """The order chosen, and every one that was tried."""
 
-    Attributes
-    ----------
-    order
-        Chosen one, 0 for white noise.
-    tried
-        Evidence by order, from white noise on.
-    memory
-        Partial autocorrelations, as many as the order: those of the residuals, or the middle of
-        what these leave open.
-    room
-        How far each may be from that.
-    """
-
-    order: int
-    tried: tuple[Evidence, ...]
+    order: int  # Chosen one, 0 for white noise
+    tried: tuple[Evidence, ...]  # Evidence by order, from white noise on
+    # Partial autocorrelations, as many as the order: those of the residuals, or the middle of what
+    # these leave open
     memory: tuple[float, ...] = ()
-    room: float = 0.0
+    room: float = 0.0  # How far each may be from that
 
     def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
         """Give priors in which the autocorrelation is that of these residuals.
 
         Sampled freely it may leave where it is harmless: with a longer one any fit is a good one.
         What the user said of it stays.
-
-        Parameters
-        ----------
-        priors
-            By name, those of the noise included.
-
-        Returns
-        -------
-        dict
-            The same, but default priors of ``noise.pacf_k`` uniform within :attr:`room`.
         """
         found = dict(priors)
         for k, middle in enumerate(self.memory, start=1):
@@ -138,26 +102,7 @@ def choice_at(
     *,
     per_recording: bool,
 ) -> Choice:
-    """Choose the order that the torque residuals of a parameter vector ask for.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        Its prepared recordings.
-    priors
-        By name, of every parameter of the mechanism.
-    point
-        A value of each, from an estimate, SI units.
-    per_recording
-        Whether recordings have noise of their own size.
-
-    Returns
-    -------
-    Choice
-        See :func:`choose_order`.
-    """
+    """Choose the order that the torque residuals of a parameter vector ask for."""
     values = chain.vector(point)
     residuals = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
     # prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any
@@ -181,28 +126,6 @@ def choose_order(
 ) -> Choice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
 
-    Parameters
-    ----------
-    residuals
-        ``(M,)`` a recording, N m or N.
-    follows
-        ``(M - 1,)`` a recording, whether each output is followed, one period later, by the next.
-    own_scales
-        Whether recordings have noise of their own size.
-    effects
-        ``(M, k)`` a recording, what a change of every parameter by its prior's sd does to the
-        outputs, N m or N. With them, orders that move the estimate are not chosen.
-
-    Returns
-    -------
-    Choice
-        The first order, its memory open from none to four standard errors beyond what residuals
-        show, or to where it moves the estimate by a standard deviation, where none has a BIC at
-        least 6 below that of white noise [2]_; white noise where what residuals show does harm,
-        where nothing is left open, or outputs are few.
-
-    Notes
-    -----
     Up to four partial autocorrelations are estimated by Burg's method, all runs together. With the
     standardised innovations ``e`` and their sds ``s``, the criterion is ``-2 log L + p log n``, in
     which ``log L`` is the exact Gaussian density, its innovation variance at its estimate [1]_.
@@ -212,6 +135,8 @@ def choose_order(
     .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461-464.
     .. [2] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical
        Association 90 (1995) 773-795.
+
+    Shapes: ``residuals`` (M,), ``follows`` (M - 1,), ``effects`` (M, k).
     """
     n = sum(r.size for r in residuals)
     whole = sum(float(r @ r) for r in residuals)

@@ -72,22 +72,7 @@ class _Segment:
 class PositionLikelihood(Likelihood):
     """How probable the measured positions are, given the joint's parameters and torques.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    trajectories
-        The observed recordings, cut into segments.
-    observations
-        The same as prepared for the torque, for what else asks for them.
-    point
-        ``(n_parameters,)`` near the posterior's mode, SI units: where derivatives are taken and the
-        integration steps per sample chosen.
-
-    Raises
-    ------
-    BadInput
-        If the joint cannot be simulated at the point.
+    Shapes: ``point`` (n_parameters,).
     """
 
     method = "output-error"

@@ -26,17 +26,7 @@ _LEAST = -700.0
 
 
 class StaticFriction:
-    """Log probability that a joint stays where it stood still in one recording.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    rest
-        Its ``M`` outputs at standstill: position, torque and time.
-    inputs
-        Known load and other inputs of that recording.
-    """
+    """Log probability that a joint stays where it stood still in one recording."""
 
     def __init__(self, chain: Joint, rest: Rest, inputs: Inputs) -> None:
         self._chain, self._inputs, self._torque = chain, inputs, rest.torque
@@ -49,15 +39,7 @@ class StaticFriction:
     def limits(self, values: Array) -> tuple[Array, Array]:
         """Torques at which the joint would move backwards and forwards.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-
-        Returns
-        -------
-        low, high
-            ``(n, M)`` each, N m or N at the motor, the smaller first.
+        Shapes: ``values`` (n, n_parameters), returns (n, M).
         """
         tables = self._chain.tables(values, self._inputs)
         forwards, backwards = (kernels.inverse_many(*tables, way) for way in self._ways)
@@ -66,18 +48,7 @@ class StaticFriction:
     def log_terms(self, values: Array, noise: Any) -> Array:
         """Log probability of each standstill output.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        noise
-            SciPy's distribution of one output's noise, symmetric, of shape ``(n, 1)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n, M)``, ``log(F(high - y) - F(low - y))`` with the noise's distribution function
-            ``F``; never below -700, where nothing is told apart any more.
+        Shapes: ``values`` (n, n_parameters), ``noise`` (n, 1), returns (n, M).
         """
         low, high = self.limits(values)
         a, b = low - self._torque, high - self._torque

@@ -24,26 +24,7 @@ from bayesfric.recordings.observation import Observation
 
 
 class TorqueLikelihood(Likelihood):
-    """How probable the measured torques are, given the joint's parameters.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings of it. Where one has standstill to be used, what it says of
-        static friction is a factor of its own, see :class:`StaticFriction`.
-    noise
-        Of the filtered torque; white if left out.
-
-    Attributes
-    ----------
-    sizes
-        ``(R,)`` outputs of each recording.
-    moments
-        What sums the residuals' lagged products: sample by sample at first, from matrices in a
-        likelihood that :meth:`prepared` gave.
-    """
+    """How probable the measured torques are, given the joint's parameters."""
 
     method = "input-error"
 
@@ -93,15 +74,7 @@ class TorqueLikelihood(Likelihood):
         Its values are the same everywhere, up to rounding; see
         :mod:`bayesfric.inference.moments.fast_moments`.
 
-        Parameters
-        ----------
-        draws
-            ``(n, n_parameters)``. The nearer they are to the posterior, the faster the result.
-
-        Returns
-        -------
-        TorqueLikelihood
-            Itself for a mechanism whose torque cannot be reduced to moments.
+        Shapes: ``draws`` (n, n_parameters).
         """
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain
@@ -115,15 +88,7 @@ class TorqueLikelihood(Likelihood):
     def sum_of_squares(self, values: Array) -> Array:
         """Sum of squared residuals of each recording, torque unit squared.
 
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n, R)``.
+        Shapes: ``values`` (n, n_parameters), returns (n, R).
         """
         return self.moments.at(values).sum_of_squares
 
@@ -169,17 +134,7 @@ class TorqueLikelihood(Likelihood):
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
         """Take from residuals what autocorrelation predicts, and divide by the sd of the rest.
 
-        Parameters
-        ----------
-        residuals
-            ``(..., M)`` a recording, N m or N. Regression columns can be whitened by it alike.
-        scales
-            ``(R, Q)``.
-
-        Returns
-        -------
-        list of ndarray
-            ``(..., M)`` a recording, uncorrelated and of variance one if the noise is as described.
+        Shapes: ``residuals`` (..., M), ``scales`` (R, Q), returns (..., M).
         """
         return [
             self.noise.standard(residual, o.follows, s)[0]

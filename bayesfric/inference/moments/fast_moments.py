@@ -47,28 +47,6 @@ class FastMoments:
     """Moments from matrices, with the exact correction where a sample's sign differs.
 
     Made by :func:`fast_moments`.
-
-    Parameters
-    ----------
-    linear
-        From :func:`bayesfric.inference.moments.linear_torque.linear_torque`, same observations.
-    region
-        About where the posterior is.
-    plain
-        The same moments for vectors outside.
-    observations
-        One or more prepared recordings.
-    radius
-        How far the region reaches, in sds of the draws it was made from.
-
-    Attributes
-    ----------
-    radius
-        The same, or less where a recording would have too many uncertain samples.
-    uncertain_samples
-        Raw samples whose direction can differ in the region.
-    outside
-        Vectors so far that were computed sample by sample.
     """
 
     def __init__(
@@ -143,27 +121,7 @@ def fast_moments(
 ) -> FastMoments | None:
     """Reduce recordings for a chain that allows it.
 
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings.
-    draws
-        ``(n, n_parameters)`` vectors about as spread as the posterior. They decide how fast the
-        result is, not what it is.
-    order
-        Of the autoregressive noise, 0 for white.
-    radius
-        How far the region reaches, in sds of the draws.
-    plain
-        The plain moments of the same order, if they are there already.
-
-    Returns
-    -------
-    FastMoments or None
-        ``None`` where the torque is not of the form of eq. (13), unknown shapes would take more
-        columns than samples cost, or the draws show no direction of the load's torque.
+    Shapes: ``draws`` (n, n_parameters).
     """
     draws = draws[np.isfinite(draws).all(axis=1)]
     linear = linear_torque(chain, observations, draws)

@@ -56,27 +56,16 @@ _ASKED = np.array([1.0, -1.0, 0.3, -0.3, 7.0, -7.0])
 
 @dataclass(frozen=True)
 class Coefficients:
-    """What multiplies the columns, for ``n`` parameter vectors.
+    """What multiplies the columns, for ``n`` parameter vectors."""
 
-    Attributes
-    ----------
-    all
-        ``(n, K)``: one for the measured torque, minus Theta1, then minus Theta2 and minus the rest
-        of lambda_1 with each function of speed, minus those of the squared load, and, where a
-        sample is at standstill, minus ``(1 - lambda_1) l``. Columns times this are residuals.
-    leg
-        ``(n, n2)`` the leg's parameters ``l``, whose product with ``psi2`` has the direction of the
-        load's torque.
-    lambda2
-        ``(n, m)``, with each function of speed.
-    inside
-        ``(n,)`` whether unknown shapes are where the columns hold.
-    """
-
+    # (n, K): one for the measured torque, minus Theta1, then minus Theta2 and minus the rest of
+    # lambda_1 with each function of speed, minus those of the squared load, and, where a sample is
+    # at standstill, minus (1 - lambda_1) l. Columns times this are residuals
     all: Array
+    # (n, n2) the leg's parameters l, whose product with psi2 has the direction of the load's torque
     leg: Array
-    lambda2: Array
-    inside: NDArray[np.bool_]
+    lambda2: Array  # (n, m), with each function of speed
+    inside: NDArray[np.bool_]  # (n,) whether unknown shapes are where the columns hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,32 +96,7 @@ class _Loss:
 class LinearTorque:
     """Columns and coefficients of a mechanism's torque; made by :func:`linear_torque`.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and what was recorded of it.
-    draws
-        ``(n, n_parameters)`` where shapes that are not known are looked for, SI units.
-
-    Attributes
-    ----------
-    names1, names2
-        Columns ``psi1`` and ``psi2``, as in
-        :class:`bayesfric.estimates.torque_form.TorqueForm`; a known mass always has its own. Where
-        a function of speed multiplies one, it is there once more for each.
-    rest
-        Whether there are columns for samples at standstill.
-    size
-        ``K``, all columns together with the measured torque.
-    functions_of_speed
-        How many functions of speed the load loss is a sum of, one without any loss.
-    shapes
-        What stands for shapes that are not known.
-
-    Raises
-    ------
-    ValueError
-        If the torque has not the form of eq. (13).
+    Shapes: ``draws`` (n, n_parameters).
     """
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], draws: Array) -> None:
@@ -300,8 +264,6 @@ class LinearTorque:
     def coefficients(self, values: Array) -> Coefficients:
         """Give the coefficients of parameter vectors ``(n, n_parameters)``, SI units.
 
-        Notes
-        -----
         ``lambda_1 = 1 + (mu_1 - mu_2)/2`` and ``lambda_2 = (mu_1 + mu_2)/2``, with each function of
         speed that the load-dependent friction is a sum of.
         """
@@ -355,17 +317,7 @@ class LinearTorque:
     def columns(self, o: Observation, begin: int, end: int) -> tuple[Array, Array]:
         """Give the columns of some samples, before the filter.
 
-        Parameters
-        ----------
-        o
-            A recording.
-        begin, end
-            First sample, and the one behind the last.
-
-        Returns
-        -------
-        psi1, psi2
-            ``(n1, n)`` and ``(n2, n)``, N m or N at the motor for a coefficient of one.
+        Shapes: returns (n1, n).
         """
         piece = _piece(o, slice(begin, end))
         plain = self._known_columns(piece)
@@ -399,19 +351,7 @@ class LinearTorque:
     def rows(self, psi1: Array, psi2: Array, phi: Array, sign: Array, side: Array) -> Array:
         """Give all columns but the measured torque, before the filter.
 
-        Parameters
-        ----------
-        psi1, psi2, phi
-            What :meth:`columns` and :meth:`functions` give for the same samples.
-        sign
-            ``(n,)`` of the speed; 0 at standstill.
-        side
-            ``(n,)`` of the load's torque.
-
-        Returns
-        -------
-        ndarray
-            ``(K - 1, n)``, in the order of :class:`Coefficients`.
+        Shapes: ``sign`` (n,), ``side`` (n,), returns (K - 1, n).
         """
         out = np.empty((self.size - 1, side.size))
         k, n2 = len(self.names1), len(self.names2)
@@ -442,18 +382,7 @@ def linear_torque(
 ) -> LinearTorque | None:
     """Write the torque of a mechanism as linear, up to the direction of power.
 
-    Parameters
-    ----------
-    chain, observations
-        The mechanism and what was recorded of it.
-    draws
-        ``(n, n_parameters)`` where shapes that are not known are looked for; not needed where the
-        mechanism has none.
-
-    Returns
-    -------
-    LinearTorque or None
-        ``None`` for several load losses, or an unknown exponent of the Stribeck rise.
+    Shapes: ``draws`` (n, n_parameters).
     """
     values = np.empty((0, len(chain.names))) if draws is None else draws
     if torque_form(chain, any_shape=True) is None:

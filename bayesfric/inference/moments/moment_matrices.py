@@ -44,31 +44,17 @@ _KEPT_SHARE, _KEPT = 0.2, 20_000
 
 @dataclass(frozen=True, eq=False)
 class MomentMatrices:
-    """One recording, reduced.
+    """One recording, reduced."""
 
-    Attributes
-    ----------
-    to_columns
-        ``(K, k)`` ``A'``: coefficients ``(n, K)`` times this are ``z``. ``k`` is ``K``, or less
-        where columns for one shape are nearly the same.
-    ratios
-        ``(U,)`` of the kept samples, rising: at a distance below it a sample has the centre's sign.
-    arrays
-        As :mod:`bayesfric.inference.moments.fast_moments` has them compiled.
-    padded
-        Length of rows, a multiple of four.
-    entries
-        How many moments.
-    radius
-        Distance up to which all this is complete.
-    """
-
+    # (K, k) A': coefficients (n, K) times this are z. k is K, or less where columns for one shape
+    # are nearly the same
     to_columns: Array
+    # (U,) of the kept samples, rising: at a distance below it a sample has the centre's sign
     ratios: Array
-    arrays: tuple[Any, ...]
-    padded: int
-    entries: int
-    radius: float
+    arrays: tuple[Any, ...]  # As :mod:`bayesfric.inference.moments.fast_moments` has them compiled
+    padded: int  # Length of rows, a multiple of four
+    entries: int  # How many moments
+    radius: float  # Distance up to which all this is complete
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,22 +76,7 @@ class _Chunk:
 def moment_matrices(
     linear: LinearTorque, o: Observation, order: int, region: SignRegion, radius: float
 ) -> MomentMatrices:
-    """Reduce a recording, in two passes of chunks.
-
-    Parameters
-    ----------
-    linear
-        The torque's columns.
-    o
-        The recording.
-    order
-        Of the autoregressive noise, 0 for white.
-    region
-        Signs at its centre are the reference.
-    radius
-        Distance within which samples whose sign can differ are kept. It comes back
-        smaller where they would be more than 20 000 and more than 5 % of all.
-    """
+    """Reduce a recording, in two passes of chunks."""
     gram = np.zeros((linear.size, linear.size))
     ratio = np.full(o.q.size, np.inf)
     for chunk in _chunks(linear, o, region):

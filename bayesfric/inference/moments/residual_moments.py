@@ -31,19 +31,14 @@ class Moments:
     """Lagged products of the residuals of ``n`` parameter vectors and ``R`` recordings.
 
     A run is a stretch of outputs that follow each other one period apart; ``p`` is the order.
-
-    Attributes
-    ----------
-    lagged
-        ``(n, R, p + 1, p + 1)``, torque unit squared: entry ``j, k`` is the sum of
-        ``r[m - j] r[m - k]`` over the outputs ``m`` with at least ``p`` predecessors in their run.
-    heads
-        For ``l`` from 1 to ``p`` an array ``(n, R, l, l)``: entry ``j, k`` is the sum of
-        ``r_j r_k`` of the first ``l`` residuals ``r_0, r_1, ..`` in time, over the runs whose head,
-        the first ``p`` outputs or fewer if the run is shorter, has the length ``l``.
     """
 
+    # (n, R, p + 1, p + 1), torque unit squared: entry j, k is the sum of r[m - j] r[m - k] over the
+    # outputs m with at least p predecessors in their run
     lagged: Array
+    # For l from 1 to p an array (n, R, l, l): entry j, k is the sum of r_j r_k of the first l
+    # residuals r_0, r_1, .. in time, over the runs whose head, the first p outputs or fewer if the
+    # run is shorter, has the length l
     heads: tuple[Array, ...]
 
     @property
@@ -58,15 +53,7 @@ class Moments:
 def follows(o: Observation) -> NDArray[np.bool_]:
     """Tell which outputs are followed, one period later in the same segment, by the next.
 
-    Parameters
-    ----------
-    o
-        A prepared recording of ``M`` outputs.
-
-    Returns
-    -------
-    ndarray of bool
-        ``(M - 1,)``; false at gaps, where samples are left out, and where a segment ends.
+    Shapes: returns (M - 1,).
     """
     step = np.diff(o.filter.starts)
     return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
@@ -74,19 +61,12 @@ def follows(o: Observation) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Where each output stands in its run.
+    """Where each output stands in its run."""
 
-    Attributes
-    ----------
-    age, remaining
-        ``(M,)`` outputs before and after it in its run, counted up to the order.
-    head
-        ``(M,)`` length of its run's head: its outputs, up to the order.
-    """
-
+    # (M,) outputs before and after it in its run, counted up to the order
     age: Short
     remaining: Short
-    head: Short
+    head: Short  # (M,) length of its run's head: its outputs, up to the order
 
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:
@@ -109,12 +89,7 @@ class Runs:
     def count(self, order: int) -> tuple[int, NDArray[np.int64]]:
         """Count what the density's normalisation needs.
 
-        Returns
-        -------
-        whole
-            Outputs with at least ``order`` predecessors.
-        heads
-            ``(order,)`` runs by the length of their heads, 1 to ``order``.
+        Shapes: ``heads`` (order,).
         """
         first = self.head[self.age == 0]
         heads = np.array([np.count_nonzero(first == k) for k in range(1, order + 1)], dtype=int)
@@ -144,24 +119,7 @@ def unpacked(flat: Array, order: int) -> Moments:
 
 
 class PlainMoments:
-    """Moments by going through every sample for every vector; holds for every chain.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings.
-    order
-        Of the autoregressive noise, 0 for white.
-
-    Attributes
-    ----------
-    counts
-        ``(R,)`` outputs that have at least as many predecessors in their run.
-    head_counts
-        ``(R, order)`` runs whose head has the length 1 to that.
-    """
+    """Moments by going through every sample for every vector; holds for every chain."""
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order

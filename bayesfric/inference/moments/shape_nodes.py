@@ -35,28 +35,16 @@ _SHRINK, _TIMES = 0.75, 40
 
 @dataclass(frozen=True, eq=False)
 class ShapeNodes:
-    """Values of one shape at which its columns are made, and the range in which that is enough.
+    """Values of one shape at which its columns are made, and the range in which that is enough."""
 
-    Attributes
-    ----------
-    index
-        Of the shape among the mechanism's parameters.
-    low, high
-        Range of the shape, SI units.
-    nodes
-        ``(K,)`` values in it.
-    logarithmic
-        Whether the polynomial is in the shape's logarithm.
-    mixed, unmixed
-        ``(K, r)`` and its inverse ``(r, K)``: columns at nodes lie close together, so few of their
-        sums are enough.
-    """
-
-    index: int
+    index: int  # Of the shape among the mechanism's parameters
+    # Range of the shape, SI units
     low: float
     high: float
-    nodes: Array
-    logarithmic: bool
+    nodes: Array  # (K,) values in it
+    logarithmic: bool  # Whether the polynomial is in the shape's logarithm
+    # (K, r) and its inverse (r, K): columns at nodes lie close together, so few of their sums are
+    # enough
     mixed: Array
     unmixed: Array
 
@@ -70,22 +58,7 @@ class ShapeNodes:
     ) -> ShapeNodes:
         """Choose range and nodes for draws of the shape.
 
-        Parameters
-        ----------
-        index
-            Of the shape among the mechanism's parameters.
-        draws
-            ``(n,)`` values that matter, SI units.
-        support
-            Of the parameter; one that is positive without end is taken by its logarithm.
-        column
-            Gives the term's torque ``(samples,)`` at some samples for a value of the shape.
-
-        Returns
-        -------
-        ShapeNodes
-            Interpolating to 1e-8 of the column; where so wide a range takes too many nodes, the
-            range is narrowed around the middle draw.
+        Shapes: ``draws`` (n,), ``column`` (samples,).
         """
         logarithmic = support[0] == 0.0 and not np.isfinite(support[1])
         t = np.log(draws[draws > 0.0]) if logarithmic else draws
@@ -143,15 +116,7 @@ class ShapeNodes:
     def weights(self, shape: Array) -> Array:
         """Give what multiplies the columns.
 
-        Parameters
-        ----------
-        shape
-            ``(n,)`` values of the shape within the range, SI units.
-
-        Returns
-        -------
-        ndarray
-            ``(n, r)``: the polynomials in barycentric form, summed as the columns are.
+        Shapes: ``shape`` (n,), returns (n, r).
         """
         count = self.nodes.size
         if count == 1:

@@ -26,17 +26,10 @@ class SignRegion:
     The sign of ``psi l`` does not depend on the length of ``l``, so what counts is how near
     to the centre the ray through ``l`` comes. A sample's sign is the centre's at all ``l``
     nearer than its ratio ``|psi centre| / |root' psi|``.
-
-    Attributes
-    ----------
-    centre
-        ``(n2,)`` leg parameters in motor units, of any length.
-    root
-        ``(n2, n2)`` such that ``root root'`` is the draws' covariance about it.
     """
 
-    centre: Array
-    root: Array
+    centre: Array  # (n2,) leg parameters in motor units, of any length
+    root: Array  # (n2, n2) such that root root' is the draws' covariance about it
 
     @cached_property
     def _inverse(self) -> Array:
@@ -46,18 +39,7 @@ class SignRegion:
     def around(cls, legs: Array, size: Array) -> SignRegion | None:
         """Fit the region to draws.
 
-        Parameters
-        ----------
-        legs
-            ``(n, n2)`` leg parameters, spread like the posterior.
-        size
-            ``(n2,)`` how large the column each multiplies is.
-
-        Returns
-        -------
-        SignRegion or None
-            ``None`` if no draw has a direction. All draws are brought to one length along their
-            mean direction first.
+        Shapes: ``legs`` (n, n2), ``size`` (n2,).
         """
         if legs.shape[1] == 0:
             return cls(np.zeros(0), np.zeros((0, 0)))
@@ -85,16 +67,7 @@ class SignRegion:
     def distance(self, legs: Array) -> Array:
         """Tell how near the ray through leg parameters comes to the centre.
 
-        Parameters
-        ----------
-        legs
-            ``(n, n2)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)`` in the draws' sds; ``inf`` where it points away, ``nan`` where it is no
-            direction.
+        Shapes: ``legs`` (n, n2), returns (n,).
         """
         if self.centre.size == 0:
             return np.zeros(legs.shape[0])
@@ -111,15 +84,7 @@ class SignRegion:
     def ratios(self, psi: Array) -> Array:
         """Tell the distance up to which samples have the centre's sign.
 
-        Parameters
-        ----------
-        psi
-            ``(n2, n)`` columns of ``psi2`` at samples.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``; ``inf`` where the sign never matters, as where ``psi`` is zero.
+        Shapes: ``psi`` (n2, n), returns (n,).
         """
         level = self.centre @ psi
         spread = self.root.T @ psi

@@ -53,13 +53,6 @@ def _pacf(lag: int) -> Scale:
 class Autoregressive(NoiseDescription):
     """Gaussian noise in which each residual is correlated with those before it.
 
-    Parameters
-    ----------
-    order
-        Of the autoregression, ``p``; white noise for 0.
-
-    Notes
-    -----
     ``r_t = a_1 r_(t-1) + .. + a_p r_(t-p) + e_t`` with innovations ``e_t`` of sd ``sigma``,
     stationary from each run's beginning. A run is a stretch of outputs that follow each other one
     period apart; runs are independent of each other. The scales are ``sigma`` and the partial
@@ -83,27 +76,11 @@ class Autoregressive(NoiseDescription):
     ) -> Array:
         """Exact log density of all residuals, from the sums of their lagged products.
 
-        Parameters
-        ----------
-        moments
-            Of the residuals of ``n`` parameter vectors and ``R`` recordings, torque unit squared.
-        counts
-            ``(R,)`` outputs with at least ``p`` predecessors in their run.
-        head_counts
-            ``(R, p)`` runs whose first part, up to ``p`` outputs, has the length 1 to ``p``.
-        scales
-            ``(n, R, Q)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``, of all recordings together.
-
-        Notes
-        -----
         The density is the product of each output's normal one given its predecessors: mean by the
         best predictor from as many as there are, up to ``p``, and variance ``sigma^2 / prod(1 -
         pacf_k^2)`` over the lags ``k`` that are not used yet.
+
+        Shapes: ``counts`` (R,), ``head_counts`` (R, p), ``scales`` (n, R, Q), returns (n,).
         """
         if not self.order:
             sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
@@ -117,20 +94,7 @@ class Autoregressive(NoiseDescription):
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
         """Turn residuals into uncorrelated ones of variance one.
 
-        Parameters
-        ----------
-        residual
-            ``(..., M)``, N m or N.
-        follows
-            ``(M - 1,)`` whether each output is followed, one period later, by the next.
-        scales
-            ``(Q,)``.
-
-        Returns
-        -------
-        z, sds
-            ``(..., M)``, linear in the residuals, and the ``(M,)`` standard deviations that what
-            predecessors do not predict was divided by.
+        Shapes: ``residual`` (..., M), ``follows`` (M - 1,), ``scales`` (Q,), returns (..., M).
         """
         z = ar.whitened(residual, scales[1:], follows) / scales[0]
         left = ar.variances(scales[None, 1:])[0]
@@ -151,19 +115,7 @@ class Autoregressive(NoiseDescription):
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
         """Draw residuals, each series stationary from the beginning of every run.
 
-        Parameters
-        ----------
-        follows
-            ``(M - 1,)`` whether each output is followed, one period later, by the next.
-        scales
-            ``(n, Q)``, a row for each series.
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        ndarray
-            ``(n, M)``, N m or N.
+        Shapes: ``follows`` (M - 1,), ``scales`` (n, Q), returns (n, M).
         """
         if not self.order:
             return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
@@ -172,24 +124,12 @@ class Autoregressive(NoiseDescription):
     def information(self, scales: Array, outputs: int) -> Array:
         """Fisher information of the scales from so many outputs.
 
-        Parameters
-        ----------
-        scales
-            ``(Q,)``.
-        outputs
-            How many there are.
-
-        Returns
-        -------
-        ndarray
-            ``(Q, Q)``.
-
-        Notes
-        -----
         ``2/sigma^2`` an output for ``sigma``; for the coefficients of a long series their
         autocovariance matrix over the innovations' variance (Box and Jenkins, "Time Series
         Analysis", section 7.2), carried over to partial autocorrelations by the chain rule. Both
         are independent.
+
+        Shapes: ``scales`` (Q,), returns (Q, Q).
         """
         out = np.zeros((scales.size, scales.size))
         out[0, 0] = 2.0 / scales[0] ** 2
@@ -204,16 +144,7 @@ class Autoregressive(NoiseDescription):
     def starts(self, sigma: float) -> Array:
         """Scales to start a search from.
 
-        Parameters
-        ----------
-        sigma
-            Root mean square of the residuals, N m or N.
-
-        Returns
-        -------
-        ndarray
-            ``(k, Q)``: white, and with a first partial autocorrelation of 0.5 and of 0.9, all of
-            the same marginal variance.
+        Shapes: returns (k, Q).
         """
         if not self.order:
             return np.array([[sigma]])

@@ -20,18 +20,6 @@ def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:
     A fixed prior is a known value; the support of a prior is a bound. A prior that
     a user gave and that states a value, such as a normal one from a data sheet,
     enters with its mean and standard deviation. Default priors only bound.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    priors
-        By name, of every parameter of it; others are not looked at.
-
-    Returns
-    -------
-    Knowledge
-        In SI units, by parameter's name.
     """
     fixed, bounds, told = {}, {}, {}
     for name in chain.names:

@@ -21,29 +21,7 @@ from bayesfric.mechanism.quantities import State
 
 
 def default_prior(chain: Joint, p: Parameter, scales: Scales) -> Prior:
-    """Choose the default prior of one parameter.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    p
-        One of its parameters.
-    scales
-        Sizes of what was measured, as :func:`bayesfric.estimates.sizes.measured_scales` gives.
-
-    Returns
-    -------
-    Prior
-        Marked as a default, within the parameter's support. The table of quantities names its
-        family; else it is half-normal, or normal where the parameter may be negative, and its scale
-        is the torque over the size of what the parameter multiplies, in one digit.
-
-    Raises
-    ------
-    KeyError
-        If the table of quantities gives none.
-    """
+    """Choose the default prior of one parameter."""
     text = _text(chain, p, scales)
     upper = min(p.upper, p.row.prior_upper)
     return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)

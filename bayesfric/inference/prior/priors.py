@@ -44,18 +44,7 @@ Side = Literal["lower", "upper"]
 def bound_of(x: Array, low: float, high: float) -> Side | None:
     """Say which end of its support a sample leans on.
 
-    Parameters
-    ----------
-    x
-        ``(n,)`` draws.
-    low, high
-        Ends of the support.
-
-    Returns
-    -------
-    str or None
-        ``lower`` or ``upper``, where 5 % of the draws lie within a fifth of their standard
-        deviation of it; the lower where both do.
+    Shapes: ``x`` (n,).
     """
     first, last = np.quantile(x, [0.05, 0.95])
     near = 0.2 * x.std()
@@ -66,34 +55,17 @@ def bound_of(x: Array, low: float, high: float) -> Side | None:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of one parameter before the recording is looked at.
+    """What is believed of one parameter before the recording is looked at."""
 
-    Attributes
-    ----------
-    text
-        As printed: ``fixed at 0.33``, ``uniform(0, 1)``, ``halfnorm(loc=0, scale=0.5)``.
-    distribution
-        SciPy's frozen distribution, ``None`` where the parameter is fixed.
-    value
-        The fixed value, nan where the parameter is free; SI units, as all others.
-    lower, upper
-        Support: the distribution's, cut to the parameter's.
-    mass
-        Of the distribution inside the support; the density is divided by it.
-    default
-        Whether the package chose it.
-    circular
-        Whether values a turn apart are the same.
-    """
-
-    text: str
-    distribution: Any
-    value: float
+    text: str  # As printed: fixed at 0.33, uniform(0, 1), halfnorm(loc=0, scale=0.5)
+    distribution: Any  # SciPy's frozen distribution, None where the parameter is fixed
+    value: float  # The fixed value, nan where the parameter is free; SI units, as all others
+    # Support: the distribution's, cut to the parameter's
     lower: float
     upper: float
-    mass: float = 1.0
-    default: bool = False
-    circular: bool = False
+    mass: float = 1.0  # Of the distribution inside the support; the density is divided by it
+    default: bool = False  # Whether the package chose it
+    circular: bool = False  # Whether values a turn apart are the same
 
     @property
     def fixed(self) -> bool:
@@ -116,18 +88,7 @@ class Prior:
         return (-math.inf, math.inf) if self.whole_turn else (self.lower, self.upper)
 
     def cut_opposite(self, value: float) -> Prior:
-        """Make the same prior, a whole turn cut where it is farthest from a value.
-
-        Parameters
-        ----------
-        value
-            Angle, rad, in the middle of the new support.
-
-        Returns
-        -------
-        Prior
-            Itself where it is no whole turn.
-        """
+        """Make the same prior, a whole turn cut where it is farthest from a value."""
         if not self.whole_turn:
             return self
         low = value - TURN / 2.0
@@ -156,18 +117,7 @@ class Prior:
         return self._quantiles(rng.random(n))
 
     def interval(self, level: float) -> tuple[float, float]:
-        """Give the central interval of a probability.
-
-        Parameters
-        ----------
-        level
-            Probability inside, such as 0.9.
-
-        Returns
-        -------
-        low, high
-            Inside the support; the value twice where the parameter is fixed.
-        """
+        """Give the central interval of a probability."""
         if self.fixed:
             return self.value, self.value
         low, high = self._quantiles(np.array([0.5 - level / 2.0, 0.5 + level / 2.0])).tolist()
@@ -223,29 +173,7 @@ def read_prior(
     default: bool = False,
     circular: bool = False,
 ) -> Prior:
-    """Turn what a configuration says of one parameter into a prior.
-
-    Parameters
-    ----------
-    name
-        Of the parameter, for messages.
-    text
-        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (one of
-        ``DISTRIBUTIONS``, a name in :mod:`scipy.stats`) and its arguments; SI units.
-    lower, upper
-        Support of the parameter, which cuts a distribution.
-    default
-        Whether the package chose it.
-    circular
-        Whether it is an angle of which values a turn apart are the same: its range spans one turn
-        at most.
-
-    Raises
-    ------
-    BadInput
-        If the prior is impossible or its distribution is not among ``DISTRIBUTIONS``; if a value or
-        range lies outside the support, or all of a distribution but a millionth does.
-    """
+    """Turn what a configuration says of one parameter into a prior."""
     where = f"priors.{name}"
     span = f"{name} {_span(lower, upper)}"
     if isinstance(text, bool):
@@ -352,11 +280,6 @@ class JointPrior:
 
     Normal, half-normal and uniform densities, which most parameters have, are one sum over
     columns; the others are evaluated one by one.
-
-    Parameters
-    ----------
-    priors
-        Of the ``d`` parameters, none of them fixed.
     """
 
     def __init__(self, priors: Sequence[Prior]) -> None:
@@ -380,15 +303,7 @@ class JointPrior:
     def log_density(self, x: Array) -> Array:
         """Log of the joint density.
 
-        Parameters
-        ----------
-        x
-            ``(n, d)`` parameters, SI units.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``, normalised; ``-inf`` where any value is outside its support.
+        Shapes: ``x`` (n, d), returns (n,).
         """
         inside = np.all((x >= self._lower) & (x <= self._upper) & np.isfinite(x), axis=1)
         with np.errstate(all="ignore"):

@@ -38,21 +38,12 @@ def nested_rhat(draws: Array) -> Array:
     independent chains. Here an ensemble is a superchain. It means something
     only if the ensembles started further apart than their walkers.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``, at least two ensembles and two steps.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``: 1 where the ensembles agree or nothing varies at all, infinite for a parameter
-        that is constant in each ensemble and differs between them.
-
     References
     ----------
     .. [1] C. C. Margossian et al., "Nested R-hat: assessing the convergence of Markov chain Monte
        Carlo when running many short chains", Bayesian Analysis (2024).
+
+    Shapes: ``draws`` (ensembles, walkers, steps, d), returns (d,).
     """
     from arviz_stats.base import array_stats  # takes a while, and few commands need it
 
@@ -71,18 +62,6 @@ def nested_rhat(draws: Array) -> Array:
 def autocorrelation_time(draws: Array) -> Array:
     """Integrated autocorrelation time, over all ensembles.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)`` in steps, at least one; infinite where a walker never moved.
-
-    Notes
-    -----
     The larger of two estimates. One averages the walkers' autocorrelations, taken around the mean
     of all, so that walkers that stay apart from each other show as what they are. The other takes
     the series of ensemble means, whose variance also feels that walkers move together. On a ridge
@@ -91,6 +70,8 @@ def autocorrelation_time(draws: Array) -> Array:
 
     It is over all ensembles, as the largest of some noisy estimates would grow with their
     number; that ensembles agree is for :func:`nested_rhat` to say.
+
+    Shapes: ``draws`` (ensembles, walkers, steps, d), returns (d,).
     """
     _, walkers, steps, d = draws.shape
     times = np.full(d, np.inf)
@@ -114,13 +95,7 @@ def autocorrelation_time(draws: Array) -> Array:
 
 
 def autocorrelation(series: Array) -> Array:
-    """Autocorrelation of a series ``(walkers, steps)`` around its common mean.
-
-    Returns
-    -------
-    ndarray
-        ``(steps,)`` by lag, mean over walkers; ones where the series is constant.
-    """
+    """Autocorrelation of a series ``(walkers, steps)`` around its common mean."""
     x = series - series.mean()
     variance = np.mean(x**2)
     if not variance > 0.0 or np.ptp(series) == 0.0:
@@ -146,17 +121,7 @@ def _integrated(correlation: Array) -> float:
 def effective_sample_size(draws: Array, tau: Array) -> Array:
     """Count the independent draws that a sample is worth.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``; only its shape counts.
-    tau
-        ``(d,)`` autocorrelation times in steps.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, ``ensembles * walkers * steps / tau``.
+    Shapes: ``draws`` (ensembles, walkers, steps, d), ``tau`` (d,), returns (d,).
     """
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
@@ -173,18 +138,7 @@ def few(walkers: NDArray[np.bool_]) -> bool:
 def without_stuck(draws: Array, acceptance: Array) -> Array:
     """Leave out the few walkers that never moved, as many of each ensemble.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, ..)``.
-    acceptance
-        ``(ensembles, walkers)`` accepted share of proposals.
-
-    Returns
-    -------
-    ndarray
-        Of fewer walkers; the same where none are stuck, or more than a few: then the others do not
-        tell all.
+    Shapes: ``draws`` (ensembles, walkers, ..), ``acceptance`` (ensembles, walkers).
     """
     moved = acceptance > 0.0
     if moved.all() or not few(~moved):
@@ -198,48 +152,17 @@ def steps_needed(
 ) -> Array:
     """Predict after how many steps each parameter would have converged.
 
-    Parameters
-    ----------
-    steps, ensembles
-        Made so far, and by how many ensembles.
-    rhat
-        ``(d,)`` nested R-hat so far.
-    max_rhat
-        That is to be reached.
-    tau
-        ``(d,)`` autocorrelation times in steps; 0 leaves them out.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, ``max(steps (rhat^2 - 1)/(max_rhat^2 - 1), 50 tau/ensembles)``.
-
-    Notes
-    -----
     The variance between ensembles falls with the number of steps; an autocorrelation time
     that is not yet seen whole grows with it, so for what mixes slowly this is too few.
+
+    Shapes: ``rhat`` (d,), ``tau`` (d,), returns (d,).
     """
     agree = steps * (rhat**2 - 1.0) / (max_rhat**2 - 1.0)
     return np.maximum(agree, LONG_ENOUGH * tau / ensembles)
 
 
 def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:
-    """Tell whether a run cannot converge in the steps allowed, and does not come nearer to it.
-
-    Parameters
-    ----------
-    seen
-        Steps, and the steps needed as predicted then, of every look so far.
-    allowed
-        Most steps.
-
-    Returns
-    -------
-    bool
-        True where, after at least four looks, 500 steps and a tenth of those allowed, all looks of
-        the later half of the run predict more than twice the steps allowed, and the prediction
-        hardly falls.
-    """
+    """Tell whether a run cannot converge in the steps allowed, and does not come nearer to it."""
     last = seen[-1][0]
     lately = [needed for steps, needed in seen if 2 * steps >= last]
     far = min(lately) > _FAR * allowed and lately[-1] >= _FALLING * lately[0]

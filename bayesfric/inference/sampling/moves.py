@@ -56,13 +56,6 @@ class DifferentialEvolutionMove(_VectorisedMove):
     Differential evolution [1]_, vectorised over walkers. It adapts to the posterior's shape by
     itself.
 
-    Parameters
-    ----------
-    ensembles
-        How many share the sampler's walkers, one after the other, of one size each.
-
-    Notes
-    -----
     ``x + g (x_i - x_j)`` with ``g = 2.38/sqrt(2 d)``, scattered by 1e-5 of itself. One proposal in
     ten takes the whole difference, ``g = 1``, which lets walkers change between separate modes.
 
@@ -78,11 +71,7 @@ class DifferentialEvolutionMove(_VectorisedMove):
     def propose(self, model: Any, state: Any) -> tuple[Any, Chosen]:
         """Move both halves of every ensemble, one after the other; emcee's interface.
 
-        Returns
-        -------
-        state, accepted
-            The state, changed in place, and flags ``(walkers,)``, of all ensembles, of who accepted
-            a proposal.
+        Shapes: returns (walkers,).
         """
         random = model.random
         total, d = state.coords.shape
@@ -111,12 +100,6 @@ class IndependenceMove(_VectorisedMove):
     The proposal is fitted to the warm-up, where it may be replaced between blocks, and then
     frozen: one that went on learning from the chain it drives would not leave the posterior
     invariant.
-
-    Parameters
-    ----------
-    proposal
-        ``q``; a proposal ``y`` of a walker at ``x`` is accepted with the probability
-        ``min(1, p(y) q(x) / (p(x) q(y)))``.
     """
 
     def __init__(self, proposal: Proposal | ProposalInBoth) -> None:
@@ -133,14 +116,7 @@ class IndependenceMove(_VectorisedMove):
 class ElsewhereMove(Move):  # type: ignore[misc]
     """A move made in other coordinates, where the posterior is of another shape.
 
-    Parameters
-    ----------
-    move
-        To be made there.
-    there
-        Maps walkers ``(n, d)`` to those coordinates and gives the log Jacobian ``(n,)``.
-    back
-        Undoes it; a place that has no way back is impossible.
+    Shapes: ``there`` (n, d).
     """
 
     def __init__(

@@ -40,17 +40,6 @@ _TRIALS = 100
 class Proposal:
     """A mixture of normals, which follows a bent posterior, and a multivariate t around it all.
 
-    Parameters
-    ----------
-    weights
-        ``(k,)`` of the normals, sum one.
-    means, roots
-        ``(k, d)`` and ``(k, d, d)`` their means and the Cholesky factors of their covariances.
-    mean, root
-        ``(d,)`` and ``(d, d)`` of the t.
-
-    Notes
-    -----
     With one component it is a normal, and the t. The t has a tenth of the weight, five degrees of
     freedom, and heavier tails than any posterior that is normal far out, so that the weights of an
     independence move stay bounded [1]_.
@@ -59,6 +48,8 @@ class Proposal:
     ----------
     .. [1] T. Hesterberg, "Weighted average importance sampling and defensive mixture
        distributions", Technometrics 37 (1995) 185-194.
+
+    Shapes: ``weights`` (k,), ``means, roots`` (k, d), ``mean, root`` (d,).
     """
 
     def __init__(
@@ -95,17 +86,12 @@ class Proposal:
         The components start as slices across the direction in which the draws are most skewed.
         There are fewer where draws are few, down to one.
 
-        Parameters
-        ----------
-        draws
-            ``(n, d)``; some thousands of them are looked at.
-        last
-            Whether this is the one to be frozen: then up to six components, else three.
-
         References
         ----------
         .. [1] A. P. Dempster, N. M. Laird, D. B. Rubin, "Maximum likelihood from incomplete data
            via the EM algorithm", Journal of the Royal Statistical Society B 39 (1977) 1-38.
+
+        Shapes: ``draws`` (n, d).
         """
         most = _MOST_COMPONENTS_LAST if last else _MOST_COMPONENTS
         each = _DRAWS_AN_ENTRY_LAST if last else _DRAWS_AN_ENTRY
@@ -153,20 +139,10 @@ class Proposal:
 class ProposalInBoth:
     """A proposal in the sampled coordinates and one in straight ones, mixed.
 
-    Parameters
-    ----------
-    own, straight
-        The proposals.
-    share
-        Of the straight one, from 0 to 1.
-    there, back
-        Maps ``(n, d)`` to straight coordinates, with the log Jacobian ``(n,)``, and undoes it;
-        a place that has no way back is not finite.
-
-    Notes
-    -----
     A draw without a way back is made anew: that cuts the proposal off where the posterior ends,
     and its density by a factor that is the same everywhere.
+
+    Shapes: ``there, back`` (n, d).
     """
 
     def __init__(

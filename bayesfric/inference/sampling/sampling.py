@@ -126,27 +126,6 @@ def sample(
     roughly and nothing climbs or spreads any more. Then the proposal is fitted once
     more and frozen. Only steps after that count; where they do not do, all of them are warm-up
     for another proposal.
-
-    Parameters
-    ----------
-    target
-        The log-posterior.
-    start
-        A normal about where it lies, in the target's coordinates.
-    settings
-        How many walkers, and when it is enough.
-    progress
-        Called after every block.
-
-    Returns
-    -------
-    Posterior
-        Draws in physical units, thinned, and whether they can be trusted.
-
-    Raises
-    ------
-    RuntimeError
-        If nothing beside the start is possible.
     """
     began = time.perf_counter()
     d = target.dimension

@@ -26,18 +26,10 @@ CLIMBS = 5
 
 @dataclass(frozen=True)
 class Start:
-    """A normal to draw starts from, in sampling coordinates.
+    """A normal to draw starts from, in sampling coordinates."""
 
-    Attributes
-    ----------
-    mode
-        ``(d,)``.
-    covariance
-        ``(d, d)``.
-    """
-
-    mode: Array
-    covariance: Array
+    mode: Array  # (d,)
+    covariance: Array  # (d, d)
 
     def draw(
         self, n: int, log_density: LogDensity, rng: np.random.Generator, *, spread: float = 1.5
@@ -47,26 +39,7 @@ class Start:
         Starts at zero probability are redrawn, closer in each time: emcee would
         take one and keep that walker stuck for ever.
 
-        Parameters
-        ----------
-        n
-            How many.
-        log_density
-            ``(n, d)`` to ``(n,)``.
-        rng
-            Random numbers.
-        spread
-            Factor of the normal's standard deviations.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)``.
-
-        Raises
-        ------
-        RuntimeError
-            If there is none beside the mode.
+        Shapes: ``log_density`` (n, d), returns (n, d).
         """
         root = np.linalg.cholesky(self.covariance)
         starts = np.empty((n, self.mode.size))
@@ -87,24 +60,10 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     Curvature at the mode itself would be misled where the mode leans on a bound:
     the density falls off a cliff there and the walkers would start in one spot.
 
-    Parameters
-    ----------
-    target
-        The log-posterior.
-    mode
-        ``(d,)`` in its coordinates.
-    prior_draws
-        ``(n, d)`` of the prior, in the same coordinates; rows may be not finite.
-
-    Returns
-    -------
-    Start
-        Mode, and the inverse of the information.
-
-    Notes
-    -----
     The information is ``J'J`` of the modelled outputs over their noise, that of the
     noise scales, and the prior's inverse variance, from its draws' central 68 %.
+
+    Shapes: ``mode`` (d,), ``prior_draws`` (n, d).
     """
     k, d = len(target.free), mode.size
     low, high = np.nanquantile(prior_draws, [0.16, 0.84], axis=0)
@@ -161,37 +120,13 @@ def climb(
 ) -> Array:
     """Climb to the mode from the best of several candidates.
 
-    Parameters
-    ----------
-    log_density
-        ``(n, d)`` to ``(n,)``.
-    candidates
-        ``(n, d)`` places to start from.
-    climbs
-        How many of the best are followed to their peak.
-    max_steps
-        Steps of each climb at most.
-    widths
-        ``(d,)`` by which the density falls by half a unit, about; adapted in any case.
-    moved
-        Called with every place ``(d,)`` a climb gets to; the density may prepare itself for it.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, the highest peak found.
-
-    Raises
-    ------
-    ValueError
-        If no candidate is possible.
-
-    Notes
-    -----
     Newton steps with a Hessian by finite differences, damped as Levenberg and
     Marquardt do. Steps of the differences adapt to where the density has fallen
     by half a unit, which averages over the kinks that direction-dependent losses
     leave in it.
+
+    Shapes: ``log_density`` (n, d), ``candidates`` (n, d), ``widths`` (d,), ``moved`` (d,),
+    returns (d,).
     """
     heights = log_density(candidates)
     # Direction-dependent losses make several peaks, and the highest candidate need
