@@ -144,7 +144,7 @@ def _no_explanation():
 
 @pytest.fixture
 def unexplained():
-    """Let fits and checks simulate no twins, where what else explains a torque is not asked.
+    """Let fits and checks simulate no replicates, where what else explains a torque is not asked.
 
     Half of the time of a fit goes there; every recording is taken for too long to be asked.
     """

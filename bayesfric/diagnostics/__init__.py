@@ -4,7 +4,7 @@
 - :mod:`~bayesfric.diagnostics.explanation`: what else explains the torque, as findings; its method
   is in :mod:`~bayesfric.diagnostics.regression`, its table in
   :mod:`~bayesfric.diagnostics.candidates`.
-- :mod:`~bayesfric.diagnostics.twins`: recordings' motions with the fitted model's torque (a
+- :mod:`~bayesfric.diagnostics.replicates`: recordings' motions with the fitted model's torque (a
   parametric bootstrap), the null distribution of every statistic here.
-- :mod:`~bayesfric.diagnostics.self_check`: the bias of a fit, from its twins.
+- :mod:`~bayesfric.diagnostics.self_check`: the bias of a fit, from its replicates.
 """

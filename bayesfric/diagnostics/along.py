@@ -46,7 +46,7 @@ _FASTEST = 0.3
 
 @dataclass(frozen=True)
 class Scales:
-    """What shapes columns: of the recordings that were measured; twins have the same."""
+    """What shapes columns: of the recordings that were measured; replicates have the same."""
 
     speed: float  # Nearly the largest, the 95 % quantile of its absolute value, rad/s or m/s
     reach: float  # Twice the median distance from the last reversal, rad or m

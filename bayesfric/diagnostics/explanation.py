@@ -19,8 +19,8 @@ from bayesfric.diagnostics.policy import (
     LONGEST,
     MOVES,
 )
-from bayesfric.diagnostics.regression import Regression, Step, Twin
-from bayesfric.diagnostics.twins import NoTwin, excerpt
+from bayesfric.diagnostics.regression import Regression, Step, Replicate
+from bayesfric.diagnostics.replicates import ReplicateError, excerpt
 from bayesfric.estimates.descent import few_threads
 from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.joint import Joint
@@ -42,13 +42,15 @@ class Explanation:
     findings: tuple[Finding, ...] = ()  # Of what is no chance, in the order of the ranking
     kinds: tuple[str, ...] = ()  # Of candidates that were asked
     untold: tuple[str, ...] = ()  # Kinds that this motion does not tell from what the model has
-    twins: tuple[Twin, ...] = field(default=(), repr=False)  # Simulated recordings that judge
+    replicates: tuple[Replicate, ...] = field(
+        default=(), repr=False
+    )  # Simulated recordings that judge
     # Of all candidates' statistics, a standard normal's, before any is taken in; and what 95 % of
-    # the twins stay below, or what as many independent normals do, the larger of the two
+    # the replicates stay below, or what as many independent normals do, the larger of the two
     largest: float = 0.0
     limit: float = 0.0
-    cpu_seconds: float = 0.0  # Spent on the regression and its twins
-    # Why it was not asked: there are too few outputs, or most twins stand still; else None
+    cpu_seconds: float = 0.0  # Spent on the regression and its replicates
+    # Why it was not asked: there are too few outputs, or most replicates stand still; else None
     reason: Reason | None = None
     # Of the samples that were asked, the share of all; below one for long recordings
     share: float = 1.0
@@ -88,7 +90,11 @@ class Explanation:
 
     def as_json(self) -> dict[str, Any]:
         """Give all of it as JSON holds it."""
-        told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": len(self.twins)}
+        told = {
+            "kinds": list(self.kinds),
+            "untold": list(self.untold),
+            "twins": len(self.replicates),
+        }
         told |= {"largest": self.largest, "limit": self.limit}
         told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason, "share": self.share}
         return {"findings": [one.as_dict() for one in self.findings], **told}
@@ -123,7 +129,7 @@ def explain(
             asked = Regression(chain, recordings, observations, processing, values, known, seed)
             # what moves a number by so many sds of an excerpt's is more of the whole's
             steps = [_sharpened(step, share**-0.5) for step in asked.steps()]
-    except NoTwin:
+    except ReplicateError:
         return Explanation(reason="still")
     return Explanation(
         tuple(finding(chain, step) for step in steps if step.sure),

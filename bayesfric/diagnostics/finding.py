@@ -19,8 +19,8 @@ class Finding:
     kind: str  # What it is, a key of the words
     # doubt where it moves a reported number by more than half its interval, else note
     severity: Severity
-    statistic: float  # How far beyond what its twins show, as a standard normal
-    p: float  # How often twins show as much of anything
+    statistic: float  # How far beyond what its replicates show, as a standard normal
+    p: float  # How often replicates show as much of anything
     # Which of its kind it is, such as a speed or a frequency; empty where there is one
     shape: str = ""
     recording: str = ""  # In which it is; empty for all

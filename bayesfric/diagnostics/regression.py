@@ -1,15 +1,15 @@
-"""What else explains the torque: one regression, judged by the recording's own twins.
+"""What else explains the torque: one regression, judged by the recording's own replicates.
 
 Beside the model's own columns, its torque's derivatives by its parameters at an estimate, stand
 those of :mod:`bayesfric.diagnostics.candidates`. All pass the parallel filter of the measured
 torque, are whitened by one noise, and are asked for what is left when the model's own are taken
-out. The twins give the mean and spread of each candidate where the model is right, and what chance
+out. The replicates give the mean and spread of each candidate where the model is right, and what chance
 makes of the largest of all (Rubin, Annals of Statistics 12, 1984; Gelman, Meng and Stern,
 Statistica Sinica 6, 1996; Westfall and Young, Resampling-Based Multiple Testing, 1993). What
 exceeds that goes in, the one that explains most first, and the others compete for what is left.
 
 The noise is chosen on what is left once everything that white noise would not do is taken: on the
-plain residual its memory would swallow the effect. Each twin's is chosen on itself.
+plain residual its memory would swallow the effect. Each replicate's is chosen on itself.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from bayesfric.diagnostics.policy import (
     LEAST_OUTPUTS,
     MOST,
     TESTABLE,
-    TWINS,
+    REPLICATES,
 )
 from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, tuned, waves
 from bayesfric.diagnostics.statistics import (
@@ -57,7 +57,7 @@ from bayesfric.diagnostics.statistics import (
     unit_scores,
     without,
 )
-from bayesfric.diagnostics.twins import NoTwin, twins
+from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.derived import derive
@@ -71,9 +71,9 @@ from bayesfric.recordings.processing import Processing
 _STEP = 1e-6
 # Share of a quantity's direction that must be determined.
 _TOLD = 0.999
-# Widest share of a parameter by which twins' truths differ.
+# Widest share of a parameter by which replicates' truths differ.
 _WIDEST = 0.1
-# Share of the twins that must have come out.
+# Share of the replicates that must have come out.
 _ENOUGH = 0.5
 # Most that is taken out while noise is chosen, and what each costs there: twice the log of how
 # many candidates there are.
@@ -91,7 +91,7 @@ class Choice:
     shape: str
     own: list[int]  # Numbers of its columns
     sure: bool  # Whether it is no chance
-    # Its statistic as a standard normal; and (1 + k) / (n + 1) where k of n twins have one as
+    # Its statistic as a standard normal; and (1 + k) / (n + 1) where k of n replicates have one as
     # large, of whichever candidate
     z: float
     p: float
@@ -105,7 +105,7 @@ class Choice:
 
 
 @dataclass(frozen=True, eq=False)
-class Twin:
+class Replicate:
     """A simulated recording whose truth is known, and whose torque has no noise."""
 
     values: Array  # (n_parameters,) it was made with
@@ -133,7 +133,7 @@ class Step(Choice):
 
 @dataclass(eq=False)
 class Regression:
-    """Recordings, twins and everything that is computed once.
+    """Recordings, replicates and everything that is computed once.
 
     Shapes: ``values`` (n_parameters,).
     """
@@ -145,11 +145,11 @@ class Regression:
     values: Array
     known: Collection[str] = ()
     seed: int = 0
-    number: int = TWINS
+    number: int = REPLICATES
     scales: Scales = field(init=False)
     data: Columns = field(init=False)
-    twins: list[Columns] = field(init=False)
-    simulated: tuple[Twin, ...] = field(init=False)
+    replicates: list[Columns] = field(init=False)
+    simulated: tuple[Replicate, ...] = field(init=False)
     _placed_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
     _sure_kinds: set[str] = field(init=False, default_factory=set)
 
@@ -163,11 +163,11 @@ class Regression:
         self._smoothed = f"{max(a.smoothed_at() for a in along):.3g} Hz"
         vectors = self._near(np.random.default_rng(draws))
         made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
-        self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
-        self.twins = [twin for _, twin in made]
-        if len(self.twins) < _ENOUGH * self.number:
-            raise NoTwin("with parameters like these it hardly moves")
-        self._clean = [twin.left for twin in self.twins]
+        self.simulated = tuple(Replicate(v, t.base, t.left, t.layout) for v, t in made)
+        self.replicates = [replicate for _, replicate in made]
+        if len(self.replicates) < _ENOUGH * self.number:
+            raise ReplicateError("with parameters like these it hardly moves")
+        self._clean = [replicate.left for replicate in self.replicates]
         self._choose_noise(noise)
 
     # What is compared
@@ -214,13 +214,13 @@ class Regression:
     def _twins(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
-        """Make a twin at each vector, unless the filters leave too few outputs."""
+        """Make a replicate at each vector, unless the filters leave too few outputs."""
         parts = []
         for r, o, one in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
         ):
             seeds = one.spawn(len(vectors))
-            parts.append(twins(self.chain, vectors, r, o, self.processing, seeds))
+            parts.append(replicates(self.chain, vectors, r, o, self.processing, seeds))
         for values, seen in zip(vectors, zip(*parts, strict=True), strict=True):
             made = [o for o in seen if o is not None]
             least = len(self.chain.names) + LEAST_OUTPUTS
@@ -230,7 +230,7 @@ class Regression:
     # Noise
 
     def _choose_noise(self, stream: np.random.SeedSequence) -> None:
-        """Give twins the noise of what is left when all is taken that is there by white noise."""
+        """Give replicates the noise of what is left when all is taken that is there by white noise."""
         self._add_noise(WHITE, [], stream)
         taken: list[list[int]] = [[]]
         for choice, extra in self._climbed(_PICKS, choosing=True):
@@ -244,13 +244,13 @@ class Regression:
             if bic < best:
                 best, self.noise, chosen = bic, memory, extra
         self._add_noise(self.noise, chosen, stream)
-        self.twins = [replace(t, memory=_memory(t, chosen)[0]) for t in self.twins]
+        self.replicates = [replace(t, memory=_memory(t, chosen)[0]) for t in self.replicates]
 
     def _add_noise(
         self, memory: Memory, extra: Sequence[int], stream: np.random.SeedSequence
     ) -> None:
-        """Add so much that twins leave as much as the recording does: their sensors make some."""
-        clean = [replace(t, left=x) for t, x in zip(self.twins, self._clean, strict=True)]
+        """Add so much that replicates leave as much as the recording does: their sensors make some."""
+        clean = [replace(t, left=x) for t, x in zip(self.replicates, self._clean, strict=True)]
         taken = self.values.size + len(extra)
         own, total = (
             float(np.mean([mean_square(d.rest(extra), taken) for d in some]))
@@ -259,7 +259,9 @@ class Regression:
         beyond = max(1.0 - own / max(total, 1e-300), 0.1)
         sd = math.sqrt(total * beyond / memory.variance(self.data.layout))
         rng = np.random.default_rng(stream)
-        self.twins = [replace(t, left=t.left + sd * memory.drawn(t.layout, rng)) for t in clean]
+        self.replicates = [
+            replace(t, left=t.left + sd * memory.drawn(t.layout, rng)) for t in clean
+        ]
 
     # Ranking
 
@@ -291,9 +293,9 @@ class Regression:
 
         Those that were found are among them; a tone, a push or a far delay only where it was, and
         none that is as large as all torque where it is there. Columns are as large as all torque,
-        of friction as what the model loses; the mean score of the twins is taken off, and half of
+        of friction as what the model loses; the mean score of the replicates is taken off, and half of
         it counts as spread. The noise is the one that was chosen before: what is taken in differs
-        with the twins where several explain as much.
+        with the replicates where several explain as much.
         """
         d = replace(self.data, memory=self.noise).whitened
         base = basis_of(d.base)
@@ -317,7 +319,9 @@ class Regression:
                 kinds.setdefault(kind, []).append(own)
         free = left.size - base.shape[1]
         power = float(left @ left)
-        scores, sds = zip(*(unit_scores(twin.whitened, size) for twin in self.twins), strict=True)
+        scores, sds = zip(
+            *(unit_scores(replicate.whitened, size) for replicate in self.replicates), strict=True
+        )
         mean, white = np.mean(scores, axis=0), float(np.mean(sds))
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
         in_law = {kind.name for kind in KINDS if kind.of_speed}
@@ -362,10 +366,10 @@ class Regression:
             self.data = replace(self.data, memory=_memory(self.data, extra)[0])
         given = self._groups, extra, self.scales.push
         mine = asked(self.data, *given)
-        z, null = scored(mine, [asked(twin, *given) for twin in self.twins])
+        z, null = scored(mine, [asked(replicate, *given) for replicate in self.replicates])
         largest = null.max(axis=1)
         limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
-        # so few twins know it to 0.3: nor is less than by as many normals (Bonferroni)
+        # so few replicates know it to 0.3: nor is less than by as many normals (Bonferroni)
         limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
         kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
         # a shape, or the place of a scan, is one more number
@@ -514,7 +518,7 @@ class Regression:
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
     def _with_scan(self, scan: Scan) -> list[int]:
-        """Add the columns of what a scan has found to recording and twins, and number them."""
+        """Add the columns of what a scan has found to recording and replicates, and number them."""
         if scan.kind in DELAYS:  # which have them already
             return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
@@ -525,7 +529,10 @@ class Regression:
             keys = (Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
             return replace(d, others=np.column_stack([d.others, more]), keys=(*d.keys, *keys))
 
-        self.data, self.twins = widened(self.data), [widened(twin) for twin in self.twins]
+        self.data, self.replicates = (
+            widened(self.data),
+            [widened(replicate) for replicate in self.replicates],
+        )
         return list(range(first, self.data.others.shape[1]))
 
 

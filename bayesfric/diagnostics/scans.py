@@ -1,7 +1,7 @@
 """What is looked for at any place: a tone of any frequency, a push at any time, a far delay.
 
 A scan is one candidate, however many places it has: its statistic is the largest of all, and what
-chance makes of that the twins' largest show.
+chance makes of that the replicates' largest show.
 """
 
 from __future__ import annotations

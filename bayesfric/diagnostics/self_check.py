@@ -1,4 +1,4 @@
-"""What a fit makes of recordings like its own whose truth is known: the twins'.
+"""What a fit makes of recordings like its own whose truth is known: the replicates'.
 
 It is asked how far estimates lie from the truth, nothing else: whether the joint is what the model
 takes it for, no simulation of the model can show.
@@ -16,7 +16,7 @@ from pydantic import Field
 
 from bayesfric.base.options import Options
 from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.regression import Twin
+from bayesfric.diagnostics.regression import Replicate
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.local_units import units_of
 from bayesfric.inference.posterior import Posterior
@@ -37,14 +37,14 @@ class SelfCheckOptions(Options):
         None,
         ge=0,
         examples=[0],
-        description="0 for none; else the twins, recordings simulated like the fitted ones, are "
+        description="0 for none; else the replicates, recordings simulated like the fitted ones, are "
         "fitted anew",
     )
 
 
 @dataclass(frozen=True, eq=False)
 class QuickFit:
-    """What a fit finds of a twin without noise in the torque."""
+    """What a fit finds of a replicate without noise in the torque."""
 
     # (d,) sampled parameters, a small way from the truth towards the estimate. How any quantity
     # changes is asked there, since steps along what is open may be of any length
@@ -58,16 +58,18 @@ class QuickFit:
 class Checked:
     """What came of it: truths, and where fits went from them."""
 
-    truth: Array  # (n, d) sampled parameters that twins were made with
-    fits: tuple[QuickFit, ...]  # Of each twin
+    truth: Array  # (n, d) sampled parameters that replicates were made with
+    fits: tuple[QuickFit, ...]  # Of each replicate
     # That it took
     seconds: float
     cpu_seconds: float
     # Why it could not be made, else None: the likelihood is not of the torque, samples at rest say
-    # what a quick fit cannot use, the sampling failed, most twins stood still, or there are too few
+    # what a quick fit cannot use, the sampling failed, most replicates stood still, or there are too few
     # outputs
     reason: Reason | None = None
-    share: float = 1.0  # Of the recordings' samples that twins have: below one they are of excerpts
+    share: float = (
+        1.0  # Of the recordings' samples that replicates have: below one they are of excerpts
+    )
 
 
 def self_check(
@@ -76,11 +78,11 @@ def self_check(
     observations: Sequence[Observation],
     explained: Explanation,
 ) -> Checked:
-    """Fit the twins of recordings from where their truth is: a parametric bootstrap of the bias.
+    """Fit the replicates of recordings from where their truth is: a parametric bootstrap of the bias.
 
-    Filters, steps of the encoder and differentiation bias an estimate: the mean over twins of fit
+    Filters, steps of the encoder and differentiation bias an estimate: the mean over replicates of fit
     less truth is that bias [1]_. Each fit is one Gauss-Newton step, as the torque is linear in
-    nearly every parameter. The twins' torque has no noise here, so few of them show the bias well.
+    nearly every parameter. The replicates' torque has no noise here, so few of them show the bias well.
 
     References
     ----------
@@ -94,19 +96,19 @@ def self_check(
         reason = "rest"
     elif posterior.diagnostics.status == "unusable":
         reason = "sampling"
-    twins = () if reason else explained.twins
+    replicates = () if reason else explained.replicates
     # a prior that is cut takes a quadrature
     sds = np.array([prior.sd() for prior in target.priors[: len(target.free)]])
     sds = np.where(np.isfinite(sds), sds, np.inf)
     columns = [target.likelihood.chain.names.index(name) for name in target.free]
-    truth = np.tile(posterior.median, (len(twins), 1))
-    for row, twin in zip(truth, twins, strict=True):  # the noise stays the posterior's
-        row[: len(columns)] = twin.values[columns]
+    truth = np.tile(posterior.median, (len(replicates), 1))
+    for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
+        row[: len(columns)] = replicate.values[columns]
     return Checked(
         truth,
         tuple(
             _fit(target, *pair, sds, columns, explained.share)
-            for pair in zip(truth, twins, strict=True)
+            for pair in zip(truth, replicates, strict=True)
         ),
         time.perf_counter() - begun,
         time.process_time() - worked,
@@ -118,12 +120,12 @@ def self_check(
 def _fit(
     target: Target,
     truth: Array,
-    twin: Twin,
+    replicate: Replicate,
     prior_sds: Array,
     columns: Sequence[int],
     share: float,
 ) -> QuickFit:
-    """Take one Gauss-Newton step from the truth ``(d,)`` that a twin was made with.
+    """Take one Gauss-Newton step from the truth ``(d,)`` that a replicate was made with.
 
     Filters, steps of the encoder and differentiation make the modelled torque differ from the
     simulated one. By how much that moves an estimate is asked of a posterior with the noise of the
@@ -135,11 +137,11 @@ def _fit(
     k = len(target.free)
     at, noise = units_of(target, truth), target.likelihood.noise
     scales = target.noise.scales(truth[None, k:])[0]
-    rows = np.column_stack([twin.base[:, columns] * at.units, twin.left])
+    rows = np.column_stack([replicate.base[:, columns] * at.units, replicate.left])
     pieces = [
         noise.standard(piece.T, runs, scale)[0].T
         for piece, runs, scale in zip(
-            twin.layout.split(rows), twin.layout.runs, scales, strict=True
+            replicate.layout.split(rows), replicate.layout.runs, scales, strict=True
         )
     ]
     white = np.concatenate(pieces)

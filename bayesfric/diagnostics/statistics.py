@@ -1,4 +1,4 @@
-"""Statistics of candidates: joint t of each, and how unlikely it is among the twins'.
+"""Statistics of candidates: joint t of each, and how unlikely it is among the replicates'.
 
 Everything here is least squares of a residual on columns, after the model's own columns, its
 derivatives by its parameters, are taken out of both (Frisch and Waugh, Econometrica 1, 1933).
@@ -22,7 +22,7 @@ from bayesfric.recordings.arrays import Array
 # Eigenvalues of a Gram matrix, singular values squared, below these shares of the largest are
 # rounding, or an open direction.
 _ROUNDING, OPEN = 1e-9, 1e-7
-# What twins show as a mean is half known: the recording may share it or not.
+# What replicates show as a mean is half known: the recording may share it or not.
 HALF = 0.5
 # Correlation from which two columns are one, and eigenvalue below which several are.
 _SAME, _SINGULAR = 0.9999, 1e-4
@@ -44,7 +44,7 @@ class Key:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What passed the filters: of one recording or twin, or of several together."""
+    """What passed the filters: of one recording or replicate, or of several together."""
 
     base: Array  # (n, d) derivatives of the torque by the model's parameters
     others: Array  # (n, m) columns of the candidates
@@ -150,7 +150,7 @@ def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Statistics of one recording or twin: of each candidate, and of the scans."""
+    """Statistics of one recording or replicate: of each candidate, and of the scans."""
 
     t: list[Array]  # Joint t (k,) of each group's k coefficients; NaN where nothing of it is left
     gains: Array  # (m,) what each takes of chi squared
@@ -223,12 +223,12 @@ def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
 
 
 def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
-    """How unlikely each statistic is among the twins', as a standard normal; scans last.
+    """How unlikely each statistic is among the replicates', as a standard normal; scans last.
 
-    The squared distance of a candidate's t from the twins' mean, in their covariance, is
+    The squared distance of a candidate's t from the replicates' mean, in their covariance, is
     Hotelling's [1]_. Half of the mean counts as spread: the recording may share what filters and
     encoder make of a right model or not. The largest of a scan is taken for Gumbel's, with the
-    twins' mean and sd.
+    replicates' mean and sd.
 
     References
     ----------
@@ -248,7 +248,7 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
         wide = _shrunk(cov) + HALF**2 * np.outer(mean, mean)
         far = float((x - mean) @ np.linalg.solve(wide, x - mean))
         z[i] = float(_normal(np.array(far), x.size, n))
-        # of each twin, without itself in mean and covariance
+        # of each replicate, without itself in mean and covariance
         apart = (t - mean) * n / (n - 1)
         pairs = apart[:, :, None] * apart[:, None, :]
         each = _shrunk(((n - 1) * cov - (n - 1) / n * pairs) / (n - 2))
@@ -258,7 +258,7 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
         peaks = np.array([one.scans[i].peak for one in others])
         mean = (peaks.sum() - peaks) / (n - 1)
         sd = np.array([np.delete(peaks, k).std(ddof=1) for k in range(n)])
-        # where twins show nothing at all, a unit of chi squared
+        # where replicates show nothing at all, a unit of chi squared
         sd, all_sd = np.maximum(sd, 1.0), max(float(peaks.std(ddof=1)), 1.0)
         z[m + i] = _extreme(np.array((scan.peak - peaks.mean()) / all_sd))
         null[:, m + i] = _extreme((peaks - mean) / sd)
@@ -290,7 +290,7 @@ def _extreme(u: Array) -> Array:
 
 
 def unit_scores(d: Columns, size: Array) -> tuple[Array, float]:
-    """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
+    """Give scores of unit columns beside the model's own, of a whitened replicate, and their sd."""
     base = basis_of(d.base)
     rest, left = without(base, d.others * size), without(base, d.left)
     unit = np.linalg.norm(rest, axis=0)

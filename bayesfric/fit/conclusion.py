@@ -77,7 +77,7 @@ def may_be_simulated(problem: Problem) -> bool:
 
 def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding]) -> Summary:
     """Put in what else explains the torque, and how that was asked."""
-    asked: dict[str, Any] = {"twins": len(found.twins), "asked": len(found.kinds)}
+    asked: dict[str, Any] = {"twins": len(found.replicates), "asked": len(found.kinds)}
     asked |= {"reason": found.reason, "share": found.share}
     findings = found.noted(widened=summary.widened)
     update = {

@@ -83,7 +83,7 @@ def _grid() -> Array:
 def chance_missing(missing: Missing) -> float:
     """Give the probability that any candidate is there, each by itself against none.
 
-    Scores beyond what twins show count in the twins' own standard deviations.
+    Scores beyond what replicates show count in the replicates' own standard deviations.
 
     For a candidate of sd ``s`` the evidence against none is that of a linear regression with a
     normal size, the noise's variance integrated out, averaged over the grid of ``s``, over its

@@ -1,7 +1,7 @@
 """How a joint moves under a drive whose torque depends on the motion: position control, back-EMF.
 
 The drive's law is closed over the forward model of :mod:`bayesfric.mechanism.integrate` at short
-steps, so simulated twins of a recording react to their own motion as the real joint did.
+steps, so simulated replicates of a recording react to their own motion as the real joint did.
 """
 
 from __future__ import annotations

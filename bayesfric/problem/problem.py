@@ -178,7 +178,7 @@ class Problem:
         seed: int | None = None,
         progress: Shown = silent,
     ) -> Explanation:
-        """Ask what else explains the torque, judged by simulated twins of these recordings.
+        """Ask what else explains the torque, judged by simulated replicates of these recordings.
 
         It begins at the first of the ``estimates`` that has all parameters, or at one of the input
         error; ``seed`` replaces that of the table ``sampling``.

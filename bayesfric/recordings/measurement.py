@@ -73,7 +73,7 @@ class Measurement:
     # both ends, where torque of then is not known
     late: float = 0.0
     # how the drive makes its torque, in the closed loop where a target was recorded; None for
-    # what no file tells, as a simulated twin
+    # what no file tells, as a simulated replicate
     law: Law | None = None
 
     def part(self, samples: Index | slice, segments: Segments) -> Measurement:

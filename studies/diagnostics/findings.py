@@ -52,7 +52,7 @@ def one(task: tuple[str, int]) -> dict[str, Any]:
         for f in missing.findings
     ]
     seconds = {"seconds": time.process_time() - begun, "own": missing.cpu_seconds}
-    judged = {"largest": missing.largest, "limit": missing.limit, "twins": len(missing.twins)}
+    judged = {"largest": missing.largest, "limit": missing.limit, "twins": len(missing.replicates)}
     return found | {"steps": steps, "reason": missing.reason} | judged | seconds
 
 

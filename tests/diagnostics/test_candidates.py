@@ -392,7 +392,7 @@ def test_of_a_load_without_weight_one_share_of_the_inertia_stands_for_all():
     assert {name.split(",")[0] for name in BY_NAME["backlash"].columns(a)} == {
         "100% of the inertia behind it"
     }
-    # whatever the weight of a twin, which has the shares of the recordings
+    # whatever the weight of a replicate, which has the shares of the recordings
     weighing = replace(a, scales=replace(a.scales, weighs=True))
     assert [share for _, share, _ in weighing.behind()] == [0.0, 1 / 3, 2 / 3, 1.0]
     massless = replace(a, scales=replace(a.scales, need=0.0))

@@ -34,7 +34,7 @@ def of_table(change, **more):
 def test_a_right_model_lacks_nothing(right):
     found = right.explain()
     assert found.asked
-    assert len(found.twins) >= 20
+    assert len(found.replicates) >= 20
     assert not found.findings
 
 

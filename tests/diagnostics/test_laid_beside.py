@@ -1,4 +1,4 @@
-"""What is laid beside each other of recordings and twins, before anything is asked of it."""
+"""What is laid beside each other of recordings and replicates, before anything is asked of it."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from bayesfric.diagnostics.candidates import KINDS, filtered_columns
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.diagnostics.scans import late
-from bayesfric.diagnostics.twins import NoTwin
+from bayesfric.diagnostics.replicates import ReplicateError
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.inputs import Inputs
@@ -42,14 +42,18 @@ def pair():
     return seen("one", 1200), seen("two", 800, 1.1)
 
 
-def made(pair, monkeypatch, twins=None, number=6, known=("motor.viscous",), values=AT):
-    """A regression whose twins are recordings of the same motion, without a simulation."""
+def made(pair, monkeypatch, replicates=None, number=6, known=("motor.viscous",), values=AT):
+    """A regression whose replicates are recordings of the same motion, without a simulation."""
 
     def simulated(chain, vectors, r, o, processing, seeds):  # noqa: ARG001
         for k, _ in enumerate(seeds):
-            yield replace(o, measured=o.measured + 0.01 * k) if twins is None else twins(k, o)
+            yield (
+                replace(o, measured=o.measured + 0.01 * k)
+                if replicates is None
+                else replicates(k, o)
+            )
 
-    monkeypatch.setattr(regression, "twins", simulated)
+    monkeypatch.setattr(regression, "replicates", simulated)
     observations, recordings = zip(*pair, strict=True)
     return Regression(AXIS, recordings, observations, Processing(), values, known, 3, number)
 
@@ -141,7 +145,7 @@ def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch
     least = 5 + LEAST_OUTPUTS
 
     def losing(lost):
-        def twin(k, o):
+        def replicate(k, o):
             first = o.name == "one"
             if k < lost and first:
                 return None
@@ -149,14 +153,14 @@ def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch
                 return few(o, least - 10 if first else 9 + (k - lost))
             return replace(o, measured=o.measured + 0.01 * k)
 
-        return made(pair, monkeypatch, twin, number=8)
+        return made(pair, monkeypatch, replicate, number=8)
 
     r = losing(1)
     assert [t.layout.outputs for t in r.simulated][:1] == [least]
-    assert len(r.simulated) == len(r.twins) == 6
+    assert len(r.simulated) == len(r.replicates) == 6
     for t, clean in zip(r.simulated, r._clean, strict=True):
         np.testing.assert_array_equal(t.left, clean)
     # at least half must have come out
-    assert len(losing(3).twins) == 4
-    with pytest.raises(NoTwin):
+    assert len(losing(3).replicates) == 4
+    with pytest.raises(ReplicateError):
         losing(4)

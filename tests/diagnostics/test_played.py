@@ -1,4 +1,4 @@
-"""How a twin is made: its motion, its torque, and how its sensors read it."""
+"""How a replicate is made: its motion, its torque, and how its sensors read it."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 import bayesfric as bf
-from bayesfric.diagnostics import twins as made_by
-from bayesfric.diagnostics.twins import _seen, _sensed, played, settled_as, twins
+from bayesfric.diagnostics import replicates as made_by
+from bayesfric.diagnostics.replicates import _seen, _sensed, played, settled_as, replicates
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows
 from bayesfric.recordings.inputs import Inputs, Signal
@@ -84,7 +84,7 @@ def test_instants_of_twins_lie_anywhere_between_those_of_the_recording(monkeypat
     many = values * np.linspace(0.5, 1.5, 301)[:, None]
     seeds = np.random.SeedSequence(1).spawn(301)
     processing = Processing(lowpass="10 Hz")
-    assert set(twins(chain, many, recording, o, processing, seeds)) == {None}
+    assert set(replicates(chain, many, recording, o, processing, seeds)) == {None}
     assert stats.kstest(phases, "uniform", (-0.5, 1.0)).pvalue > 1e-3
 
 
@@ -124,7 +124,7 @@ def test_what_is_read_lies_on_steps_and_has_the_noise_that_was_seen(step, noise)
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_a_measured_speed_has_the_noise_and_the_position_none(measured):
-    """Nothing is left of what a maker did to torque or speed: that of a twin is exact."""
+    """Nothing is left of what a maker did to torque or speed: that of a replicate is exact."""
     *_, recording, o = bench()
     rng = np.random.default_rng(2)
     smooth = np.pi * np.cumsum(rng.uniform(size=N))  # of no steps

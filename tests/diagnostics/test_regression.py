@@ -1,4 +1,4 @@
-"""What is taken in, and what it moves: recordings and twins of random columns, dense algebra."""
+"""What is taken in, and what it moves: recordings and replicates of random columns, dense algebra."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -46,8 +46,8 @@ def columns(rng, effect=None, noise=WHITE, counts=(160, 140), base=5):
     return d if effect is None else replace(d, left=left + effect(d))
 
 
-def made(effect=None, seed=0, noise=WHITE, twins=24, values=None, known=()):
-    """A regression whose recording and twins are columns that are given."""
+def made(effect=None, seed=0, noise=WHITE, replicates=24, values=None, known=()):
+    """A regression whose recording and replicates are columns that are given."""
     rng = np.random.default_rng(seed)
     r = object.__new__(Regression)
     r.chain, r.known, r._smoothed = AXIS, known, ""
@@ -62,8 +62,8 @@ def made(effect=None, seed=0, noise=WHITE, twins=24, values=None, known=()):
     ]
     r.data = columns(rng, effect, noise)
     r._groups = candidates(r.data)
-    r.twins = [columns(rng, noise=noise) for _ in range(twins)]
-    r._clean = [np.zeros_like(t.left) for t in r.twins]
+    r.replicates = [columns(rng, noise=noise) for _ in range(replicates)]
+    r._clean = [np.zeros_like(t.left) for t in r.replicates]
     return r
 
 
@@ -88,7 +88,7 @@ def test_limit_probability_and_worth_are_those_of_all_twins_largest():
     r = made(effect_of("offset", 1.0))
     choice = r._best([], choosing=False)
     given = r._groups, [], 0.25
-    z, null = scored(asked(r.data, *given), [asked(t, *given) for t in r.twins])
+    z, null = scored(asked(r.data, *given), [asked(t, *given) for t in r.replicates])
     largest = np.sort(null.max(axis=1))
     assert choice.limit == max(largest[-2], stats.norm.isf(0.05 / z.size / 2))
     assert (choice.kind, choice.sure) == ("offset", True)
@@ -99,15 +99,15 @@ def test_limit_probability_and_worth_are_those_of_all_twins_largest():
     # a pair is one number more, a shape another; a tone has a frequency, a push and a delay a place
     more = [1 * (len(own) > 1) + (key.kind == "stribeck") for key, own in r._groups] + [2, 1, 1]
     np.testing.assert_allclose(choice.worth, gains - np.array(more) * np.log(r.data.left.size))
-    # of nothing that is sure the most unlikely is told, and how many twins have more of anything
+    # of nothing that is sure the most unlikely is told, and how many replicates have more of anything
     none = made(seed=3)
     choice = none._best([], choosing=False)
-    z, null = scored(asked(none.data, *given), [asked(t, *given) for t in none.twins])
+    z, null = scored(asked(none.data, *given), [asked(t, *given) for t in none.replicates])
     assert not choice.sure
     assert choice.z == z.max() < choice.limit
     assert choice.p == (1 + np.sum(null.max(axis=1) >= z.max())) / 25.0
-    # with few twins the limit is that of as many independent normals
-    few = made(seed=3, twins=5)
+    # with few replicates the limit is that of as many independent normals
+    few = made(seed=3, replicates=5)
     assert few._best([], choosing=False).limit >= stats.norm.isf(0.05 / z.size / 2)
 
 
@@ -171,7 +171,7 @@ def test_what_is_wrong_is_named_and_nothing_else(kind, noise):
     if kind in (TONE, PUSH, DELAY):
         assert first.scan.kind == kind
         assert r._placed_scans == [(kind, tuple(first.own))]
-    assert all(len(t.keys) == len(d.keys) == t.others.shape[1] for t in r.twins)
+    assert all(len(t.keys) == len(d.keys) == t.others.shape[1] for t in r.replicates)
     assert all(key.kind == kind for key in np.array(d.keys, dtype=object)[first.own])
     exact = {"elastic": [0.8], "gravity": [0.6, -0.6], "stribeck": [0.8], DELAY: [1.0, -0.2]}
     if kind in exact:
@@ -366,8 +366,8 @@ def test_candidates_to_be_marginalised_are_products_of_dense_residuals():
     assert found.power == pytest.approx(y @ y, rel=1e-6)
     assert found.free == y.size - 5
     scores, sds = [], []
-    for twin in r.twins:
-        a, b = products(twin)
+    for replicate in r.replicates:
+        a, b = products(replicate)
         scores.append(a.T @ b / np.linalg.norm(a, axis=0))
         sds.append(np.sqrt(b @ b / (b.size - 5)))
     mean, spread = np.mean(scores, axis=0), np.std(scores, axis=0, ddof=1) / np.mean(sds)
@@ -425,18 +425,18 @@ def test_twins_are_given_so_much_noise_that_they_leave_what_the_recording_does(m
     r = made(seed=1, noise=memory)
     rng = np.random.default_rng(9)
     level = mean_square(left_of(r.data, 4), 6)
-    r._clean = [np.sqrt(sensors * level) * rng.standard_normal(t.left.size) for t in r.twins]
+    r._clean = [np.sqrt(sensors * level) * rng.standard_normal(t.left.size) for t in r.replicates]
     r._add_noise(memory, [4], np.random.SeedSequence(3))
-    added = [t.left - clean for t, clean in zip(r.twins, r._clean, strict=True)]
+    added = [t.left - clean for t, clean in zip(r.replicates, r._clean, strict=True)]
     own = np.mean(
         [
             mean_square(left_of(replace(t, left=c), 4), 6)
-            for t, c in zip(r.twins, r._clean, strict=True)
+            for t, c in zip(r.replicates, r._clean, strict=True)
         ]
     )
     exact = max(level - own, 0.1 * level)
     drawn = np.random.default_rng(np.random.SeedSequence(3))
-    series = np.concatenate([memory.drawn(r.data.layout, drawn) for _ in r.twins])
+    series = np.concatenate([memory.drawn(r.data.layout, drawn) for _ in r.replicates])
     np.testing.assert_allclose(
         np.concatenate(added), series * np.sqrt(exact / memory.variance(r.data.layout))
     )
@@ -471,9 +471,9 @@ def test_the_noise_is_that_of_the_best_residual_when_one_after_the_other_is_take
     _, memory, extra = min(found, key=lambda one: one[0])
     np.testing.assert_allclose(r.noise.partial, memory.partial, rtol=1e-6)
     assert r.noise.slow == memory.slow
-    # twins then have that noise beside what was taken, and each a memory of its own
+    # replicates then have that noise beside what was taken, and each a memory of its own
     by_hand._add_noise(memory, extra, stream)
-    for one, other in zip(r.twins, by_hand.twins, strict=True):
+    for one, other in zip(r.replicates, by_hand.replicates, strict=True):
         np.testing.assert_allclose(one.left, other.left, rtol=1e-6)
         own, _ = memory_of(left_of(other, *extra), other.layout)
         np.testing.assert_allclose(one.memory.partial, own.partial, rtol=1e-6)

@@ -268,7 +268,7 @@ def unlikely(x, others, spread=0.0):
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("n", [12, 24])
 def test_a_score_is_hotellings_among_the_others(k, n):
-    """Of the recording half of what twins show on average is spread; of a twin it is known."""
+    """Of the recording half of what replicates show on average is spread; of a replicate it is known."""
     rng = np.random.default_rng(4)
     t = rng.multivariate_normal([3.0] * k, 0.5 * np.eye(k) + 0.5, n)
     x = np.arange(1.0, k + 1.0)
@@ -289,7 +289,7 @@ def test_scores_reach_beyond_what_rounding_of_a_probability_holds():
 
 @pytest.mark.parametrize("spread", [0.3, 4.0])
 def test_a_scans_score_is_gumbels_of_the_twins_mean_and_spread(spread):
-    """Of a spread of at least one: where twins show nothing, that is a unit of chi squared."""
+    """Of a spread of at least one: where replicates show nothing, that is a unit of chi squared."""
     rng = np.random.default_rng(7)
     peaks = 10.0 + spread * rng.standard_normal(24)
     mine = 14.0
@@ -311,14 +311,14 @@ def test_a_scans_score_is_gumbels_of_the_twins_mean_and_spread(spread):
 
 def test_far_peaks_score_by_the_tail_of_gumbels():
     """There the logarithm of the probability is minus the standardised distance."""
-    twins = [
+    replicates = [
         sample(t, (p,))
         for t, p in zip(np.linspace(-1, 1, 24), np.tile([9.0, 11.0], 12), strict=True)
     ]
     sd = np.tile([9.0, 11.0], 12).std(ddof=1)
     for g in (15.0, 19.9, 20.1, 25.0, 300.0):
         peak = 10.0 + sd * (g - np.euler_gamma) * np.sqrt(6.0) / np.pi
-        z = scored(sample(0.0, (peak,)), twins)[0][1]
+        z = scored(sample(0.0, (peak,)), replicates)[0][1]
         assert stats.norm.logsf(z) == pytest.approx(-g - np.log(2.0), rel=1e-6)
 
 
@@ -337,10 +337,10 @@ def test_what_could_not_be_asked_of_one_scores_nothing(where):
 
 
 def test_scores_of_twins_like_the_recording_are_standard_normal():
-    """Probabilities of many recordings drawn like their twins are even, by Kolmogorov's test."""
+    """Probabilities of many recordings drawn like their replicates are even, by Kolmogorov's test."""
     rng = np.random.default_rng(3)
     mix = np.array([[1.0, 0.3], [0.0, 0.8]])
-    scores, twins = [], []
+    scores, replicates = [], []
     for _ in range(300):
         t = rng.standard_normal((25, 2)) @ mix
         peaks = rng.gumbel(5.0, 1.0, 25)
@@ -350,8 +350,8 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
         ]
         z, null = scored(made[0], made[1:])
         scores.append(z)
-        twins.append(null[0])
-    for found in (np.array(scores), np.array(twins)):
+        replicates.append(null[0])
+    for found in (np.array(scores), np.array(replicates)):
         p = 2.0 * stats.norm.sf(found)
         for column in p[:, :2].T:
             assert stats.kstest(column, "uniform").pvalue > 1e-3

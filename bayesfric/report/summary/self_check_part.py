@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from bayesfric.diagnostics.policy import TWINS
+from bayesfric.diagnostics.policy import REPLICATES
 from bayesfric.diagnostics.self_check import Checked
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.arrays import Array
@@ -32,7 +32,7 @@ def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Group
     ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.
     """
     made = len(checked.fits)
-    told: dict[str, Any] = {"asked": TWINS, "made": made}
+    told: dict[str, Any] = {"asked": REPLICATES, "made": made}
     told |= {"seconds": round(checked.seconds, 3), "cpu_seconds": round(checked.cpu_seconds, 3)}
     if checked.reason is not None:
         return SelfCheck(**told, reason=checked.reason)
@@ -91,7 +91,7 @@ def _row(
     unexplained: Array,
     share: float,
 ) -> SelfCheckRow:
-    """Sum up one quantity; twins may be of excerpts, a ``share`` of what the posterior is of."""
+    """Sum up one quantity; replicates may be of excerpts, a ``share`` of what the posterior is of."""
     known = np.isfinite(missed) & np.isfinite(truth)
     missed, unexplained = missed[known], unexplained[known]
     z = missed / row.sd

@@ -1,4 +1,4 @@
-"""One Gauss-Newton step on a twin's exact torque, against dense generalised least squares."""
+"""One Gauss-Newton step on a replicate's exact torque, against dense generalised least squares."""
 
 from copy import copy
 from types import SimpleNamespace
@@ -9,7 +9,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.memory import Memory
-from bayesfric.diagnostics.regression import Twin
+from bayesfric.diagnostics.regression import Replicate
 from bayesfric.diagnostics.self_check import self_check
 from bayesfric.fit.model import Model
 from bayesfric.inference.local_units import units_of
@@ -36,10 +36,10 @@ def target():
     return made.target(VALUES)
 
 
-def checked(target, twins=(), reason=None, status="reliable", rest=None):
+def checked(target, replicates=(), reason=None, status="reliable", rest=None):
     median = np.array([(VALUES | KNOWN)[name] for name in target.names])
     posterior = SimpleNamespace(median=median, diagnostics=SimpleNamespace(status=status))
-    explained = Explanation(twins=tuple(twins), reason=reason)
+    explained = Explanation(replicates=tuple(replicates), reason=reason)
     seen = [SimpleNamespace(rest=None), SimpleNamespace(rest=rest)]
     return median, self_check(target, posterior, seen, explained)
 
@@ -51,7 +51,7 @@ def test_a_twins_fit_is_one_step_of_generalised_least_squares(target, size):
     assert target.names[-1] != "noise.sigma"
     values = AXIS.vector(VALUES) * [1.1, 0.9, 1.0, 1.05, 0.8]
     base, left = rng.standard_normal((where.outputs, 5)), size * rng.standard_normal(where.outputs)
-    median, found = checked(target, [Twin(values, base, left, where)] * 2)
+    median, found = checked(target, [Replicate(values, base, left, where)] * 2)
     (fit, again), k = found.fits, len(target.free)
     free = [AXIS.names.index(name) for name in target.free]
     assert len(free) == 4
@@ -79,7 +79,7 @@ def test_a_twins_fit_is_one_step_of_generalised_least_squares(target, size):
 
 def test_it_says_why_there_is_none(target):
     rest = SimpleNamespace()
-    twin = Twin(AXIS.vector(VALUES), np.ones((9, 5)), np.ones(9), laid_out(9))
+    replicate = Replicate(AXIS.vector(VALUES), np.ones((9, 5)), np.ones(9), laid_out(9))
     for told, reason in (
         ({"reason": "few"}, "few"),
         ({"rest": rest}, "rest"),
@@ -87,9 +87,9 @@ def test_it_says_why_there_is_none(target):
         ({"reason": "still"}, "still"),
         ({"reason": "still", "rest": rest}, "rest"),
     ):
-        _, found = checked(target, [twin], **told)
+        _, found = checked(target, [replicate], **told)
         assert (found.reason, found.fits) == (reason, ())
         assert found.truth.shape == (0, len(target.names))
     other = copy(target)
     other.likelihood = SimpleNamespace(chain=AXIS)
-    assert checked(other, [twin])[1].reason == "likelihood"
+    assert checked(other, [replicate])[1].reason == "likelihood"

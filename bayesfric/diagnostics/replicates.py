@@ -1,7 +1,7 @@
-"""Twins: the recording once more, with its encoder, rate and filters, of a known joint.
+"""Replicates: the recording once more, with its encoder, rate and filters, of a known joint.
 
-Twins are what a recording looks like where the model is right: by them estimates are tried, and
-what a check finds in a recording is held against what it finds in them. A twin moves as the
+Replicates are what a recording looks like where the model is right: by them estimates are tried, and
+what a check finds in a recording is held against what it finds in them. A replicate moves as the
 recording says that the joint did, a spline through its filtered positions; the torque is the one
 that the inverse model asks for along it, exactly. So it has the recording's reversals and rests,
 and needs neither a simulation nor what would hold one to the recorded motion.
@@ -37,11 +37,11 @@ from bayesfric.recordings.timing import timed
 _DEGREE = 5
 
 
-class NoTwin(Exception):
+class ReplicateError(Exception):
     """A joint that hardly moves."""
 
 
-def twins(
+def replicates(
     chain: Joint,
     values: Array,
     recording: Measurement,
@@ -78,12 +78,12 @@ def excerpt(
     alike = settled_as(processing, observation)
     seen = _observed(chain, values, short, observation, alike)
     if seen is None:
-        raise NoTwin("an excerpt hardly moves")
+        raise ReplicateError("an excerpt hardly moves")
     return short, seen
 
 
 def settled_as(processing: Processing, observation: Observation) -> Processing:
-    """Write down the filters of a recording, so that its twins are treated alike.
+    """Write down the filters of a recording, so that its replicates are treated alike.
 
     Low-pass, decimation, dead zone and trim become those that were used, whoever chose them.
     """
