@@ -38,7 +38,7 @@ def explain(
         warnings=map(doubt_text, little_explained(model.chain, model.observations)),
         lines=[_line(one) for one in found.findings],
         taken=[f"Put in: {_line(one)}" for one in taken],
-        untold=", ".join(clause(kind) for kind in found.untold),
+        indistinguishable=", ".join(clause(kind) for kind in found.indistinguishable),
         path=output,
         names=model.chain.names,
     )

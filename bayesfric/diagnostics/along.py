@@ -58,7 +58,9 @@ class Scales:
     duration: float  # Of the longest recording, s
     # Name, and radians a radian of the joint, of waves that the motion goes through at least once
     cycles: tuple[tuple[str, float], ...]
-    push: float  # Width of a push, s: at least 0.25, and a hundred-and-twentieth of duration
+    transient_width: (
+        float  # Width of a push, s: at least 0.25, and a hundred-and-twentieth of duration
+    )
     # Of the recordings; and of further columns of any of them
     names: tuple[str, ...]
     others: tuple[str, ...]
@@ -105,7 +107,9 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         lost=_rms(np.concatenate(lost)),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles=cycles,
-        push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
+        transient_width=max(
+            _PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)
+        ),
         names=tuple(o.name for o in observations),
         others=tuple(
             name

@@ -58,7 +58,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesfric.diagnostics.along import ORDER, Along, Sets
-from bayesfric.diagnostics.scans import DELAYS, late
+from bayesfric.diagnostics.disturbances import DELAYS, delay_columns
 from bayesfric.diagnostics.states import deflection, in_gap
 from bayesfric.diagnostics.statistics import Key
 from bayesfric.mechanism.quantities import QUANTITIES
@@ -85,7 +85,7 @@ class Kind:
     # Makes the sets of columns (N,), by name of the shape; empty where the recording has none
     columns: Callable[[Along], Sets]
     # Makes columns that stand for shapes between those of the grid, see the module
-    beside: Callable[[Along], Sequence[Array]] = lambda _: ()
+    nuisance: Callable[[Along], Sequence[Array]] = lambda _: ()
     # Of the mechanism's configuration, which put it in; empty where nothing does
     option: str = ""
     choice: str | bool = True
@@ -258,7 +258,7 @@ KINDS: tuple[Kind, ...] = (
         lambda a: [] if a.chain.by_target else [a.rate(a.torque_rate)],
         option="delay",
     ),
-    Kind("target_delay", lambda _: {}, option="delay"),  # see scans.late
+    Kind("target_delay", lambda _: {}, option="delay"),  # see disturbances.delay_columns
     Kind("torque_constant", _one(lambda a: a.torque)),
     Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(
@@ -393,9 +393,9 @@ def columns_along(along: Along) -> Iterator[tuple[Key, Array]]:
         for shape, columns in kind.columns(along).items():
             for number, column in enumerate(columns):
                 yield Key(kind.name, shape, number), column
-        for number, column in enumerate(kind.beside(along)):
-            yield Key(kind.name, "", number, beside=True), column
-    for delay, columns in late(along).items():
+        for number, column in enumerate(kind.nuisance(along)):
+            yield Key(kind.name, "", number, nuisance=True), column
+    for delay, columns in delay_columns(along).items():
         far = DELAYS[along.chain.by_target]
         for number, column in enumerate(columns):
             yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column

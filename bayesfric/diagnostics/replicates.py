@@ -1,14 +1,9 @@
-"""Replicates: the recording once more, with its encoder, rate and filters, of a known joint.
+"""Simulated replicates of a recording with known parameters (a parametric bootstrap).
 
-Replicates are what a recording looks like where the model is right: by them estimates are tried, and
-what a check finds in a recording is held against what it finds in them. A replicate moves as the
-recording says that the joint did, a spline through its filtered positions; the torque is the one
-that the inverse model asks for along it, exactly. So it has the recording's reversals and rests,
-and needs neither a simulation nor what would hold one to the recorded motion.
-
-It must differ from the recording as another one would. Its encoder has the same steps elsewhere,
-and its samples come at other instants between them: were all rounded alike, their error would be
-the same in each.
+A replicate follows the recorded motion, a spline through its filtered positions, so it has the
+recording's reversals and standstills; its torque is exactly that of the inverse model. No forward
+simulation is needed. Encoder steps and sampling instants are shifted at random: otherwise all
+replicates would have the same quantisation error.
 """
 
 from __future__ import annotations
@@ -38,7 +33,7 @@ _DEGREE = 5
 
 
 class ReplicateError(Exception):
-    """A joint that hardly moves."""
+    """Raised when the motion is too small to simulate replicates."""
 
 
 def replicates(
@@ -49,18 +44,18 @@ def replicates(
     processing: Processing,
     seeds: Sequence[np.random.SeedSequence],
 ) -> Iterator[Observation | None]:
-    """Repeat a recording at parameter vectors ``(n, n_parameters)``, and look at each alike."""
-    alike = settled_as(processing, observation)
-    for one, seed in zip(values, seeds, strict=True):
+    """Simulate a recording at parameters ``(n, n_parameters)``, preprocessed as the original."""
+    fixed = fixed_processing(processing, observation)
+    for vector, seed in zip(values, seeds, strict=True):
         rng = np.random.default_rng(seed)
-        motion = played(chain, one, recording, observation, rng.uniform(-0.5, 0.5))
-        seen = _seen(recording, observation, motion, rng)
-        if seen is not None and seen.feedback is not None:
-            seen = _aimed(seen, motion, float(chain.delays(one[None])[0]))
-        yield None if seen is None else _observed(chain, one, seen, observation, alike)
+        motion = replicate_motion(chain, vector, recording, observation, rng.uniform(-0.5, 0.5))
+        measured = _measure(recording, observation, motion, rng)
+        if measured is not None and measured.feedback is not None:
+            measured = _with_target(measured, motion, float(chain.delays(vector[None])[0]))
+        yield None if measured is None else _preprocess(chain, vector, measured, observation, fixed)
 
 
-def excerpt(
+def subsample(
     chain: Joint,
     values: Array,
     recording: Measurement,
@@ -68,37 +63,31 @@ def excerpt(
     processing: Processing,
     most: int,
 ) -> tuple[Measurement, Observation]:
-    """Cut a recording to ``most`` samples, prepared as the whole was; the same if it has fewer.
+    """Limit a recording to ``most`` samples, preprocessed as before.
 
-    ``values`` ``(n_parameters,)`` are those that its motion is refined with.
+    The motion is refined with parameters ``values`` ``(n_parameters,)``.
     """
     short = recording.excerpt(most)
     if short is recording:
         return recording, observation
-    alike = settled_as(processing, observation)
-    seen = _observed(chain, values, short, observation, alike)
-    if seen is None:
-        raise ReplicateError("an excerpt hardly moves")
-    return short, seen
+    fixed = fixed_processing(processing, observation)
+    subsampled = _preprocess(chain, values, short, observation, fixed)
+    if subsampled is None:
+        raise ReplicateError("the subsample hardly moves")
+    return short, subsampled
 
 
-def settled_as(processing: Processing, observation: Observation) -> Processing:
-    """Write down the filters of a recording, so that its replicates are treated alike.
-
-    Low-pass, decimation, dead zone and trim become those that were used, whoever chose them.
-    """
-    told = observation.settings
-    numbers = {key: told[key] for key in ("lowpass", "decimate", "dead_zone", "trim")}
+def fixed_processing(processing: Processing, observation: Observation) -> Processing:
+    """Fix low-pass, decimation, dead zone and trim to what was used for a recording."""
+    settings = observation.settings
+    numbers = {key: settings[key] for key in ("lowpass", "decimate", "dead_zone", "trim")}
     return processing.model_copy(update=numbers)
 
 
-def played(
+def replicate_motion(
     chain: Joint, values: Array, recording: Measurement, observation: Observation, phase: float
 ) -> tuple[Array, Array, Array]:
-    """Give a recorded motion ``phase`` samples late, and what a joint needs for it.
-
-    Shapes: ``chain, values`` (n_parameters,), returns (N,).
-    """
+    """Return position, speed and torque ``(N,)`` of the recorded motion ``phase`` samples late."""
     o, period = observation, recording.period
     q, qd, qdd = np.empty((3, recording.time.size))
     for a, b in recording.segments:
@@ -106,9 +95,9 @@ def played(
         spline = make_interp_spline(place, o.q[a:b], min(_DEGREE, b - a - 1))
         for k, out in enumerate((q, qd, qdd)):
             out[a:b] = spline(place - phase, nu=k) / period**k
-    now = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
-    # what a joint feels besides is sampled when its motion is
-    torque = inverse_torque(chain, now, q, qd, qdd, inputs=o.inputs, time=o.stamps)
+    parameters = np.where([name == chain.delay_name for name in chain.names], 0.0, values)
+    # other inputs of the joint are sampled at the same instants
+    torque = inverse_torque(chain, parameters, q, qd, qdd, inputs=o.inputs, time=o.stamps)
     if chain.delay and not chain.by_target:
         late = float(chain.delays(values[None])[0])
         for a, b in recording.segments:
@@ -116,21 +105,21 @@ def played(
     return q, qd, torque
 
 
-def _seen(
+def _measure(
     recording: Measurement,
     observation: Observation,
     motion: tuple[Array, Array, Array],
     rng: np.random.Generator,
 ) -> Measurement | None:
-    """Read a motion with the recording's sensors, without noise of the torque's."""
+    """Measure a motion with the recording's sensors; the torque has no noise."""
     q, qd, torque = motion
     if not np.isfinite(torque).all():
         return None
     noise = float(observation.settings["noise_seen"])
-    moved = recording.velocity is None
-    position = _sensed(recording.position, q, noise if moved else 0.0, rng)
-    velocity = None if recording.velocity is None else _sensed(recording.velocity, qd, noise, rng)
-    # no maker has filtered what the joint needs
+    noisy_position = recording.velocity is None
+    position = _quantise(recording.position, q, noise if noisy_position else 0.0, rng)
+    velocity = None if recording.velocity is None else _quantise(recording.velocity, qd, noise, rng)
+    # the replicate's torque passes no filter of the drive
     return replace(
         recording,
         position=position,
@@ -142,48 +131,48 @@ def _seen(
     )
 
 
-def _aimed(seen: Measurement, motion: tuple[Array, Array, Array], late: float) -> Measurement:
-    """Give the target, ``late`` s early, with which a drive gives the torque of a motion."""
-    (q, qd, torque), law = motion, seen.law
+def _with_target(
+    measured: Measurement, motion: tuple[Array, Array, Array], late: float
+) -> Measurement:
+    """Add the drive's target, ``late`` s early, that produces the torque of a motion."""
+    (q, qd, torque), law = motion, measured.law
     assert law is not None
     feedback = law.kp * q + law.kd * qd
-    given = torque if seen.back_emf is None else torque + seen.back_emf
-    error = np.divide(given, law.scale, out=np.zeros_like(given), where=law.scale != 0.0)
-    command = arriving(error + feedback, seen.segments, -late / seen.period, held=False)
-    return replace(seen, feedback=feedback, law=replace(law, command=command, held=False))
+    torque_command = torque if measured.back_emf is None else torque + measured.back_emf
+    error = np.divide(
+        torque_command, law.scale, out=np.zeros_like(torque_command), where=law.scale != 0.0
+    )
+    command = arriving(error + feedback, measured.segments, -late / measured.period, held=False)
+    return replace(measured, feedback=feedback, law=replace(law, command=command, held=False))
 
 
-def _observed(
+def _preprocess(
     chain: Joint,
     values: Array,
-    seen: Measurement,
+    measured: Measurement,
     observation: Observation,
     processing: Processing,
 ) -> Observation | None:
-    """Filter what was read, and refine its motion, as the recording's was.
-
-    ``None`` where the filters leave nothing, as of a joint that hardly moves.
-    """
-    told, looked = observation.settings, None
-    if told["motion"] != "refined":  # what the position resolves is not asked then
-        looked = Resolution(float(told["band"]), "asked", float(told["noise_seen"]), math.inf)
+    """Filter and refine as the recording was; ``None`` if the filters leave no output."""
+    settings, resolution = observation.settings, None
+    if settings["motion"] != "refined":  # then the band is not searched
+        resolution = Resolution(
+            float(settings["band"]), "asked", float(settings["noise_seen"]), math.inf
+        )
     try:
-        found = observe(seen, processing, looked)
-        late = told.get("delay")
-        found = found if late is None else timed(found, seen, float(late))
+        preprocessed = observe(measured, processing, resolution)
+        late = settings.get("delay")
+        preprocessed = preprocessed if late is None else timed(preprocessed, measured, float(late))
     except BadInput:  # with these parameters the joint hardly moves
         return None
-    return found if looked else fine_motion(chain, values, seen, found)
+    return preprocessed if resolution else fine_motion(chain, values, measured, preprocessed)
 
 
-def _sensed(recorded: Array, true: Array, noise: float, rng: np.random.Generator) -> Array:
-    """Read a signal as the recorded one was: in its steps, with what noise it has besides.
-
-    The steps lie anywhere.
-    """
+def _quantise(recorded: Array, true: Array, noise: float, rng: np.random.Generator) -> Array:
+    """Quantise a signal in the recorded one's steps at a random offset, with its other noise."""
     step = finest_step(recorded)
-    besides = math.sqrt(max(noise**2 - step**2 / 12.0, 0.0))
-    noisy = true + besides * rng.standard_normal(true.size)
+    remaining = math.sqrt(max(noise**2 - step**2 / 12.0, 0.0))
+    noisy = true + remaining * rng.standard_normal(true.size)
     if not step:
         return noisy
     grid = recorded[0] + step * rng.uniform()

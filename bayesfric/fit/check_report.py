@@ -69,7 +69,7 @@ def check(model: Problem | Path | str) -> CheckReport:
 def _found(model: Problem) -> dict[str, Any]:
     explained, auto = model.explain(), model.config.tables.mechanism.auto
     # what a fit begins to put in is no doubt; what is left then, it asks anew
-    taken = explained.put_in if auto else ()
+    taken = explained.applicable if auto else ()
     (totals,) = model.estimates(["least-squares"])
     findings = [one.as_dict() for one in explained.findings if one not in taken]
     (point,) = model.estimates(["input-error"])

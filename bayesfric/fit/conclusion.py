@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesfric.base.atomic_write import jsonable
+from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.self_check import Checked
 from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.identification import Identification
 from bayesfric.inference.fitting import Fit
@@ -35,7 +35,9 @@ class Examination:
     contradicted: Mapping[str, tuple[float, float]]  # priors, by the data: their value, and sds
     back_emf: SpeedTerm | None  # what its nominal constant cannot be told from
     rests: Sequence[RestsBeyond]  # those that the law contradicts
-    self_check: Checked | None  # on simulated recordings like its own, unless none were wanted
+    calibration_check: (
+        CalibrationCheck | None
+    )  # on simulated recordings like its own, unless none were wanted
     identified: Identification | None  # at the median, unless no motion can be simulated there
 
 
@@ -49,8 +51,8 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
     summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
     summary = _with_findings(summary, examined.explained, examined.taken)
     doubts = find_doubts(found, summary, examined.contradicted)
-    if examined.self_check is not None:
-        part = self_check_part(found, summary, examined.self_check, derived)
+    if examined.calibration_check is not None:
+        part = self_check_part(found, summary, examined.calibration_check, derived)
         summary = summary.model_copy(update={"self_check": part})
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
@@ -79,7 +81,7 @@ def _with_findings(summary: Summary, found: Explanation, taken: Sequence[Finding
     """Put in what else explains the torque, and how that was asked."""
     asked: dict[str, Any] = {"twins": len(found.replicates), "asked": len(found.kinds)}
     asked |= {"reason": found.reason, "share": found.share}
-    findings = found.noted(widened=summary.widened)
+    findings = found.with_severity(widened=summary.widened)
     update = {
         "findings": [FindingRow.model_validate(one.as_dict()) for one in findings],
         "taken": [FindingRow.model_validate(one.as_dict()) for one in taken],

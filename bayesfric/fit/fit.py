@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, Shown
+from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.self_check import Checked, self_check
 from bayesfric.estimates.collinear_losses import collinear_losses
 from bayesfric.fit.conclusion import Examination, conclude
 from bayesfric.fit.result import Result
@@ -87,10 +87,10 @@ def _examine(
 ) -> Examination:
     target, median, recordings = found.target, found.posterior.median, problem.recordings
     usable = found.posterior.diagnostics.status != "unusable"
-    checked: Checked | None = None
+    checked: CalibrationCheck | None = None
     if problem.config.tables.self_check.recordings != 0:
         seen = problem.observations
-        checked = self_check(target, found.posterior, seen, explained)
+        checked = calibration_check(target, found.posterior, seen, explained)
     progress(Progress("identifiability"))
     identified: Identification | None = None
     with suppress(BadInput):  # a simulation that fails there takes no result away
@@ -103,6 +103,6 @@ def _examine(
         rests=[*rests_beyond(found, recordings, problem.config.tables.processing)]
         if usable
         else [],
-        self_check=checked,
+        calibration_check=checked,
         identified=identified,
     )

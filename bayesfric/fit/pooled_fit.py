@@ -109,7 +109,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     findings = tuple(
         replace(one, recording=name)
         for name, asked, own in zip(names, explained, rooms, strict=True)
-        for one in asked.noted(widened=own.shown)
+        for one in asked.with_severity(widened=own.shown)
     )
     doubts = [one for one in findings if one.severity == "doubt"]
     moved = {

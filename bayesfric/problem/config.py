@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.base.safe_read import read_json, read_text
-from bayesfric.diagnostics.self_check import SelfCheckOptions
+from bayesfric.diagnostics.calibration_check import CalibrationCheckOptions
 from bayesfric.estimates.estimation import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
@@ -98,8 +98,8 @@ class Tables(Options):
         description="What the fit does not see, so that 'bayesfric fit' can say how well it "
         "predicts",
     )
-    self_check: SelfCheckOptions = Field(
-        SelfCheckOptions(),
+    self_check: CalibrationCheckOptions = Field(
+        CalibrationCheckOptions(),
         description="How every fit is tried on simulated recordings like its own",
     )
     pooling: PoolingOptions = Field(

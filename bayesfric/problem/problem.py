@@ -14,9 +14,9 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, Shown, by_method, silent
-from bayesfric.diagnostics.explanation import Explanation, explain, unasked
+from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.policy import MOST
+from bayesfric.diagnostics.policy import MAX_EFFECTS
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.larger_model import Candidate, better
@@ -188,7 +188,7 @@ class Problem:
         BadInput
             If nothing can be estimated from these recordings.
         """
-        if reason := unasked(self.chain, self.observations):
+        if reason := too_few_outputs(self.chain, self.observations):
             return Explanation(reason=reason)
         point = self._point(estimates, progress)
         progress(Progress("what else explains the torque"))
@@ -241,14 +241,14 @@ class Problem:
             If nothing can be estimated from these recordings.
         """
         model, taken = self, list[Finding]()
-        if unasked(self.chain, self.observations):
+        if too_few_outputs(self.chain, self.observations):
             return self, (), self.explain()
         found = self._candidate(progress)
         while True:
             left = model.explain([found.estimate], progress=progress)
             tried = {one.hint for one in taken}
-            wanted = [one for one in left.put_in if one.hint not in tried]
-            for one in wanted[: MOST - len(taken)]:
+            wanted = [one for one in left.applicable if one.hint not in tried]
+            for one in wanted[: MAX_EFFECTS - len(taken)]:
                 if (trial := model._with(one)) is None:
                     continue
                 if better(made := trial._candidate(progress), found):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.replicates import settled_as, replicates
+from bayesfric.diagnostics.replicates import fixed_processing, replicates
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.inputs import Signal
@@ -71,7 +71,7 @@ def test_each_segment_is_replayed_from_its_own_state(made):
         VALUES[None],
         halves,
         replace(observation, segment_of=(observation.filter.starts >= 2400).astype(int)),
-        settled_as(processing, observation),
+        fixed_processing(processing, observation),
         np.random.SeedSequence(1).spawn(1),
     )
     assert seen.settings["n_segments"] == 2
@@ -122,7 +122,7 @@ def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
 
 
 def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
-    """A replicate at other instants has what else the joint feels at these, and needs no loss for it."""
+    """Other inputs of a replicate are sampled at its instants: no loss is needed for them."""
     o, recording = made.observations[0], made.recordings[0]
     load = Signal(o.stamps, 5.0 * np.sin(2 * np.pi * 3.0 * o.stamps))
     recording = replace(recording, inputs=replace(recording.inputs, load_torque=load))

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.diagnostics.policy import REPLICATES
-from bayesfric.diagnostics.self_check import Checked
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, Groups
@@ -26,7 +26,9 @@ _SURE = 2.0
 POOR = 0.75
 
 
-def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Groups) -> SelfCheck:
+def self_check_part(
+    fit: Fit, summary: Summary, checked: CalibrationCheck, derived: Groups
+) -> SelfCheck:
     """Sum up a self-check of a fit, for ``summary["self_check"]``.
 
     ``derived`` are the fit's :func:`~bayesfric.report.summary.derived_quantities.groups`.
@@ -70,9 +72,11 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
     return {n: row for n, row in _rows(summary).items() if row.coverage < POOR}
 
 
-def _errors(fit: Fit, checked: Checked, derived: Groups) -> Iterator[tuple[str, Array, Array]]:
+def _errors(
+    fit: Fit, checked: CalibrationCheck, derived: Groups
+) -> Iterator[tuple[str, Array, Array]]:
     """Give each quantity's name, its true values and by how much fits miss them, a replay each."""
-    nearby = np.stack([one.nearby for one in checked.fits])
+    nearby = np.stack([one.near_truth for one in checked.fits])
     shares = np.array([one.share for one in checked.fits])
     for j, name in enumerate(fit.posterior.names):
         if not of_noise(name):
@@ -91,7 +95,7 @@ def _row(
     unexplained: Array,
     share: float,
 ) -> SelfCheckRow:
-    """Sum up one quantity; replicates may be of excerpts, a ``share`` of what the posterior is of."""
+    """Sum up one quantity; replicates may have a ``share`` of its samples."""
     known = np.isfinite(missed) & np.isfinite(truth)
     missed, unexplained = missed[known], unexplained[known]
     z = missed / row.sd
