@@ -15,10 +15,10 @@ import numpy as np
 from bayesfric.diagnostics.before_a_fit import (
     EXPLAINED,
     against_prior,
+    alternatives,
     best_share,
     doubts_before,
     few_outputs,
-    instead,
     strange_velocity,
 )
 from bayesfric.diagnostics.explanation import of_recording
@@ -148,7 +148,7 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
         return []
     told = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
     best, _ = best_share(fit.chain, fit.observations)
-    return [told | instead(fit.chain, fit.observations, best)]
+    return [told | alternatives(fit.chain, fit.observations, best)]
 
 
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:
