@@ -57,9 +57,7 @@ class Scales:
     duration: float  # s, of the longest recording
     # name, and radians per joint radian, of cycles that the motion completes
     cycles: tuple[tuple[str, float], ...]
-    transient_width: (
-        float  # Width of a push, s: at least 0.25, and a hundred-and-twentieth of duration
-    )
+    transient_width: float  # s, of a transient: at least 0.25 and duration / 120
     # of the recordings, and of their further columns
     names: tuple[str, ...]
     others: tuple[str, ...]
@@ -234,7 +232,7 @@ class Along:
         return derivative(x, self.recording.segments, self.recording.period, reach)
 
     def behind(self) -> Iterator[tuple[str, float, Array]]:
-        """Yield the torque ``(N,)`` carried by a gearbox for each share of the inertia behind it."""
+        """Yield the torque ``(N,)`` that a gearbox carries, by share of inertia behind it."""
         for share in _BEHIND if self.scales.weighs else (1.0,):
             carried = self.weight + share * (self.carried - self.weight)
             yield f"{share:.0%} of the inertia behind it", share, carried

@@ -252,10 +252,10 @@ def test_recordings_are_asked_of_enough_outputs():
 def test_an_explanation_is_told_as_json_and_as_a_table():
     found = finding(axis(), STEP)
     one = Explanation((found,), ("a",), ("b",), (None,) * 3, 5.0, 4.0, 2.0)
-    assert one.score_candidates
+    assert one.answered
     assert one.as_json() == {
         "findings": [found.as_dict()], "kinds": ["a"], "untold": ["b"], "twins": 3,
         "largest": 5.0, "limit": 4.0, "cpu_seconds": 2.0, "reason": None, "share": 1.0,
     }  # fmt: skip
     assert one.frame["kind"].tolist() == ["quadratic"]
-    assert not Explanation(reason="few").score_candidates
+    assert not Explanation(reason="few").answered
