@@ -209,13 +209,13 @@ def fit(
     beside = {one.name for one in ESTIMATORS.values() if one.simulates} - {likelihood.method}
     begin = [e for e in estimates if e.method not in beside]
     points = _points(target, begin)
-    target = target.uncut_at(points[0])
+    target = target.with_circular_cut_at(points[0])
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
         candidates = _candidates(target, begin, points, prior_draws)
         # estimates with a point searched from several starts, and are beside the mode already
         climbs = 1 if any(e.point for e in begin) else CLIMBS
-        heights = target.excerpt()(candidates)
+        heights = target.subsample()(candidates)
         candidates = candidates[np.argsort(-heights)[:climbs]]
         prior_places = target.from_parameters(prior_draws)
         best = gauss_newton(target, candidates[0], prior_places)
@@ -235,7 +235,7 @@ def fit(
     # Once the posterior's widths are known, better coordinates than logarithms are too.
     first = gauss_newton(target, mode, prior_places)
     place, widths = _place_and_widths(target, first)
-    shaped = target.uncut_at(dict(zip(target.free, place, strict=False))).with_widths(widths)
+    shaped = target.with_circular_cut_at(dict(zip(target.free, place, strict=False))).with_widths(widths)
     prior_draws = _on_turn(shaped, prior_draws)
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
@@ -258,25 +258,25 @@ class _Search:
 
     def __init__(self, target: Target, prior_places: Array, rng: np.random.Generator) -> None:
         self.target, self._prior_places, self._rng = target, prior_places, rng
-        self._outside = target.likelihood.outside
+        self._outside = target.likelihood.slow_evaluations
 
     def __call__(self, u: Array) -> Array:
         return self.target(u)
 
     def prepare_again(self, place: Array) -> None:
         """Prepare at coordinates ``(d,)`` if the last step was mostly outside."""
-        before, self._outside = self._outside, self.target.likelihood.outside
+        before, self._outside = self._outside, self.target.likelihood.slow_evaluations
         if self._outside - before > _OUTSIDE:
             start = gauss_newton(self.target, place, self._prior_places)
             self.target = _prepared(self.target, start, self._rng)
-            self._outside = self.target.likelihood.outside
+            self._outside = self.target.likelihood.slow_evaluations
 
 
 def _simulated_mode(target: Target, candidates: Array) -> tuple[Target, Array]:
     """Climb with few simulations, and linearise the simulation anew at what is found."""
     mode = climb(target, candidates, climbs=1, max_steps=_MOST_SIMULATED)
     for _ in range(_ROUNDS):
-        target = target.about(target.to_parameters(mode[None])[0][0])
+        target = target.relinearised_at(target.to_parameters(mode[None])[0][0])
         mode = climb(target, mode[None], climbs=1, max_steps=_MOST_SIMULATED)
     return target, mode
 
@@ -284,7 +284,7 @@ def _simulated_mode(target: Target, candidates: Array) -> tuple[Target, Array]:
 def _prepared(target: Target, start: Start, rng: np.random.Generator) -> Target:
     """Make a target cheap where a normal lies; the draws decide the cost, not the value."""
     root = np.linalg.cholesky(start.covariance)
-    return target.prepared(start.mode + rng.standard_normal((_DRAWS, start.mode.size)) @ root.T)
+    return target.precomputed(start.mode + rng.standard_normal((_DRAWS, start.mode.size)) @ root.T)
 
 
 def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ def linearisation_change(target: Target, start: Start, rng: np.random.Generator)
     # the sum of squares about the mean only grows: once it is too large, so is the final one
     limit = _MOST**2 * (_PLACES - 1)
     for place in _places(target, start, rng):
-        anew = target.about(place)
+        anew = target.relinearised_at(place)
         change = anew.log_likelihood(place[None]) - target.log_likelihood(place[None])
         apart.append(float(change[0]))
         if not np.var(apart) * len(apart) <= limit:  # nor where it is no number

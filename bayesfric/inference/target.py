@@ -105,7 +105,7 @@ class Target(LogPosterior):
         """Make the same target in coordinates that suit posteriors of these sds, ``(d,)``."""
         return Target(self.likelihood, self._all_priors, self.noise, widths)
 
-    def uncut_at(self, values: Mapping[str, float]) -> Target:
+    def with_circular_cut_at(self, values: Mapping[str, float]) -> Target:
         """Make the same target, the circle of unknown angles cut opposite of likely values.
 
         The ends of a prior over a whole turn mean nothing, so they are put where the posterior is
@@ -116,15 +116,15 @@ class Target(LogPosterior):
             return self
         return Target(self.likelihood, {**self._all_priors, **cut}, self.noise)
 
-    def about(self, parameters: Array) -> Target:
+    def relinearised_at(self, parameters: Array) -> Target:
         """Make the same target, the likelihood's approximations made at another place.
 
         Shapes: ``parameters`` (d,).
         """
-        likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])
+        likelihood = self.likelihood.relinearised_at(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
 
-    def prepared(self, u: Array) -> Target:
+    def precomputed(self, u: Array) -> Target:
         """Make the same target, cheaper to evaluate near some places.
 
         Shapes: ``u`` (n, d).
@@ -132,13 +132,13 @@ class Target(LogPosterior):
         parameters, jacobian = self.to_parameters(u)
         draws = self.chain_values(parameters[np.isfinite(jacobian)])
         out = copy(self)
-        out.likelihood = self.likelihood.prepared(draws)
+        out.likelihood = self.likelihood.precomputed(draws)
         return out
 
-    def excerpt(self) -> Target:
+    def subsample(self) -> Target:
         """Make the target of excerpts of long recordings."""
         out = copy(self)
-        out.likelihood = self.likelihood.excerpt()
+        out.likelihood = self.likelihood.subsample()
         return out
 
     def chain_values(self, parameters: Array) -> Array:

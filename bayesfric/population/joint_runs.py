@@ -94,7 +94,7 @@ class JointTarget(LogPosterior):
         )
         self.to_linear, self.from_linear = self.coordinates.to_linear, self.coordinates.from_linear
         self.likelihood = SimpleNamespace(
-            cheap=all(t.likelihood.cheap for t in targets), method="input-error"
+            fast=all(t.likelihood.fast for t in targets), method="input-error"
         )
         self.not_finite = 0
         u = self.coordinates.from_parameters(draws)
@@ -125,13 +125,13 @@ class JointTarget(LogPosterior):
         """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
         return self.coordinates.to_parameters(u)
 
-    def prepared(self, u: Array) -> JointTarget:
+    def precomputed(self, u: Array) -> JointTarget:
         """Make the same target, every run's likelihood cheaper near coordinates ``(n, d)``."""
         parameters, slope = self.to_parameters(u)
         parameters = parameters[np.isfinite(slope)]
         out = copy(self)
         out.targets = [
-            target.prepared(target.from_parameters(own))
+            target.precomputed(target.from_parameters(own))
             for target, own in zip(self.targets, self._of_runs(parameters), strict=True)
         ]
         return out

@@ -307,7 +307,7 @@ class Problem:
                 likelihood = PositionLikelihood(
                     self.chain, whole, self.observations, self.chain.vector(point)
                 )
-        return target_of(likelihood, priors, tables.noise.scale).uncut_at(point or {})
+        return target_of(likelihood, priors, tables.noise.scale).with_circular_cut_at(point or {})
 
     def remembering(self, choice: Choice | None) -> tuple[Autoregressive, dict[str, Prior]]:
         """Give the torque's noise of a choice, and priors in which it remembers as that says."""

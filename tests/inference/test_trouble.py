@@ -29,7 +29,7 @@ class Normal:
 
     names = ("x", "y")
     priors = ()
-    likelihood = SimpleNamespace(cheap=False, method="input-error")
+    likelihood = SimpleNamespace(fast=False, method="input-error")
     coordinates = SimpleNamespace(is_nonlinear=False)
 
     def __init__(self):
@@ -39,7 +39,7 @@ class Normal:
     def dimension(self):
         return len(self.names)
 
-    def prepared(self, u):  # noqa: ARG002
+    def precomputed(self, u):  # noqa: ARG002
         return self
 
     def to_parameters(self, u):

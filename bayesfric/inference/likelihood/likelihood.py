@@ -52,27 +52,27 @@ class Likelihood(ABC):
     noise: NoiseDescription  # What the noise is described by
 
     @property
-    def outside(self) -> int:
+    def slow_evaluations(self) -> int:
         """Parameter vectors so far that lay where the likelihood is not prepared, and were dear."""
         return 0
 
     @property
-    def cheap(self) -> bool:
+    def fast(self) -> bool:
         """Whether a vector costs no more than the sampler's own bookkeeping."""
         return False
 
-    def about(self, values: Array) -> Likelihood:  # noqa: ARG002
+    def relinearised_at(self, values: Array) -> Likelihood:  # noqa: ARG002
         """Give the same likelihood with its approximations made near ``(n_parameters,)``.
 
         Itself where there are none.
         """
         return self
 
-    def excerpt(self) -> Likelihood:
+    def subsample(self) -> Likelihood:
         """Give the likelihood of excerpts of long recordings; itself where that spares nothing."""
         return self
 
-    def prepared(self, draws: Array) -> Likelihood:  # noqa: ARG002
+    def precomputed(self, draws: Array) -> Likelihood:  # noqa: ARG002
         """Give the same likelihood, cheaper near draws ``(n, n_parameters)``.
 
         The draws, about as wide as a posterior, decide how fast it is, not what it is. Itself where

@@ -90,7 +90,7 @@ class PositionLikelihood(Likelihood):
         self._runs = [_Run(chain, t, point) for t in trajectories]
         self.outputs = tuple(run.outputs for run in self._runs)
 
-    def about(self, values: Array) -> PositionLikelihood:
+    def relinearised_at(self, values: Array) -> PositionLikelihood:
         """Give the same likelihood with its derivatives taken at ``(n_parameters,)``."""
         return PositionLikelihood(self.chain, self._trajectories, self.observations, values)
 

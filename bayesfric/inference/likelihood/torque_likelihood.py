@@ -48,27 +48,27 @@ class TorqueLikelihood(Likelihood):
             None if o.rest is None else StaticFriction(chain, o.rest, o.inputs)
             for o in self.observations
         ]
-        # sample by sample; see :meth:`prepared`
+        # sample by sample; see :meth:`precomputed`
         self.moments: PlainMoments | FastMoments = self._plain
 
     @property
-    def outside(self) -> int:
+    def slow_evaluations(self) -> int:
         """Parameter vectors so far that prepared moments left to be done sample by sample."""
-        return self.moments.outside if isinstance(self.moments, FastMoments) else 0
+        return self.moments.slow_evaluations if isinstance(self.moments, FastMoments) else 0
 
     @property
-    def cheap(self) -> bool:
+    def fast(self) -> bool:
         """Whether the recordings were reduced to moments."""
         return self.moments is not self._plain
 
-    def excerpt(self) -> TorqueLikelihood:
+    def subsample(self) -> TorqueLikelihood:
         """See :class:`Likelihood`."""
         some = [o.excerpt() for o in self.observations]
         if all(few is o for few, o in zip(some, self.observations, strict=True)):
             return self
         return TorqueLikelihood(self.chain, some, self.noise)
 
-    def prepared(self, draws: Array) -> TorqueLikelihood:
+    def precomputed(self, draws: Array) -> TorqueLikelihood:
         """Make the same likelihood at a cost that does not grow with the recordings.
 
         Its values are the same everywhere, up to rounding; see

@@ -64,7 +64,7 @@ class FastMoments:
         ]
         self.radius = min(m.radius for m in self._recordings)
         self.uncertain_samples = sum(m.ratios.size for m in self._recordings)
-        self.outside = 0
+        self.slow_evaluations = 0
 
     def at(self, values: Array) -> Moments:
         """Give the moments at parameter vectors ``(n, n_parameters)``, SI units.
@@ -82,7 +82,7 @@ class FastMoments:
                 flat[:, i] = self._one_recording(m, known, distance, inside)
         far = ~inside | ~np.isfinite(flat).all(axis=(1, 2))
         if far.any():
-            self.outside += int(np.count_nonzero(far))
+            self.slow_evaluations += int(np.count_nonzero(far))
             flat[far] = self._plain.flat(values[far])
         return unpacked(flat, self.order)
 

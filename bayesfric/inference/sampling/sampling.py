@@ -130,7 +130,7 @@ def sample(
     began = time.perf_counter()
     d = target.dimension
     # emcee refuses fewer than two walkers a dimension
-    least = 64 if target.likelihood.cheap else 32
+    least = 64 if target.likelihood.fast else 32
     walkers = max(settings.walkers or max(least, 3 * d), 2 * d)
     walkers += walkers % 2
     for_emcee, for_starts = np.random.SeedSequence(settings.seed).spawn(2)
@@ -151,7 +151,7 @@ def sample(
         half, settled = _warm_up(warm, learning, settings, rng, progress)
         # Where the posterior really lies, a likelihood can be prepared best.
         states = half.reshape(-1, d)
-        target = target.prepared(states[:: max(1, len(states) // 500)])
+        target = target.precomputed(states[:: max(1, len(states) // 500)])
         learned, last, warmup, most = half, warm, warm.steps, _RELEARNED * _block(target, settings)
         while True:
             frozen = IndependenceMove(_fitted(target, learned, last=True))

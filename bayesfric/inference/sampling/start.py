@@ -75,7 +75,7 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     centre, _ = target.to_parameters(mode[None])
     scales = target.noise.scales(centre[:, k:])[0]
     both = target.chain_values(np.concatenate([moved, centre]))
-    some, whole = target.likelihood.excerpt(), target.likelihood.outputs
+    some, whole = target.likelihood.subsample(), target.likelihood.outputs
     jacobian = np.concatenate(
         [
             _differences(output, steps) * np.sqrt(every.measured.size / few.measured.size)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 class FullLength(TorqueLikelihood):
     """Every sample for every draw, in Numba, several draws a call."""
 
-    def prepared(self, draws: Array) -> TorqueLikelihood:  # noqa: ARG002
+    def precomputed(self, draws: Array) -> TorqueLikelihood:  # noqa: ARG002
         """Stay as it is."""
         return self
 
