@@ -57,8 +57,8 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy fast_moments likelihood_dense moves rests_beyond sampling
-        static_friction""",
+        discrepancy fast_moments likelihood_dense moves sampling
+        static_friction stiction_violations""",
     "mechanism": """
         closed_loop quantities""",
     "population": """

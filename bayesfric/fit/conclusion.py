@@ -13,7 +13,7 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.identifiability.back_emf import SpeedTerm
 from bayesfric.identifiability.identification import Identification
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.rests_beyond import RestsBeyond
+from bayesfric.inference.stiction_violations import StictionViolation
 from bayesfric.problem.problem import Problem, StartingPoint
 from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
@@ -34,7 +34,7 @@ class Examination:
     taken: Sequence[Finding]  # what of that was put into the model
     contradicted: Mapping[str, tuple[float, float]]  # priors, by the data: their value, and sds
     back_emf: SpeedTerm | None  # what its nominal constant cannot be told from
-    rests: Sequence[RestsBeyond]  # those that the law contradicts
+    stiction_violations: Sequence[StictionViolation]  # those that the law contradicts
     calibration_check: (
         CalibrationCheck | None
     )  # on simulated recordings like its own, unless none were wanted
@@ -47,7 +47,7 @@ def conclude(problem: Problem, start: StartingPoint, found: Fit, examined: Exami
     summary = summarise(found, problem.references(), start.choice, derived)
     summary = add_model_error(summary, found, derived)
     summary = _with_back_emf(summary, examined.back_emf, len(problem.recordings))
-    rests = [RestsPart.model_validate(vars(one)) for one in examined.rests]
+    rests = [RestsPart.model_validate(vars(one)) for one in examined.stiction_violations]
     summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
     summary = _with_findings(summary, examined.explained, examined.taken)
     doubts = find_doubts(found, summary, examined.contradicted)

@@ -13,7 +13,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
@@ -85,7 +85,7 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     noise = summary.noise
     target = model.target(
         {name: point[name] for name in model.chain.names},
-        Choice(noise.order or 0, (), tuple(noise.memory), noise.room),
+        NoiseChoice(noise.order or 0, (), tuple(noise.memory), noise.room),
     )
     # a walker that never moved repeats where it was put
     moved = np.ptp(draws, axis=2).any(axis=-1)
@@ -116,7 +116,7 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
     if "widened" in groups:
         # made in the coordinates that were sampled in, which are others here
         held = np.stack([groups["widened"][name].ravel() for name in rows], axis=1)
-        found = replace(found, told=held.astype(np.float64))
+        found = replace(found, widened_draws=held.astype(np.float64))
     return found, summary
 
 

@@ -20,7 +20,7 @@ from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.inference.rests_beyond import rests_beyond
+from bayesfric.inference.stiction_violations import stiction_violations
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 
@@ -100,7 +100,7 @@ def _examine(
         taken=taken,
         contradicted=problem.contradicted(dict(start.searched.point)),
         back_emf=speed_term(target, median, recordings),
-        rests=[*rests_beyond(found, recordings, problem.config.tables.processing)]
+        stiction_violations=[*stiction_violations(found, recordings, problem.config.tables.processing)]
         if usable
         else [],
         calibration_check=checked,

@@ -81,7 +81,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
         settings = settings.model_copy(update={"seed": seed})
     _check(problem, vary)
     choice = starting_point(problem, progress=progress).choice
-    noise, priors = problem.remembering(choice)
+    noise, priors = problem.with_noise(choice)
     targets, alone, rooms = [], [], []
     explained: list[Explanation] = []
     for k, observation in enumerate(problem.observations):

@@ -65,7 +65,7 @@ class Fit:
     discrepancy: Discrepancy | None = None  # How far the model may be off, where that was asked
     # (n, d) reported draws, widened by model discrepancy, as a finished run holds them; they are
     # made from discrepancy where left out
-    told: Array | None = None
+    widened_draws: Array | None = None
 
     @cached_property
     def wide(self) -> Fit:
@@ -76,13 +76,13 @@ class Fit:
         finished run have no log density: it is nan.
         """
         posterior = self.posterior
-        if self.told is not None:
-            held = self.told[None, None]
+        if self.widened_draws is not None:
+            held = self.widened_draws[None, None]
             unknown = np.full(held.shape[:-1], np.nan)
             # whose walkers are not told: those that never moved were left out
             diagnostics = replace(posterior.diagnostics, acceptance=np.ones(held.shape[:2]))
             changed = replace(posterior, draws=held, log_density=unknown, diagnostics=diagnostics)
-            return replace(self, posterior=changed, told=None)
+            return replace(self, posterior=changed, widened_draws=None)
         if self.discrepancy is None or not self.discrepancy.moved:
             return self
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))

@@ -16,7 +16,7 @@ from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
+from bayesfric.inference.noise.autoregressive import MAX_ORDER, Autoregressive
 from bayesfric.inference.prior.as_knowledge import as_knowledge
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
@@ -248,7 +248,7 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     tables = config.tables
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities
-    return Autoregressive(MOST if tables.noise.model == "auto" else 0).quantities
+    return Autoregressive(MAX_ORDER if tables.noise.model == "auto" else 0).quantities
 
 
 def _read(config: Config, chain: Joint, recording: Recording, number: int) -> list[Measurement]:

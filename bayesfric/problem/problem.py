@@ -25,7 +25,7 @@ from bayesfric.estimates.methods import ESTIMATORS, Given, estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice, choose_noise
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive
@@ -272,7 +272,7 @@ class Problem:
         return None
 
     def target(
-        self, point: Mapping[str, float] | None = None, choice: Choice | None = None
+        self, point: Mapping[str, float] | None = None, choice: NoiseChoice | None = None
     ) -> Target:
         """Log-posterior, in the coordinates that the sampler sees.
 
@@ -297,7 +297,7 @@ class Problem:
                     "take white_target() for white noise"
                 )
             choice = choice or self.noise_choice(point)
-            noise, priors = self.remembering(choice)
+            noise, priors = self.with_noise(choice)
             likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
         elif point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
@@ -309,7 +309,7 @@ class Problem:
                 )
         return target_of(likelihood, priors, tables.noise.scale).with_circular_cut_at(point or {})
 
-    def remembering(self, choice: Choice | None) -> tuple[Autoregressive, dict[str, Prior]]:
+    def with_noise(self, choice: NoiseChoice | None) -> tuple[Autoregressive, dict[str, Prior]]:
         """Give the torque's noise of a choice, and priors in which it remembers as that says."""
         if choice is None:
             return Autoregressive(), self.priors
@@ -320,12 +320,12 @@ class Problem:
         scale = self.config.tables.noise.scale
         return make_target(self.chain, self.observations, self.priors, scale)
 
-    def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
+    def noise_choice(self, point: Mapping[str, float] | None) -> NoiseChoice | None:
         """Choose the noise that the torque residuals of a point ask for, if it is not told."""
         if point is None or not self._chooses_noise:
             return None
         apart = self.config.tables.noise.scale == "per-recording"
-        return choice_at(self.chain, self.observations, self.priors, point, per_recording=apart)
+        return choose_noise(self.chain, self.observations, self.priors, point, per_recording=apart)
 
     @property
     def _chooses_noise(self) -> bool:
@@ -339,7 +339,7 @@ class StartingPoint:
 
     estimates: list[Estimate]  # least squares first
     missing: list[str]  # a sentence for each that was wanted and cannot be had
-    choice: Choice | None  # how the order of the noise was chosen, where it was
+    choice: NoiseChoice | None  # how the order of the noise was chosen, where it was
     target: Target  # the log-posterior
 
     @property
@@ -379,7 +379,7 @@ def starting_point(
 
 
 def _first_target(
-    problem: Problem, points: Sequence[Mapping[str, float]], choice: Choice | None
+    problem: Problem, points: Sequence[Mapping[str, float]], choice: NoiseChoice | None
 ) -> Target:
     """Make the log-posterior; where it simulates, near the first point that can be simulated.
 

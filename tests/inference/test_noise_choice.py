@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.autoregression import burg, ljung_box, simulated, whitened
-from bayesfric.inference.likelihood.noise_choice import choice_at, choose_order
+from bayesfric.inference.likelihood.noise_choice import choose_noise, choose_order
 from bayesfric.inference.prior.priors import read_prior
 from tests.axis import AXIS, VALUES
 from tests.inference.test_autoregression import covariance
@@ -29,7 +29,7 @@ def test_the_order_is_found_again(partial, own):
     expected = np.sqrt(np.prod(1.0 - np.array(partial) ** 2))
     assert found.tried[found.order].innovation_share == pytest.approx(expected, rel=0.03)
     # what is open to the first where none is shown begins with none
-    assert partial or found.memory == (found.room,)
+    assert partial or found.partial == (found.half_range,)
     assert found.tried[0].bic == 0.0
     if partial:
         assert found.tried[0].p_value < 1e-6
@@ -41,14 +41,14 @@ def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_anoth
     truth = np.array([0.8, -0.5])
     n = FOLLOWS.size + 1
     found = choose_order([simulated(truth, FOLLOWS, 1, rng)[0]], [FOLLOWS], True)
-    assert np.abs(np.array(found.memory) - truth).max() < 3.3 / np.sqrt(n)
+    assert np.abs(np.array(found.partial) - truth).max() < 3.3 / np.sqrt(n)
     free = read_prior("noise.pacf_1", [-0.95, 0.95], lower=-1.0, upper=1.0, default=True)
     own = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
     told = found.priors({"noise.pacf_1": free, "noise.pacf_2": own})
     assert told["noise.pacf_2"] is own
     assert told["noise.pacf_1"].default  # another estimate may say another
     low, high = told["noise.pacf_1"].limits
-    assert low < found.memory[0] < high
+    assert low < found.partial[0] < high
     assert high - low == pytest.approx(2.0 / np.sqrt(n))
 
 
@@ -113,8 +113,8 @@ def test_of_a_memory_without_evidence_the_first_is_open():
         if gains[-1] >= -6.0:
             shown = burg([series], [follows], 1)[0]
             assert found.order == 1
-            assert found.memory[0] - found.room == 0.0
-            assert found.memory[0] + found.room == pytest.approx(shown + 4.0 / np.sqrt(200))
+            assert found.partial[0] - found.half_range == 0.0
+            assert found.partial[0] + found.half_range == pytest.approx(shown + 4.0 / np.sqrt(200))
     assert min(gains) < 0.0  # some would have been taken for a memory that is known
 
 
@@ -137,7 +137,7 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
             inverse = np.linalg.inv(covariance(np.array([min(end, 0.95)]), n))
             return abs(x @ inverse @ y / (x @ inverse @ x)) / sd
 
-        end, most = 2.0 * found.room, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
+        end, most = 2.0 * found.half_range, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
         assert moved(end) <= 1.0 + 1e-6
         held.append(end < 0.99 * most)
         assert held[-1] == (moved(most) > 1.0)
@@ -251,7 +251,7 @@ def test_the_choice_at_an_estimate_is_that_of_its_residuals_and_of_prior_effects
     effects = [np.stack([by[k] * priors[k].sd() for k in AXIS.names], axis=1) for by in columns]
     joined = [np.ones(r.size - 1, dtype=bool) for r in residuals]
     for own in (False, True):
-        found = choice_at(AXIS, observations, priors, point, per_recording=own)
+        found = choose_noise(AXIS, observations, priors, point, per_recording=own)
         expected = choose_order(residuals, joined, own, effects)
         assert found.order == expected.order
         for one, other in zip(found.tried, expected.tried, strict=True):
@@ -267,4 +267,4 @@ def test_a_recording_without_residuals_changes_nothing():
     alone = choose_order([series], [FOLLOWS], True)
     beside = choose_order([series, np.zeros(3000)], [FOLLOWS, FOLLOWS], True)
     assert beside.order == alone.order == 1
-    assert beside.memory == pytest.approx(alone.memory)
+    assert beside.partial == pytest.approx(alone.partial)

@@ -29,7 +29,7 @@ from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
-from bayesfric.inference.noise.autoregressive import MEMORY, MOST
+from bayesfric.inference.noise.autoregressive import MAX_PARTIAL, MAX_ORDER
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags
@@ -69,15 +69,15 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Choice:
+class NoiseChoice:
     """The order chosen, and every one that was tried."""
 
     order: int  # Chosen one, 0 for white noise
     tried: tuple[Evidence, ...]  # Evidence by order, from white noise on
     # Partial autocorrelations, as many as the order: those of the residuals, or the middle of what
     # these leave open
-    memory: tuple[float, ...] = ()
-    room: float = 0.0  # How far each may be from that
+    partial: tuple[float, ...] = ()
+    half_range: float = 0.0  # How far each may be from that
 
     def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
         """Give priors in which the autocorrelation is that of these residuals.
@@ -86,22 +86,22 @@ class Choice:
         What the user said of it stays.
         """
         found = dict(priors)
-        for k, middle in enumerate(self.memory, start=1):
+        for k, middle in enumerate(self.partial, start=1):
             name = f"noise.pacf_{k}"
             if priors[name].default:
-                ends = [max(middle - self.room, -MEMORY), min(middle + self.room, MEMORY)]
+                ends = [max(middle - self.half_range, -MAX_PARTIAL), min(middle + self.half_range, MAX_PARTIAL)]
                 found[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
         return found
 
 
-def choice_at(
+def choose_noise(
     chain: Joint,
     observations: Sequence[Observation],
     priors: Mapping[str, Prior],
     point: Mapping[str, float],
     *,
     per_recording: bool,
-) -> Choice:
+) -> NoiseChoice:
     """Choose the order that the torque residuals of a parameter vector ask for."""
     values = chain.vector(point)
     residuals = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
@@ -123,7 +123,7 @@ def choose_order(
     follows: Sequence[Flags],
     own_scales: bool,
     effects: Sequence[Array] | None = None,
-) -> Choice:
+) -> NoiseChoice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
 
     Up to four partial autocorrelations are estimated by Burg's method, all runs together. With the
@@ -141,14 +141,14 @@ def choose_order(
     n = sum(r.size for r in residuals)
     whole = sum(float(r @ r) for r in residuals)
     if not whole > 0.0:
-        return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
+        return NoiseChoice(0, (Evidence(0, 0.0, 1.0, 1.0),))
     sizes = [_size([r]) if own_scales else _size(residuals) for r in residuals]
     scaled = _over(residuals, sizes)
     plain = None if effects is None else _Plain(scaled, follows, _over(effects, sizes))
     tried: list[Evidence] = []
-    for order in range(min(MOST, n // 20) + 1):
+    for order in range(min(MAX_ORDER, n // 20) + 1):
         # beyond, the prior ends too
-        partial = np.clip(ar.burg(scaled, follows, order), -MEMORY, MEMORY)
+        partial = np.clip(ar.burg(scaled, follows, order), -MAX_PARTIAL, MAX_PARTIAL)
         left = [ar.whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
         # the first of a run are divided by their own, larger sds
         deviance = 2.0 * sum(float(_log_sds(partial, f).sum()) for f in follows)
@@ -170,15 +170,15 @@ def choose_order(
     if best.bic < -EVIDENCE:
         # of fewer predecessors Burg's are the first of these
         memory = tuple(partial[: best.order].tolist())
-        return Choice(best.order, tuple(tried), memory, 1.0 / math.sqrt(n))
+        return NoiseChoice(best.order, tuple(tried), memory, 1.0 / math.sqrt(n))
     may = len(tried) > 1 and tried[1].harmless
     end = float(partial[0]) + _OPEN / math.sqrt(n) if may else 0.0
     while plain is not None and end > 0.0 and not plain.stays(end):
         end /= 2.0
     if end <= 0.0:
-        return Choice(0, tuple(tried))
-    half = min(end, MEMORY) / 2.0
-    return Choice(1, tuple(tried), (half,), half)
+        return NoiseChoice(0, tuple(tried))
+    half = min(end, MAX_PARTIAL) / 2.0
+    return NoiseChoice(1, tuple(tried), (half,), half)
 
 
 class _Plain:
@@ -206,7 +206,7 @@ class _Plain:
 
     def stays(self, first: float) -> bool:
         """Whether the estimate stays within a sd with a first partial autocorrelation."""
-        return self.compared(np.clip([first], -MEMORY, MEMORY))[0] <= _STILL
+        return self.compared(np.clip([first], -MAX_PARTIAL, MAX_PARTIAL))[0] <= _STILL
 
     def compared(self, partial: Array) -> tuple[float, float]:
         """Give ``shift`` and ``rise`` of :class:`Evidence` for autocorrelations ``(p,)``."""

@@ -26,9 +26,9 @@ _LOG_2PI = math.log(2.0 * math.pi)
 # Largest partial autocorrelation that the package takes for noise by itself. What remembers more
 # in a band that the motion fills is no noise but something the model lacks: a memory beyond
 # would take all that is slow for noise, the motion's own effects among it.
-MEMORY = 0.95
+MAX_PARTIAL = 0.95
 # Longest memory that is tried where none is told.
-MOST = 4
+MAX_ORDER = 4
 SIGMA = Scale("sigma", r"\sigma", "noise of the filtered torque", lambda s: up_to(s.torque))
 _INNOVATION = replace(
     SIGMA, meaning="sd of the noise's innovations, what its memory does not foretell"
@@ -41,7 +41,7 @@ def _pacf(lag: int) -> Scale:
         f"pacf_{lag}",
         rf"\phi_{{{lag}{lag}}}",
         f"partial autocorrelation of the noise at lag {lag}",
-        lambda _: [-MEMORY, MEMORY],
+        lambda _: [-MAX_PARTIAL, MAX_PARTIAL],
         lower=-1.0,
         upper=1.0,
         unit="",

@@ -26,7 +26,7 @@ _NOISE, _SHARE, _LEAST = 3.0, 0.1, 3
 
 
 @dataclass(frozen=True)
-class RestsBeyond:
+class StictionViolation:
     """Standstills of one recording at which the law would have moved the joint."""
 
     recording: str  # Its name
@@ -41,9 +41,9 @@ class RestsBeyond:
     held: float
 
 
-def rests_beyond(
+def stiction_violations(
     fit: Fit, recordings: Sequence[Measurement], processing: Processing
-) -> Iterator[RestsBeyond]:
+) -> Iterator[StictionViolation]:
     """Find standstills at which the law would have moved, recording by recording.
 
     Where the fit uses standstill, or explains positions, there is nothing to ask, and nothing is
@@ -72,4 +72,4 @@ def rests_beyond(
             # between the limits' middle and the torque is what friction took
             friction = np.abs(torque - 0.5 * (low + high))
             worst, held = (float(np.median(x, axis=0)[sure].max()) for x in (out, friction))
-            yield RestsBeyond(recording.name, float(sure.mean()), *span, worst, held)
+            yield StictionViolation(recording.name, float(sure.mean()), *span, worst, held)
