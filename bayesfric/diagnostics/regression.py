@@ -358,7 +358,7 @@ class Regression:
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
             gram=remainder.T @ remainder,
             scores=remainder.T @ residual - mean * unit,
-            rough=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
+            column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
             power=power,
             spread=np.hypot(np.maximum(sd, 1.0), HALF * bias),
             free=free,

@@ -109,7 +109,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
     findings = tuple(
         replace(one, recording=name)
         for name, asked, own in zip(names, explained, rooms, strict=True)
-        for one in asked.with_severity(widened=own.shown)
+        for one in asked.with_severity(widened=own.is_plausible)
     )
     doubts = [one for one in findings if one.severity == "doubt"]
     moved = {
@@ -135,7 +135,7 @@ def pooled(problem: Problem, seed: int | None, progress: Shown) -> Pooled:
             doubtful=sum(map(bool, moved.values())),
             asked=None if any(one.reason for one in explained) else len(explained[0].kinds),
             explained=None,
-            lacking=bool(findings) and any(one.shown for one in rooms),
+            lacking=bool(findings) and any(one.is_plausible for one in rooms),
         ).outcome,
         findings=findings,
         problems=posterior.diagnostics.problems,

@@ -75,7 +75,7 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     room = fit.discrepancy
     if room is None:
         return summary
-    told = ModelError(shown=room.shown, chance=room.chance)
+    told = ModelError(shown=room.is_plausible, chance=room.chance)
     if not room.moved:
         return summary.model_copy(update={"model_error": told})
     wide = fit.wide.posterior.flat()
