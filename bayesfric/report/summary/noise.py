@@ -78,7 +78,7 @@ def noise_record(fit: Fit, residuals: list[Array], choice: NoiseChoice | None) -
             for o, s in zip(likelihood.outputs, scales, strict=True)
         }
     if choice is not None:
-        record["order_chosen_from"] = [asdict(one) for one in choice.tried]
+        record["order_chosen_from"] = [asdict(one) for one in choice.evidence]
         record |= {"memory": [*choice.partial], "room": choice.half_range}
     return record
 
