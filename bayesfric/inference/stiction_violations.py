@@ -1,9 +1,4 @@
-"""Whether a fit's friction law could hold the joint at standstill, where the fit did not use it.
-
-At standstill the motor's torque lies between the two at which the joint would move. Where it lay
-beyond them, static friction is more than the law says, which was learned in motion; unless
-something else, such as a brake, held the joint.
-"""
+"""Standstills that the fitted law contradicts: friction there is larger than the law's."""
 
 from __future__ import annotations
 
@@ -19,57 +14,57 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.processing import Processing
 
-# Draws whose law is asked; what nineteen in twenty of them do not hold is not held.
-_DRAWS, _SURE = 200, 0.05
-# Residuals, rms, by which a torque must lie beyond; share of the rests and number that must.
-_NOISE, _SHARE, _LEAST = 3.0, 0.1, 3
+# Draws that are evaluated, and the quantile that must contradict.
+_DRAWS, _QUANTILE = 200, 0.05
+# Excess of the torque over the residuals' rms; share of standstill outputs, and their number.
+_LEAST_RMS, _SHARE, _LEAST = 3.0, 0.1, 3
 
 
 @dataclass(frozen=True)
 class StictionViolation:
     """Standstills of one recording at which the law would have moved the joint."""
 
-    recording: str  # Its name
-    share: float  # Of all outputs at standstill in it
-    # Of the first and the last, s from the file's first stamp
+    recording: str  # name
+    share: float  # share of the outputs at standstill
+    # s from the file's first stamp, of the first and the last
     start: float
     stop: float
-    # How far the torque lies outside what the law can hold, the worst, N m or N at the motor
+    # largest excess of the torque over the law's limits, N m or N at the motor
     beyond: float
-    # Most friction that held the joint there, N m or N at the motor: static friction is at least
-    # this
+    # largest friction at standstill, N m or N at the motor: static friction is at least this
     held: float
 
 
 def stiction_violations(
     fit: Fit, recordings: Sequence[Measurement], processing: Processing
 ) -> Iterator[StictionViolation]:
-    """Find standstills at which the law would have moved, recording by recording.
+    """Yield recordings with standstills outside the limits of 95 % of the widened draws.
 
-    Where the fit uses standstill, or explains positions, there is nothing to ask, and nothing is
-    found. The friction that holds is the distance of the torque from the middle of the limits: at
-    standstill the rest of the law, gravity and offset, is there in both.
+    At least three outputs and a tenth of those at standstill must exceed them by three times the
+    residuals' rms. Nothing is evaluated if the fit uses standstill or explains positions.
     """
     if processing.rest or fit.target.likelihood.method != "input-error":
         return
     chain = fit.chain
     values = fit.wide.target.chain_values(fit.wide.posterior.flat(_DRAWS))
-    each = zip(recordings, fit.observations, fit.residuals, strict=True)
-    for recording, fitted, residual in each:
+    triples = zip(recordings, fit.observations, fit.residuals, strict=True)
+    for recording, fitted, residual in triples:
         try:
-            seen = observe(recording, processing.model_copy(update={"rest": True}))
-        except BadInput:  # with rests told apart too little moves
+            at_rest = observe(recording, processing.model_copy(update={"rest": True}))
+        except BadInput:  # without standstill too little moves
             continue
-        if seen.rest is None:
+        if at_rest.rest is None:
             continue
-        low, high = StaticFriction(chain, seen.rest, fitted.inputs).limits(values)
-        torque = seen.rest.torque
-        out = np.maximum(np.maximum(low - torque, torque - high), 0.0)
-        sure = np.quantile(out, _SURE, axis=0) > _NOISE * np.sqrt(np.mean(residual**2))
-        if sure.sum() >= _LEAST and sure.mean() >= _SHARE:
-            stamps = seen.rest.stamps[sure]
+        low, high = StaticFriction(chain, at_rest.rest, fitted.inputs).limits(values)
+        torque = at_rest.rest.torque
+        excess = np.maximum(np.maximum(low - torque, torque - high), 0.0)
+        violated = np.quantile(excess, _QUANTILE, axis=0) > _LEAST_RMS * np.sqrt(
+            np.mean(residual**2)
+        )
+        if violated.sum() >= _LEAST and violated.mean() >= _SHARE:
+            stamps = at_rest.rest.stamps[violated]
             span = float(stamps.min()), float(stamps.max())
-            # between the limits' middle and the torque is what friction took
+            # friction is the distance from the limits' middle
             friction = np.abs(torque - 0.5 * (low + high))
-            worst, held = (float(np.median(x, axis=0)[sure].max()) for x in (out, friction))
-            yield StictionViolation(recording.name, float(sure.mean()), *span, worst, held)
+            beyond, held = (float(np.median(x, axis=0)[violated].max()) for x in (excess, friction))
+            yield StictionViolation(recording.name, float(violated.mean()), *span, beyond, held)
