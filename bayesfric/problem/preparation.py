@@ -17,8 +17,7 @@ from bayesfric.estimates.methods import Given
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise.autoregressive import MAX_ORDER, Autoregressive
-from bayesfric.inference.prior.as_knowledge import as_knowledge
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.prior.priors import Prior, as_knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
