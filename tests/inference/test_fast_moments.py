@@ -9,9 +9,9 @@ from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
+from bayesfric.inference.moments.moment_matrices import SignRegion
 from bayesfric.inference.moments.residual_moments import PlainMoments
 from bayesfric.inference.moments.shape_nodes import ACCURACY
-from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
