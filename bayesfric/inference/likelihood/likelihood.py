@@ -25,7 +25,7 @@ class Outputs:
     # motor torque or force, N m or N, or joint position, rad or m
     quantity: str
     unit: str
-    time: Array
+    time: Array  # (M,) s since the first stamp of the file
     measured: Array  # (M,)
     period: float  # s, between outputs of one segment
     segment_of: NDArray[np.int64]  # (M,) index of its segment
