@@ -52,9 +52,7 @@ BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
 
 
 @app.callback(invoke_without_command=True)
-def _version(
-    version: bool = Option(False, "--version", help="print the version"),
-) -> None:
+def _version(version: bool = Option(False, "--version", help="print the version")) -> None:
     if version:
         print(__version__)
         raise typer.Exit
@@ -242,11 +240,7 @@ def demo(
 
 
 @app.command()
-def report(
-    run: RunFolder,
-    paper: Paper = False,
-    as_json: AsJson = False,
-) -> None:
+def report(run: RunFolder, paper: Paper = False, as_json: AsJson = False) -> None:
     """Make the page and the tables of a finished run again."""
     from bayesfric.commands.report import report as make
 

@@ -357,9 +357,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("inertia_by_angle", _inertia_by_angle),
     Kind("repeating", _repeating, option="cogging"),
     Kind(
-        "elastic",
-        lambda a: a.elastic,
-        lambda a: [*a.rate(np.concatenate([*a.elastic.values()]))],
+        "elastic", lambda a: a.elastic, lambda a: [*a.rate(np.concatenate([*a.elastic.values()]))]
     ),
     Kind("backlash", _backlash),
     Kind("presliding", _presliding, loss=True, of_speed=True),

@@ -10,11 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from bayesfric.diagnostics.along import TURNS
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.policy import (
-    LEAST_OUTPUTS,
-    LONGEST,
-    MOVES,
-)
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
 from bayesfric.diagnostics.regression import Regression, Replicate, Step
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
 from bayesfric.estimates.descent import few_threads

@@ -168,10 +168,7 @@ class CandidateScores:
 
 
 def score_candidates(
-    d: Columns,
-    groups: Sequence[tuple[Key, list[int]]],
-    extra: Sequence[int],
-    width: float,
+    d: Columns, groups: Sequence[tuple[Key, list[int]]], extra: Sequence[int], width: float
 ) -> CandidateScores:
     """Test every candidate in addition to the model's own columns and those already included.
 

@@ -49,13 +49,7 @@ class Examination:
     identified: Identification | None  # at the median; None if that cannot be simulated
 
 
-def fit(
-    problem: Problem,
-    sampling: Sampling,
-    *,
-    output_error: bool,
-    progress: Shown,
-) -> Result:
+def fit(problem: Problem, sampling: Sampling, *, output_error: bool, progress: Shown) -> Result:
     """Sample a problem and summarise the posterior; see :meth:`bayesfric.Model.fit`."""
     tables = problem.config.tables
     if tables.pooling.vary:

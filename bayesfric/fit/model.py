@@ -240,11 +240,7 @@ class Model(Problem):
         return density if values.ndim == 2 else float(density[0])
 
     def fit(
-        self,
-        *,
-        seed: int | None = None,
-        output_error: bool = False,
-        progress: Shown = silent,
+        self, *, seed: int | None = None, output_error: bool = False, progress: Shown = silent
     ) -> Result:
         """Sample the posterior, and summarise it.
 
@@ -283,11 +279,7 @@ class Model(Problem):
         return pooled(model, seed, progress)
 
     def sample(
-        self,
-        *,
-        seed: int | None = None,
-        output_error: bool = False,
-        progress: bool | Shown = False,
+        self, *, seed: int | None = None, output_error: bool = False, progress: bool | Shown = False
     ) -> xr.DataTree:
         """Sample the posterior as ``bayesfric fit`` does.
 

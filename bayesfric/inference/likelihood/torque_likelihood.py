@@ -28,10 +28,7 @@ class TorqueLikelihood(Likelihood):
     method = "input-error"
 
     def __init__(
-        self,
-        chain: Joint,
-        observations: Sequence[Observation],
-        noise: Autoregressive | None = None,
+        self, chain: Joint, observations: Sequence[Observation], noise: Autoregressive | None = None
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)
         rotary = chain.motor_motion == "rotary"

@@ -21,13 +21,7 @@ def _position(sizes: Scales) -> PriorText:
 
 SCALES = (
     Scale("torque", r"\sigma_\Gamma", "noise of a torque sample", lambda s: up_to(s.torque)),
-    Scale(
-        "position",
-        r"\sigma_q",
-        "noise of a position sample",
-        _position,
-        unit="position",
-    ),
+    Scale("position", r"\sigma_q", "noise of a position sample", _position, unit="position"),
 )
 
 

@@ -89,12 +89,7 @@ class Sampling(Options):
         le=1e8,
         description="independent draws wanted of every parameter",
     )
-    max_rhat: float = Field(
-        1.01,
-        gt=1,
-        le=2,
-        description="largest nested R-hat accepted",
-    )
+    max_rhat: float = Field(1.01, gt=1, le=2, description="largest nested R-hat accepted")
     max_steps: int = Field(
         20_000,
         ge=100,
@@ -105,11 +100,7 @@ class Sampling(Options):
 
 
 def sample(
-    target: Target,
-    start: Start,
-    settings: Sampling,
-    *,
-    progress: Shown = silent,
+    target: Target, start: Start, settings: Sampling, *, progress: Shown = silent
 ) -> Posterior:
     """Sample until every criterion of ``settings`` is met or ``max_steps`` is reached.
 
