@@ -452,7 +452,8 @@ def test_kinds_that_this_motion_does_not_tell_are_named():
 
 
 @pytest.mark.parametrize(
-    "memory", [WHITE, Autocorrelation(np.array([0.7])), Autocorrelation(np.array([0.4]), 0.7)]
+    "autocorrelation",
+    [WHITE, Autocorrelation(np.array([0.7])), Autocorrelation(np.array([0.4]), 0.7)],
 )
 @pytest.mark.parametrize("sensors", [0.0, 0.6, 3.0])
 def test_twins_are_given_so_much_noise_that_they_leave_what_the_recording_does(
@@ -512,7 +513,7 @@ def test_the_noise_is_that_of_the_best_residual_when_one_after_the_other_is_take
     _, autocorrelation, extra = min(found, key=lambda one: one[0])
     np.testing.assert_allclose(r.noise.partial, autocorrelation.partial, rtol=1e-6)
     assert r.noise.drift == autocorrelation.drift
-    # replicates then have that noise beside what was taken, and each a memory of its own
+    # replicates then have that noise beside what was taken, and each its own autocorrelation
     by_hand._add_noise(autocorrelation, extra, stream)
     for one, other in zip(r.replicates, by_hand.replicates, strict=True):
         np.testing.assert_allclose(one.residual, other.residual, rtol=1e-6)

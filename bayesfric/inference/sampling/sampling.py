@@ -411,8 +411,8 @@ def _problems(
         medians = ", ".join(f"{x:.4g}" for x in np.median(draws[..., worst], axis=(1, 2)))
         yield (
             f"the ensembles disagree on {', '.join(disagreeing)} "
-            f"(nested R-hat up to {rhat.max():.3f}; their medians of {names[worst]}: {medians}): raise sampling.max_steps, or give "
-            "these parameters narrower priors"
+            f"(nested R-hat up to {rhat.max():.3f}; their medians of {names[worst]}: {medians}): "
+            "raise sampling.max_steps, or give these parameters narrower priors"
         )
     too_few = names[ess < settings.min_ess]
     # more steps do not help a walker that never moves
