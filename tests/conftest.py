@@ -46,7 +46,7 @@ LONG = {
         advise again bad_runs compare doubts estimate explain fit identify killed
         little_explained own_offsets pool report terminal_and_disk validation voltage""",
     "diagnostics": """
-        explanation laid_beside regression self_check""",
+        calibration_check explanation laid_beside regression""",
     "estimates": """
         attenuation collinear_losses delay input_error output_error shooting""",
     "export": """
@@ -56,8 +56,8 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy fast_moments likelihood_dense moves rests_beyond sampling
-        static_friction""",
+        discrepancy fast_moments likelihood_dense moves sampling
+        static_friction stiction_violations""",
     "mechanism": """
         closed_loop quantities""",
     "population": """
@@ -143,7 +143,7 @@ def _no_explanation():
 
 @pytest.fixture
 def unexplained():
-    """Let fits and checks simulate no twins, where what else explains a torque is not asked.
+    """Let fits and checks simulate no replicates, where what else explains a torque is not asked.
 
     Half of the time of a fit goes there; every recording is taken for too long to be asked.
     """

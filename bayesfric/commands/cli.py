@@ -52,9 +52,7 @@ BAD_INPUT, NOT_CONVERGED, INTERRUPTED = 2, 3, 130
 
 
 @app.callback(invoke_without_command=True)
-def _version(
-    version: bool = Option(False, "--version", help="print the version"),
-) -> None:
+def _version(version: bool = Option(False, "--version", help="print the version")) -> None:
     if version:
         print(__version__)
         raise typer.Exit
@@ -123,7 +121,7 @@ def simulate(
     seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate a recording from known parameters; the truth is saved beside it."""
+    """Simulate a recording from known parameters; save these next to it."""
     from bayesfric.commands.simulate import simulate as run
     from bayesfric.problem.config import read_config
 
@@ -137,8 +135,8 @@ def check(config: ConfigFile, verbose: Verbose = False, as_json: AsJson = False)
     """Read everything; print what is measured, its quality and its problems."""
     from bayesfric.fit.check_report import check as run
 
-    found = run(config)
-    _print(found.as_json(), as_json, found.text(verbose=verbose).splitlines())
+    checked = run(config)
+    _print(checked.as_json(), as_json, checked.text(verbose=verbose).splitlines())
 
 
 @app.command()
@@ -163,7 +161,7 @@ def identify(
     force: bool = Option(False, "--force", help="replace that CSV"),
     as_json: AsJson = False,
 ) -> None:
-    """Tell what these recordings can and cannot determine, and what would help."""
+    """Find what these recordings can and cannot determine, and what would help."""
     from bayesfric.commands import identify as command
 
     if advise is None and (output or force):
@@ -182,11 +180,11 @@ def identify(
 def explain(
     config: ConfigFile,
     output: Path | None = Option(
-        None, "-o", "--output", help="BETTER.toml: with what explains it put in"
+        None, "-o", "--output", help="BETTER.toml: the configuration with these terms"
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Tell what else explains the torque, judged by recordings simulated from the model."""
+    """Find what else explains the torque, tested against simulated replicates."""
     from bayesfric.commands.explain import explain as run
 
     with _progress() as progress:
@@ -196,15 +194,18 @@ def explain(
 
 @app.command()
 def pool(config: ConfigFile, seed: Seed = None, as_json: AsJson = False) -> None:
-    """Say what recordings of which some parameters differ tell together, and of the next one."""
+    """Fit recordings together of which some parameters differ, and predict the next one."""
     from bayesfric.report.words import filled, line_of
 
     model = _model(config)
     with _progress() as progress:
-        found = model.pool(seed=seed, progress=progress)
-    lines = [f"{one.recording}: {line_of(one.kind, one.as_dict())}" for one in found.findings]
-    text = filled("pool.txt.j2", found=found, findings=lines)
-    _print(found.as_json(), as_json, text.splitlines(), converged=found.status == "reliable")
+        pooled = model.pool(seed=seed, progress=progress)
+    lines = [
+        f"{finding.recording}: {line_of(finding.kind, finding.as_dict())}"
+        for finding in pooled.findings
+    ]
+    text = filled("pool.txt.j2", found=pooled, findings=lines)
+    _print(pooled.as_json(), as_json, text.splitlines(), converged=pooled.status == "reliable")
 
 
 @app.command()
@@ -239,17 +240,13 @@ def demo(
 
 
 @app.command()
-def report(
-    run: RunFolder,
-    paper: Paper = False,
-    as_json: AsJson = False,
-) -> None:
+def report(run: RunFolder, paper: Paper = False, as_json: AsJson = False) -> None:
     """Make the page and the tables of a finished run again."""
     from bayesfric.commands.report import report as make
 
     with _progress() as progress:
-        found = make(run, paper=paper, progress=progress)
-    _print(found, as_json, [f"Written to {run}: {', '.join(found['written'])}"])
+        record = make(run, paper=paper, progress=progress)
+    _print(record, as_json, [f"Written to {run}: {', '.join(record['written'])}"])
 
 
 @app.command()
@@ -268,9 +265,9 @@ def rollout(
     from bayesfric.commands.rollout import rollout_text
 
     with _progress() as progress:
-        found = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
+        result = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
     written = f"Added to {run}: report.html, figures/rollout.pdf, summary.json"
-    _print(found.as_dict(), as_json, [*rollout_text(found), written])
+    _print(result.as_dict(), as_json, [*rollout_text(result), written])
 
 
 @app.command()
@@ -289,15 +286,15 @@ def export(
     force: bool = Option(False, "--force", help="keep an old export aside"),
     as_json: AsJson = False,
 ) -> None:
-    """Put a finished run into a simulator's files, and say what these cannot carry."""
+    """Export a finished run to a simulator's files, and list what these cannot represent."""
     from bayesfric.export.exported import export as run_to
 
     place = output or Path(f"{run.resolve().name}-{to}")
     options: dict[str, Any] = {"joint": joint, "at_load": at_load, "into": into, "draws": draws}
-    found = run_to(run, to, output=place, force=force, **options)
-    written = [str(place / name) for name in (*found.files, "export.json")]
-    lines = [*found.text().splitlines(), "", f"Written: {', '.join(written)}"]
-    _print(found.as_json(), as_json, lines)
+    exported = run_to(run, to, output=place, force=force, **options)
+    written = [str(place / name) for name in (*exported.files, "export.json")]
+    lines = [*exported.text().splitlines(), "", f"Written: {', '.join(written)}"]
+    _print(exported.as_json(), as_json, lines)
 
 
 @app.command()
@@ -309,13 +306,13 @@ def compare(
     estimates: bool = Option(False, "--estimates", help="of several runs, too"),
     as_json: AsJson = False,
 ) -> None:
-    """Put runs side by side, or the methods and the posterior of one run."""
+    """Compare runs, or the methods and the posterior of one run."""
     from bayesfric.commands.compare import compare as run
     from bayesfric.report.comparison.comparison import comparison_dict, comparison_text
 
-    found = run(runs, output, estimates=estimates or None)
+    table = run(runs, output, estimates=estimates or None)
     written = [f"Written to {output}"] if output else []
-    _print(comparison_dict(found), as_json, [*comparison_text(found), *written])
+    _print(comparison_dict(table), as_json, [*comparison_text(table), *written])
 
 
 @app.command()
@@ -331,16 +328,19 @@ def arm(
     predict: Path | None = Option(None, metavar="LOG", help="another motion, to be predicted"),
     full: bool = Option(False, "--full", help="figures, tables and page of each joint"),
     to_files: bool = Option(
-        False, "--export", help="URDF, MJCF, ros2_control and Python with what was found"
+        False, "--export", help="URDF, MJCF, ros2_control and Python of the result"
     ),
     roll_out: float | None = Option(
-        None, "--rollout", metavar="SECONDS", help="play the efforts, anew so often, as CSV"
+        None,
+        "--rollout",
+        metavar="SECONDS",
+        help="simulate the efforts, restarting so often, as CSV",
     ),
     advise: bool = Option(
-        False, "--advise", help="the motion that tells most next, as CSV and JointTrajectory"
+        False, "--advise", help="the most informative next motion, as CSV and JointTrajectory"
     ),
     wanted: list[str] | None = Option(
-        None, metavar="JOINT.NUMBER", help="with --advise: what it is to tell"
+        None, metavar="JOINT.NUMBER", help="with --advise: what it is to determine"
     ),
     seconds: float = Option(20.0, help="with --advise: how long it may be"),
     seed: Seed = None,
@@ -356,24 +356,24 @@ def arm(
     folder = output or Path(f"{log[0].stem}-arm")
     check_output_folder(folder, force=None)
     with _progress() as progress:
-        made = Arm(urdf, {} if config is None else config)
-        found = made.fit(log, predict=predict, seed=seed, progress=progress)
-        # what is asked for besides may be refused, and the fit is kept
-        page, told, numbers = found.write(folder, full=full), found.text(), found.as_json()
+        fitter = Arm(urdf, {} if config is None else config)
+        result = fitter.fit(log, predict=predict, seed=seed, progress=progress)
+        # further requests may be refused; the fit is kept
+        page, lines, numbers = result.write(folder, full=full), result.text(), result.as_json()
         if to_files:
-            write_files({folder / name: text for name, text in files_of(found).items()})
+            write_files({folder / name: text for name, text in files_of(result).items()})
         if roll_out is not None:
-            played = play(found, seconds=roll_out, seed=seed, progress=progress)
+            played = play(result, seconds=roll_out, seed=seed, progress=progress)
             write_files({folder / "rollout.csv": played.as_csv()})
-            told.append(played.text())
+            lines.append(played.text())
             numbers["rollout"] = played.as_json()
         if advise:
-            motion = next_motion(found, wanted, seconds=seconds, seed=seed, progress=progress)
+            motion = next_motion(result, wanted, seconds=seconds, seed=seed, progress=progress)
             csv, yaml = folder / "exciting.csv", folder / "exciting.yaml"
             write_files({csv: motion.as_csv(), yaml: motion.as_joint_trajectory()})
-            told.append(motion.text(wanted))
+            lines.append(motion.text(wanted))
             numbers["next_motion"] = motion.as_json()
-    _print(numbers, as_json, [*told, "", f"Written: {page}"], converged=found.reliable)
+    _print(numbers, as_json, [*lines, "", f"Written: {page}"], converged=result.reliable)
 
 
 @app.command()
@@ -387,7 +387,7 @@ def fleet(
     resume: bool = Option(False, "--resume", help="do what is missing, failed or has changed"),
     as_json: AsJson = False,
 ) -> None:
-    """Fit many units by one template, and say what population they are."""
+    """Fit many units by one template, and estimate their population."""
     from bayesfric.fleet.fleet import PLAN, Fleet
     from bayesfric.report.words import filled
 
@@ -409,7 +409,7 @@ def _fit(
     config: Path | None, folder: Path, as_json: bool, *, verbose: bool, **options: Any
 ) -> None:
     """Fit a configuration, or the demo's."""
-    spent = Timer()  # before what it imports, which takes time, too
+    spent = Timer()  # before the slow imports
     with ExitStack() as bars:
         from bayesfric.commands.fit import demo_config, fit_text
         from bayesfric.commands.fit import fit as run
@@ -417,17 +417,17 @@ def _fit(
 
         show = bars.enter_context(_progress())
 
-        def tell(found: Any) -> None:
+        def print_summary(summary: Any) -> None:
             nonlocal show
-            bars.close()  # it would stand amid the numbers
+            bars.close()  # before the numbers are printed
             if config is None:
                 print(DEMO, file=sys.stderr)
             if not as_json:
-                _print(found, as_json, fit_text(found, verbose=verbose))
+                _print(summary, as_json, fit_text(summary, verbose=verbose))
             show = bars.enter_context(_progress())
 
         read = demo_config() if config is None else read_config(config)
-        summary = run(read, folder, progress=lambda x: show(x), found=tell, **options)
+        summary = run(read, folder, progress=lambda x: show(x), on_summary=print_summary, **options)
     lines = ["", f"{folder / 'report.html'}   in all {spent}"]
     _print(summary, as_json, lines, converged=summary["sampler"]["status"] == "reliable")
 
@@ -439,7 +439,7 @@ def _model(config: Path) -> Model:
 
 
 def _print(record: Any, as_json: bool, lines: Iterable[str], *, converged: bool = True) -> None:
-    """Print a command's record as JSON, or its lines, and end it where it has not converged."""
+    """Print a command's record as JSON, or its lines; exit if it has not converged."""
     if as_json:
         ascii_only = not str(sys.stdout.encoding or "utf").lower().startswith("utf")
         lines = [json.dumps(record, indent=1, ensure_ascii=ascii_only, allow_nan=False)]
@@ -448,21 +448,23 @@ def _print(record: Any, as_json: bool, lines: Iterable[str], *, converged: bool 
             print(line)
         sys.stdout.flush()
     except BrokenPipeError:
-        # who reads has read enough, as head does; what is to be made is made all the same
+        # the reader, such as head, has ended; files are still written
         _write_no_more()
     if not converged:
         raise typer.Exit(NOT_CONVERGED)
 
 
 def _machine(error: OSError | MemoryError) -> BadInput:
-    """Say what the machine does not give."""
+    """Convert an error of the machine to bad input."""
     if isinstance(error, MemoryError):
-        mend = "leave some of it out, or work where there is more"
-        return BadInput("memory", "there is not enough for what is asked", mend)
-    if error.filename is None:  # or what is still to be written would fail once more
+        mend = "shorten the recordings, or use a larger machine"
+        return BadInput("memory", "is not sufficient", mend)
+    if error.filename is None:  # the output itself; do not fail again
         _write_no_more()
     where, reason = error.filename or "output", error.strerror or str(error)
-    return BadInput(str(where), f"cannot be read or written ({reason})", "see to disk and rights")
+    return BadInput(
+        str(where), f"cannot be read or written ({reason})", "check disk space and permissions"
+    )
 
 
 def _write_no_more() -> None:
@@ -473,16 +475,16 @@ def _write_no_more() -> None:
 def main() -> None:
     """Run the command line; bad input ends with one line and exit code 2."""
     if not sys.warnoptions:
-        # libraries' remarks to programmers; python -W brings them back
+        # warnings for developers; python -W shows them
         warnings.simplefilter("ignore")
     for name in LINEAR_ALGEBRA_THREADS:
         os.environ.setdefault(name, "1")  # before NumPy is imported
-    # threads of compiled kernels that wait leave the core to other processes
+    # waiting threads of compiled kernels yield the core
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # it ends a command as Ctrl-C does
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # like Ctrl-C
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # whatever letters it takes, none ends the command
+        if isinstance(stream, io.TextIOWrapper):  # never fail on a character
             stream.reconfigure(errors="backslashreplace")
     try:
         try:
@@ -492,10 +494,10 @@ def main() -> None:
     except BadInput as error:
         print(f"bayesfric: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    except Interrupted as stopped:
-        again = shlex.join([word for word in sys.argv[1:] if word != "--resume"])
-        told = f"interrupted, {stopped}; go on with: bayesfric {again} --resume"
-        print(f"bayesfric: {told}", file=sys.stderr)
+    except Interrupted as interruption:
+        command = shlex.join([word for word in sys.argv[1:] if word != "--resume"])
+        message = f"interrupted, {interruption}; go on with: bayesfric {command} --resume"
+        print(f"bayesfric: {message}", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except (KeyboardInterrupt, SystemExit) as end:
         # typer turns the first into the second

@@ -25,14 +25,13 @@ def compare(
 
     ``output`` is a folder to make: ``report.html``, ``comparison.csv``, ``.tex`` and
     ``.json``, ``figures/forest.pdf``, ``.svg`` and ``.png``; of several runs ``between-runs.csv``.
-    Point estimates are shown of a single run only if ``estimates`` is left
-    out. Of what cannot be compared nothing is written.
+    By default point estimates are shown for a single run only.
     """
     summaries = read_summaries(runs)
     if output is None:
         return comparison(summaries, estimates=estimates)
 
-    # these bring ArviZ and Matplotlib along, which the table alone does without
+    # slow imports that the table does not need
     from bayesfric.base.atomic_write import check_output_folder, new_folder
     from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
     from bayesfric.report.figures.forest import FOREST
@@ -41,7 +40,7 @@ def compare(
     from bayesfric.report.paper.tables import methods_latex
 
     check_output_folder(output, force=None)
-    found = comparison(summaries, estimates=estimates)
+    table = comparison(summaries, estimates=estimates)
     checked = {name: Summary.read(summary, name) for name, summary in summaries.items()}
     provenance = {name: read_provenance(run) for name, run in zip(summaries, runs, strict=True)}
     draws = {
@@ -49,32 +48,32 @@ def compare(
         for name, run in zip(summaries, runs, strict=True)
         if len(runs) > 1
     }
-    # one recording seen by two runs would count twice
+    # a recording in two runs would count twice
     pooled = [] if shared_recordings(provenance) else between_runs(checked, draws)
-    order = {row.name: k for k, row in enumerate(found.rows)}
-    pooled.sort(key=lambda one: order[one.name])
-    # what cannot be drawn is told before anything is written
-    figure = FOREST.draw(found)
+    order = {row.name: k for k, row in enumerate(table.rows)}
+    pooled.sort(key=lambda pool: order[pool.name])
+    # before anything is written, as it may be refused
+    figure = FOREST.draw(table)
     assert figure is not None
-    with new_folder(output) as beside:
-        as_json = json.dumps(comparison_dict(found), indent=1, ensure_ascii=False, allow_nan=False)
+    with new_folder(output) as folder:
+        as_json = json.dumps(comparison_dict(table), indent=1, ensure_ascii=False, allow_nan=False)
         texts = {
-            "comparison.csv": comparison_csv(found),
+            "comparison.csv": comparison_csv(table),
             "comparison.json": f"{as_json}\n",
-            "comparison.tex": methods_latex(found),
+            "comparison.tex": methods_latex(table),
         }
         if len(checked) > 1:
             texts["between-runs.csv"] = between_runs_csv(pooled)
-        (beside / "figures").mkdir()
-        save(figure, beside / "figures", FOREST.stem)
-        texts["report.html"] = compare_page(beside, found, checked, pooled, provenance)
+        (folder / "figures").mkdir()
+        save(figure, folder / "figures", FOREST.stem)
+        texts["report.html"] = compare_page(folder, table, checked, pooled, provenance)
         for name, text in texts.items():
-            (beside / name).write_text(text, encoding="utf-8")
-    return found
+            (folder / name).write_text(text, encoding="utf-8")
+    return table
 
 
 def read_summaries(runs: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
-    """Read ``summary.json`` of every run, named by as much of its folder as tells them apart."""
+    """Read ``summary.json`` of every run, named by the distinct part of its folder."""
     folders: list[Path] = []
     for run in runs:
         folder = Path(os.path.realpath(run))

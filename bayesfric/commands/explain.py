@@ -1,4 +1,4 @@
-"""``bayesfric explain``: what else explains the torque, and the configuration with it put in."""
+"""``bayesfric explain``: what else explains the torque, and the configuration with it."""
 
 from __future__ import annotations
 
@@ -19,53 +19,47 @@ from bayesfric.report.words import clause, doubt_text, filled, line_of
 def explain(
     model: Model, output: Path | None = None, *, progress: ProgressCallback = no_progress
 ) -> tuple[dict[str, Any], list[str]]:
-    """Give what ``--json`` prints, and words: what is found, and what this motion does not tell.
+    """Return the record and lines of text.
 
-    ``output`` is a file to write beside the configuration, with what explains the torque put in.
-
-    Raises
-    ------
-    BadInput
-        Before anything is computed, if that is no TOML, lies elsewhere, where names of files mean
-        something else, or is there.
+    ``output`` is a file to write next to the configuration, with the missing terms.
     """
-    told: dict[str, Any] = {}
-    taken: Sequence[Finding] = ()
+    completed: dict[str, Any] = {}
+    included: Sequence[Finding] = ()
     if output is None:
-        found = model.explain(progress=progress)
+        explained = model.explain(progress=progress)
     else:
-        _refuse_other_place(output, model.config.path.parent)
-        model, taken, found = model.completed(progress=progress)
+        _check_output(output, model.config.path.parent)
+        model, included, explained = model.completed(progress=progress)
         write_files({output: model.config.text})
-        told = {"taken": [one.as_dict() for one in taken], "written": str(output)}
+        completed = {"taken": [finding.as_dict() for finding in included], "written": str(output)}
     text = filled(
         "explain.txt.j2",
-        found=found,
+        found=explained,
         warnings=map(doubt_text, little_explained(model.chain, model.observations)),
-        lines=[_line(one) for one in found.findings],
-        taken=[f"Put in: {_line(one)}" for one in taken],
-        untold=", ".join(clause(kind) for kind in found.untold),
+        lines=[_line(finding) for finding in explained.findings],
+        taken=[f"Put in: {_line(finding)}" for finding in included],
+        indistinguishable=", ".join(clause(kind) for kind in explained.indistinguishable),
         path=output,
         names=model.chain.names,
     )
     lines = [part for line in text.splitlines() for part in wrapped(line, indent=3)]
-    return {"config": str(model.config.path), **found.as_json(), **told}, lines
+    return {"config": str(model.config.path), **explained.as_json(), **completed}, lines
 
 
-def _line(one: Finding) -> str:
-    """Say a finding, what it moves and what looks like it in this motion."""
-    told = one.as_dict()
-    moves = ", ".join(f"{name} {by:+.1f}" for name, by in list(one.moves.items())[:3])
-    more = f"; moves {moves} standard deviations" if moves else ""
-    rivals = ", ".join(clause(kind) for kind in one.rivals[:3])
-    return line_of(one.kind, told) + more + (f"; looks like {rivals}" if rivals else "")
+def _line(finding: Finding) -> str:
+    """Describe a finding, its shifts and its rivals."""
+    values = finding.as_dict()
+    moves = ", ".join(f"{name} {by:+.1f}" for name, by in list(finding.moves.items())[:3])
+    effect = f"; moves {moves} standard deviations" if moves else ""
+    rivals = ", ".join(clause(kind) for kind in finding.rivals[:3])
+    return line_of(finding.kind, values) + effect + (f"; looks like {rivals}" if rivals else "")
 
 
-def _refuse_other_place(path: Path, folder: Path) -> None:
+def _check_output(path: Path, folder: Path) -> None:
     if path.suffix != ".toml":
         raise BadInput(str(path), "is not named .toml", "name a configuration: BETTER.toml")
     if path.resolve().parent != folder.resolve():
-        what = "is not beside the configuration, whose recordings are named from there"
+        what = "is not in the configuration's folder, which its files are relative to"
         raise BadInput(str(path), what, f"write it to {folder / path.name}")
     if path.exists():
-        raise BadInput(str(path), "is there already", "name another file")
+        raise BadInput(str(path), "exists", "name another file")

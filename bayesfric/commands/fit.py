@@ -28,18 +28,18 @@ def fit(
     output_error: bool = False,
     paper: bool = False,
     progress: ProgressCallback = no_progress,
-    found: Callable[[Summary], None] = lambda _: None,
+    on_summary: Callable[[Summary], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Fit a configuration, write the run directory, and return what ``summary.json`` holds.
 
-    ``found`` takes the numbers as soon as they are there, before figures and pages are made.
-    ``force`` replaces an old run. A fit that ends early writes nothing.
+    ``on_summary`` is called before figures and pages are made; ``force`` replaces an old run. A fit
+    that ends early writes nothing.
     """
     check_output_folder(folder, force=force)
     with run_lock(folder):
         model = Model.from_config(config)
         result = model.fit(seed=seed, output_error=output_error, progress=progress)
-        found(result.summary)
+        on_summary(result.summary)
         progress(Progress("writing results"))
         summary = result.write(folder, paper=paper, progress=progress)
     return summary.as_dict()
@@ -66,6 +66,6 @@ def run_lock(folder: Path) -> Iterator[None]:
 
 
 def demo_config() -> Config:
-    """Read the packaged configuration; its recording lies beside it in the package."""
+    """Read the packaged configuration."""
     with as_file(files("bayesfric") / "examples") as folder:
         return read_config(folder / "knee.toml")

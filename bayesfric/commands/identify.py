@@ -1,7 +1,4 @@
-"""``bayesfric identify``: what the recordings can and cannot tell, before sampling.
-
-With ``--advise``: which recording to make next, and the torque to play.
-"""
+"""``bayesfric identify``: what recordings determine, and with ``--advise`` what to record next."""
 
 from __future__ import annotations
 
@@ -23,13 +20,17 @@ from bayesfric.report.words import doubt_text, filled
 def identify(
     model: Model, *, progress: ProgressCallback = no_progress
 ) -> tuple[dict[str, Any], list[str]]:
-    """Give what ``--json`` prints, infinite as ``None``; and words, what cannot be told first."""
-    found = model.identification(progress=progress)
-    doubts, warned = _doubts(model)
-    told = filled(
-        "identify.txt.j2", found=found, inf=np.inf, unit=_position_unit(model), doubted=bool(warned)
+    """Return the record, infinite numbers as ``None``, and lines of text."""
+    identification = model.identification(progress=progress)
+    doubts, warnings = _doubts(model)
+    text = filled(
+        "identify.txt.j2",
+        found=identification,
+        inf=np.inf,
+        unit=_position_unit(model),
+        doubted=bool(warnings),
     )
-    return _record(model, found.as_json(), doubts=doubts), [*warned, *told.splitlines()]
+    return _record(model, identification.as_json(), doubts=doubts), [*warnings, *text.splitlines()]
 
 
 def advise(
@@ -40,10 +41,9 @@ def advise(
     force: bool = False,
     progress: ProgressCallback = no_progress,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Say what to record next to know a quantity, and write the torque to play where asked.
+    """Rank next recordings for one quantity, and write the best one's torque.
 
-    ``path`` is a CSV that is not there already, or is replaced by ``force``; columns are time and
-    torque, their units in the second line.
+    ``path`` is a new CSV, or replaced by ``force``; units are in the second line.
     """
     if path and path.suffix.lower() != ".csv":
         raise BadInput(str(path), "is not named .csv", "name the excitation something.csv")
@@ -51,14 +51,14 @@ def advise(
         mend = "name another file with -o, or replace it with --force"
         raise BadInput(str(path), "exists already", mend)
     unit = "N m" if model.chain.motor_motion == "rotary" else "N"
-    found = model.advise(name, progress=progress)
-    written = path if found.worth else None
+    ranking = model.advise(name, progress=progress)
+    written = path if ranking.worth else None
     if written:
-        write_files({written: _excitation(found, unit)}, replace=force)
-    doubts, warned = _doubts(model)
-    told = filled(
+        write_files({written: _excitation(ranking, unit)}, replace=force)
+    doubts, warnings = _doubts(model)
+    text = filled(
         "advise.txt.j2",
-        found=found,
+        found=ranking,
         assumption=ASSUMPTION,
         inf=np.inf,
         written=written,
@@ -66,26 +66,26 @@ def advise(
         position_unit=_position_unit(model),
     )
     file = str(written) if written else None
-    return _record(model, found.as_json(), written=file, doubts=doubts), [
-        *warned,
-        *told.splitlines(),
+    return _record(model, ranking.as_json(), written=file, doubts=doubts), [
+        *warnings,
+        *text.splitlines(),
     ]
 
 
-def _record(model: Model, found: dict[str, Any], **more: Any) -> dict[str, Any]:
-    return {"config": str(model.config.path), **found, **more}
+def _record(model: Model, record: dict[str, Any], **extra: Any) -> dict[str, Any]:
+    return {"config": str(model.config.path), **record, **extra}
 
 
 def _doubts(model: Model) -> tuple[list[dict[str, Any]], list[str]]:
-    """Doubt a mechanism before anything is said of its parameters, as ``check`` does."""
+    """Check first whether the mechanism explains the torque."""
     doubts = little_explained(model.chain, model.observations)
-    warned = [f"WARNING: {doubt_text(one)}" for one in doubts]
-    return doubts, [*warned, ""] if warned else []
+    warnings = [f"WARNING: {doubt_text(doubt)}" for doubt in doubts]
+    return doubts, [*warnings, ""] if warnings else []
 
 
-def _excitation(found: Ranking, unit: str) -> str:
+def _excitation(ranking: Ranking, unit: str) -> str:
     table = io.StringIO()
-    rows, header = found.advices[0].candidate.rows, f"time,torque\ns,{unit}"
+    rows, header = ranking.advices[0].candidate.rows, f"time,torque\ns,{unit}"
     np.savetxt(table, rows, fmt=["%.10g", "%.6g"], delimiter=",", header=header, comments="")
     return table.getvalue()
 

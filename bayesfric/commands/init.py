@@ -26,10 +26,10 @@ from bayesfric.recordings.tables import read_table
 from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import OPEN
 
-# What is written in place of a preset.
+# Name in place of a preset.
 FLEET = "fleet"
 _DEFAULT = "motor-axis"
-# What may stand for an open value.
+# Hints for open values.
 _UNITS = {
     "time": "s, ms or us",
     "position": "rad, deg, turn, or of counts such as turn/4096",
@@ -39,7 +39,7 @@ _UNITS = {
     "voltage": 'V; of a duty cycle "1/885", times = "supply", times_unit = "V"',
 }
 _SLIDING = {"position": "m or mm", "velocity": "m/s", "torque": "N, or N/V"}
-# What no log tells, as a configuration wants it.
+# Values that no log contains.
 _CONSTANTS = {
     "current": {"torque_constant": f"{OPEN} N m/A"},
     "voltage": {"torque_constant": f"{OPEN} N m/A", "resistance": f"{OPEN} ohm"},
@@ -47,14 +47,14 @@ _CONSTANTS = {
 _WORDS = {float: "number", int: "integer", str: "text", bool: "true or false", Any: "anything"}
 
 
-def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
-    """Text of a commented configuration for a preset, with examples or what a log tells."""
+def configuration(preset: str, log: Log | None = None, **variables: Any) -> str:
+    """Write a commented configuration for a preset, with examples or a log's columns."""
     if preset == FLEET and log is None:
         return files("bayesfric.commands").joinpath("templates", "fleet.toml").read_text("utf-8")
     if preset not in PRESETS:
         raise BadInput(preset, "there is no such preset", nearest(preset, PRESETS))
     chain = PRESETS[preset].chain()
-    # of a recorded joint most of the inertia is what the gearbox moves
+    # most of a recorded joint's inertia is behind the gearbox
     moved = () if log is None else {name.partition(".")[0] for name in chain.unseen_inertia}
     return _template("init.toml.j2").render(
         meaning=PRESETS[preset].meaning,
@@ -68,7 +68,7 @@ def configuration(preset: str, log: Log | None = None, **told: Any) -> str:
         log=log,
         units=_UNITS,
         sliding=_SLIDING,
-        **told,
+        **variables,
     )
 
 
@@ -86,40 +86,34 @@ def configuration_from(
     table: str | None = None,
     joint: str | None = None,
 ) -> dict[str, Any]:
-    """Write a configuration for a log: ``text``, the keys left ``open``, and what is ``unknown``.
+    """Write a configuration for a log: ``text``, ``open`` keys, and what is ``unknown``.
 
-    ``presets`` are those that could be meant where none was named. File names are relative to where
-    ``output`` will be.
-
-    Raises
-    ------
-    BadInput
-        If the log cannot be read, or there is no such joint.
+    ``presets`` are alternatives if none was named. File names are relative to ``output``.
     """
     log = recognise(read_table(path, TableOptions.model_validate({"table": table})), joint)
-    given = preset or _DEFAULT
+    chosen = preset or _DEFAULT
     file = path if output is None else Path(os.path.relpath(path, output.parent))
-    geared = given in PRESETS and PRESETS[given].chain().ratio != 1
+    geared = chosen in PRESETS and PRESETS[chosen].chain().ratio != 1
     channels = _channels(log, geared)
-    left_open = {
+    open_keys = {
         f"{channel}.{key}": value
         for channel, keys in channels.items()
         for key, value in keys.items()
         if OPEN in value
     }
     if "time" not in channels:
-        left_open["rate"] = f"{OPEN} kHz"
+        open_keys["rate"] = f"{OPEN} kHz"
     unknown = []
     if preset is None:
-        unknown.append(f"the mechanism: {given} is taken, as no PRESET was named")
+        unknown.append(f"the mechanism: {chosen} is used, as no PRESET was named")
     if geared:
         unknown.append("whether position and velocity are those of the motor or of the joint")
-    others = _others(given) if preset is None else []
+    others = _others(chosen) if preset is None else []
     return {
-        "text": configuration(given, log, file=str(file), table=table, channels=channels),
-        "preset": given,
+        "text": configuration(chosen, log, file=str(file), table=table, channels=channels),
+        "preset": chosen,
         "presets": [{"preset": name, "when": PRESETS[name].when} for name in others],
-        "open": left_open,
+        "open": open_keys,
         "unknown": unknown,
         "joint": log.joint,
         "joints": list(log.joints),
@@ -127,32 +121,26 @@ def configuration_from(
 
 
 def arm_configuration(log: Path, urdf: Path, table: str | None = None) -> dict[str, Any]:
-    """Write an ``arm.toml``: ``text``, and the keys left ``open``.
-
-    Raises
-    ------
-    BadInput
-        If log and URDF do not go together.
-    """
+    """Write an ``arm.toml``: ``text`` and ``open`` keys."""
     from bayesfric.arm.arm import Arm
     from bayesfric.arm.arm_log import layout_of
 
     joints = Arm(urdf).bodies.joints
     layout = layout_of(log, joints, table, in_order=True)
-    known = {"recording": layout.recording, "labels": layout.labels, "joints": list(joints)}
-    text = _template("arm.toml.j2").render(urdf=urdf, log=log, **known)
+    variables = {"recording": layout.recording, "labels": layout.labels, "joints": list(joints)}
+    text = _template("arm.toml.j2").render(urdf=urdf, log=log, **variables)
     units = {f"{k}.unit": OPEN for k, v in layout.recording.items() if OPEN in str(v)}
     held = {f"joints.{name}.held": OPEN for name in joints if name not in layout.labels}
     return {"text": text, "open": units | held}
 
 
 def open_text(draft: dict[str, Any]) -> Iterator[str]:
-    """List for a person what to write before anything else is done."""
+    """List the open keys."""
     if len(draft.get("joints", ())) > 1:
         others = ", ".join(joint for joint in draft["joints"] if joint != draft["joint"])
         yield f"Joint {draft['joint']}; with --joint one of: {others}"
     if draft.get("open"):
-        yield f"The log does not tell; write it where '{OPEN}' stands:"
+        yield f"Not in the log; replace '{OPEN}':"
         for key, value in draft["open"].items():
             yield f"  {key} = {toml_value(value)}"
     for text in draft.get("unknown", ()):
@@ -162,21 +150,21 @@ def open_text(draft: dict[str, Any]) -> Iterator[str]:
 
 
 def _others(preset: str) -> list[str]:
-    """Name the presets that could be meant instead, those without a gearbox first."""
+    """List the other presets, those without a gearbox first."""
     return sorted({*PRESETS} - {preset}, key=lambda name: (PRESETS[name].chain().ratio, name))
 
 
 def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
-    """Give the keys of every channel; of position and torque also where no column has the name."""
+    """Return the keys of every channel; position and torque always."""
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
-    found = {}
+    channels = {}
     for channel in ("time", "position", "velocity", drive):
-        one = log.chosen.get(channel) or Chosen(OPEN, "")
-        if one.column != OPEN or channel in ("position", drive):
+        choice = log.chosen.get(channel) or Chosen(OPEN, "")
+        if choice.column != OPEN or channel in ("position", drive):
             side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
-            keys = {"column": one.column, "unit": one.unit or OPEN}
-            found[channel] = keys | side | _CONSTANTS.get(channel, {})
-    return found
+            keys = {"column": choice.column, "unit": choice.unit or OPEN}
+            channels[channel] = keys | side | _CONSTANTS.get(channel, {})
+    return channels
 
 
 def reference_text(kind: str | None, *, schema: bool) -> str:

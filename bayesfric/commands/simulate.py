@@ -1,4 +1,4 @@
-"""``bayesfric simulate``: a recording from known parameters, the truth beside it."""
+"""``bayesfric simulate``: a recording from known parameters."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _MOST_SAMPLES = 10_000_000
 
 
 def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[str, Any]:
-    """Simulate what ``[simulation]`` describes, or its defaults, and write it as CSV.
+    """Simulate by ``[simulation]``, or its defaults, and write a CSV file.
 
-    The truth goes beside it as ``<stem>.truth.json``, and is returned.
+    The true parameters are written as ``<stem>.truth.json``, and returned.
     """
     if target.suffix.lower() != ".csv":
         raise BadInput(str(target), "is not named .csv", "name the recording something.csv")
@@ -32,11 +32,11 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
     if seed is not None:
         options = options.model_copy(update={"seed": seed})
     truth_file = target.with_suffix(".truth.json")
-    with suppress(OSError):  # write_files tells of a name that cannot be
+    with suppress(OSError):  # write_files reports an impossible name
         if target.is_file() and not truth_file.exists():
             raise BadInput(
                 str(target),
-                "exists already, and without its truth beside it may be a measurement",
+                "exists, and without its .truth.json may be a measurement",
                 "name another file with -o",
             )
     with config.named():
@@ -75,7 +75,7 @@ def simulate(config: Config, target: Path, *, seed: int | None = None) -> dict[s
 
 
 def _check(options: Simulation, chain: Joint) -> None:
-    """Refuse what the options' own ranges let through."""
+    """Refuse options that are impossible together."""
     samples = options.duration * options.rate
     if samples > _MOST_SAMPLES:
         raise BadInput(

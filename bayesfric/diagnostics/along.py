@@ -1,7 +1,4 @@
-"""A recording's motion, the model's torque along it, and the scales of what may be added to it.
-
-:class:`Along` is what a candidate of :mod:`bayesfric.diagnostics.candidates` makes its columns of.
-"""
+"""Signals along a recorded motion, and scales, from which candidates make their columns."""
 
 from __future__ import annotations
 
@@ -22,98 +19,72 @@ from bayesfric.recordings.observation import Observation
 
 Sets = Mapping[str, Sequence[Array]]
 
-# What a transmission carries: what the load itself takes, and no friction.
+# Terms of the load that a transmission carries, without friction.
 _CARRIED = frozenset({"inertia", "first_moment", "gravity_angle", "spring", "spring_cubic", "gain"})
 _WEIGHTS = frozenset({"first_moment", "spring", "spring_cubic"})
-# Shares of the inertia that lie behind the gearbox; which, a motion without losses does not tell.
+# Shares of the inertia behind the gearbox that are tried; a motion without losses does not identify
+# it.
 _BEHIND = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
-# Turns of the cogging, and antiresonances in bands: grids of shapes.
+# Cycles of cogging per turn, and antiresonances over the band.
 _CYCLES = (*range(1, 9), 12, 18, 24, 36, 48)
 TURNS = {f"{k} a turn of the {side}": (k, side) for k in _CYCLES for side in ("motor", "joint")}
 _ANTIRESONANCES = (0.1, 0.13, 0.17, 0.22, 0.29, 0.38, 0.5, 0.65, 0.8, 1.0, 1.3)
-# Cut-offs of a low-pass before logging, in bands, and its order.
+# Cut-offs of a low-pass before logging over the band, and its order.
 _CUTOFFS, ORDER = tuple(2.0 ** (-k / 3.0) for k in range(15)), 4
-# Share of friction's amplitude above a frequency below which the log holds nothing there. Simulated
-# logs smoothed at half the band have 0.05 and less above the band, unsmoothed ones 0.4 and more.
+# Recorded amplitude above a frequency over friction's below which the log is low-passed there.
+# Simulated logs smoothed at half the band have at most 0.05 above it, others at least 0.4.
 _SILENT = 0.1
-# Width of a push in s, at least, and how many of them a recording has at most.
-_PUSH, _PUSHES = 0.25, 60
-# Speeds, and positions beside a step, that count as one.
+# Least width of a transient, s, and the largest number of them in a recording.
+_TRANSIENT, _TRANSIENTS = 0.25, 60
+# Quantile that is a typical largest speed; least reversal in encoder steps, and in the motion's
+# span.
 _FAST, _STEPS, _REVERSAL = 0.95, 3.0, 1e-3
-# What stands for a band where none is compared in, as a share of the rate of the outputs.
+# Default band as a share of the rate of the outputs.
 _FASTEST = 0.3
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What shapes columns: of the recordings that were measured; twins have the same.
+    """Scales of the columns, from the measured recordings; the same for replicates."""
 
-    Attributes
-    ----------
-    speed
-        Nearly the largest, the 95 % quantile of its absolute value, rad/s or m/s.
-    reach
-        Twice the median distance from the last reversal, rad or m.
-    carried, torque, lost
-        Root mean square of the motor torque of inertia, gravity and springs; of the measured one;
-        and of all else in the model's, such as friction. N m or N.
-    duration
-        Of the longest recording, s.
-    cycles
-        Name, and radians a radian of the joint, of waves that the motion goes through at least
-        once.
-    push
-        Width of a push, s: at least 0.25, and a hundred-and-twentieth of ``duration``.
-    names, others
-        Of the recordings; and of further columns of any of them.
-    inertia
-        Motor torque an acceleration of the joint, by least squares, in N m s² and alike.
-    need
-        ``carried`` over ``inertia``: acceleration that the motor gives the load, root mean square.
-    band
-        Widest that is compared in, Hz; 0.3 of the slowest rate of outputs where none is.
-    weighs
-        Whether gravity and springs vary by more than a thousandth of ``carried``.
-    """
-
-    speed: float
-    reach: float
+    speed: float  # 95 % quantile of its absolute value, rad/s or m/s
+    reach: float  # twice the median distance from the last reversal, rad or m
+    # rms motor torque of inertia, gravity and springs; of the measured torque; and of the model's
+    # other terms, such as friction, N m or N
     carried: float
     torque: float
     lost: float
-    duration: float
+    duration: float  # s, of the longest recording
+    # name, and radians per joint radian, of cycles that the motion completes
     cycles: tuple[tuple[str, float], ...]
-    push: float
+    transient_width: float  # s, of a transient: at least 0.25 and duration / 120
+    # of the recordings, and of their further columns
     names: tuple[str, ...]
     others: tuple[str, ...]
+    # motor torque per joint acceleration, by least squares, N m s² or N s²/m
     inertia: float
+    # carried over inertia: rms acceleration of the load
     need: float
-    band: float
-    weighs: bool
+    band: float  # Hz, widest of the recordings, or 0.3 of the slowest rate of outputs
+    weighs: bool  # whether gravity and springs vary by more than 0.001 of carried
 
 
 def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) -> Scales:
-    """Take the scales of columns from recordings and an estimate.
-
-    Parameters
-    ----------
-    values
-        ``(n_parameters,)`` in the order of ``chain.names``.
-    """
+    """Compute the scales of columns from recordings at parameters ``(n_parameters,)``."""
     speed = np.concatenate([np.abs(o.qd[o.filter.centres]) for o in observations])
-    each = [_carried(chain, values, o) for o in observations]
+    carried_torques = [_carried(chain, values, o) for o in observations]
     lost = [
-        (_torque(chain, values, o) - own)[o.filter.centres]
-        for o, own in zip(observations, each, strict=True)
+        (_torque(chain, values, o) - transmitted)[o.filter.centres]
+        for o, transmitted in zip(observations, carried_torques, strict=True)
     ]
-    carried = np.concatenate(each)
+    carried = np.concatenate(carried_torques)
     still_torque = [_carried(chain, values, o, still=True) for o in observations]
     moving = carried - np.concatenate(still_torque)
     qdd = np.concatenate([o.qdd for o in observations])
     inertia = max(float(moving @ qdd) / max(float(qdd @ qdd), 1e-300), 1e-300)
     span = max(float(np.ptp(o.q)) for o in observations)
-    still = max(max(_STEPS * o.position_step for o in observations), _REVERSAL * span)
-    reach = [since_reversal(o.q, still)[o.filter.centres] for o in observations]
+    least_reversal = max(max(_STEPS * o.position_step for o in observations), _REVERSAL * span)
+    reach = [since_reversal(o.q, least_reversal)[o.filter.centres] for o in observations]
     sides = {"motor": chain.ratio, "joint": 1.0} if chain.ratio != 1.0 else {"joint": 1.0}
     cycles = tuple(
         (name, k * sides[side])
@@ -130,7 +101,9 @@ def scales_of(chain: Joint, values: Array, observations: Sequence[Observation]) 
         lost=_rms(np.concatenate(lost)),
         duration=max(float(np.ptp(o.stamps)) for o in observations),
         cycles=cycles,
-        push=max(_PUSH, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _PUSHES)),
+        transient_width=max(
+            _TRANSIENT, max(float(np.ptp(o.stamps)) for o in observations) / (2 * _TRANSIENTS)
+        ),
         names=tuple(o.name for o in observations),
         others=tuple(
             name
@@ -150,50 +123,42 @@ def _rms(x: Array) -> float:
 
 
 def _carried(chain: Joint, values: Array, o: Observation, *, still: bool = False) -> Array:
-    """Motor torque ``(N,)`` of inertia, weight and springs alone; at rest without inertia."""
-    kept = [p.quantity in _CARRIED or p.row.option == "signals" for p in chain.parameters]
+    """Motor torque ``(N,)`` of inertia, gravity and springs; without inertia if ``still``."""
+    is_carried = [p.quantity in _CARRIED or p.row.option == "signals" for p in chain.parameters]
     at_rest = replace(o, qdd=np.zeros_like(o.q)) if still else o
-    return _torque(chain, np.where(kept, values, 0.0), at_rest)
+    return _torque(chain, np.where(is_carried, values, 0.0), at_rest)
 
 
 def _torque(chain: Joint, values: Array, o: Observation) -> Array:
-    """Motor torque ``(N,)`` of everything that the model has."""
+    """Motor torque ``(N,)`` of the whole model."""
     return inverse_torque(chain, values, o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps)
 
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """One recording's motion, and the model's torque along it; signals are ``(N,)``.
+    """One recording's motion and the model's torque along it; signals are ``(N,)``."""
 
-    Attributes
-    ----------
-    chain, values
-        The joint and its parameters ``(n_parameters,)``.
-    o, recording
-        The recording as prepared, and as read.
-    scales
-        Of all recordings together.
-    """
-
+    # the joint and its parameters (n_parameters,)
     chain: Joint
     values: Array
+    # preprocessed, and as read
     o: Observation
     recording: Measurement
-    scales: Scales
+    scales: Scales  # of all recordings
 
     @cached_property
     def torque(self) -> Array:
-        """The model's motor torque, N m or N."""
+        """Motor torque of the model, N m or N."""
         return _torque(self.chain, self.values, self.o)
 
     @cached_property
     def torque_rate(self) -> Array:
-        """How fast that changes, low-passed first, N m/s or N/s."""
+        """Rate of the low-passed torque, N m/s or N/s."""
         return self.rate(self.smooth(self.torque))
 
     @cached_property
     def elastic(self) -> Sets:
-        """What an elastic transmission adds, at each antiresonance."""
+        """Torque of an elastic transmission at each antiresonance."""
         return _elastic(self)
 
     @cached_property
@@ -203,27 +168,32 @@ class Along:
 
     @cached_property
     def carried(self) -> Array:
-        """Motor torque of inertia, gravity and springs, which a transmission carries, N m or N."""
+        """Motor torque of inertia, gravity and springs, N m or N."""
         return _carried(self.chain, self.values, self.o)
 
     @cached_property
     def weight(self) -> Array:
-        """The same without acceleration: gravity and springs."""
+        """Motor torque of gravity and springs."""
         return _carried(self.chain, self.values, self.o, still=True)
 
     @cached_property
     def regressors(self) -> Sequence[Array]:
-        """Acceleration, sign of the speed, speed, and what gravity and springs take at size one."""
+        """Acceleration, sign of the speed, speed, and unit gravity and springs."""
         chain, still = self.chain, replace(self.o, qdd=np.zeros_like(self.o.q))
         sizes = np.eye(len(chain.names))
-        at = [i for i, p in enumerate(chain.parameters) if p.quantity in _WEIGHTS]
-        return self.o.qdd, self.direction, self.o.qd, *(_torque(chain, sizes[i], still) for i in at)
+        indices = [i for i, p in enumerate(chain.parameters) if p.quantity in _WEIGHTS]
+        return (
+            self.o.qdd,
+            self.direction,
+            self.o.qd,
+            *(_torque(chain, sizes[i], still) for i in indices),
+        )
 
     def smoothed_at(self) -> float:
-        """Cut-off of a low-pass before logging, Hz, or up to half of it; 0 where there is none.
+        """Return the cut-off of a low-pass before logging, Hz, within a factor of two, or 0.
 
-        Above twice that the recorded torque has less than a tenth of what friction's reversals
-        have. A log so smoothed tells nothing of friction there, whatever columns make up for it.
+        Above twice that, the recorded torque has less than a tenth of the amplitude of friction's
+        reversals: the log has no information on friction there.
         """
         segments, fs = self.recording.segments, 1.0 / self.recording.period
         signals = np.stack([self.o.torque, self.torque - self.carried])
@@ -238,62 +208,50 @@ class Along:
 
     @property
     def cutoffs(self) -> Sequence[float]:
-        """Cut-offs of a low-pass before logging that are tried, Hz, from the band down."""
+        """Cut-offs of a low-pass before logging that are tried, Hz."""
         return [times * self.scales.band for times in _CUTOFFS]
 
     @cached_property
     def clock(self) -> Array:
-        """Time in durations, from -0.5 to 0.5 of the longest recording."""
+        """Time over the longest duration, centred."""
         return np.asarray((self.o.stamps - self.o.stamps.mean()) / self.scales.duration)
 
     def smooth(self, x: Array) -> Array:
-        """Low-pass signals ``(..., N)`` as the position is."""
-        told = self.o.settings
+        """Low-pass signals ``(..., N)`` as the position was."""
+        settings = self.o.settings
         fs = 1.0 / self.recording.period
         return np.asarray(
-            lowpass(x, self.recording.segments, fs, float(told["lowpass"]), int(told["order"]))
+            lowpass(
+                x, self.recording.segments, fs, float(settings["lowpass"]), int(settings["order"])
+            )
         )
 
     def rate(self, x: Array) -> Array:
-        """Differentiate signals ``(..., N)`` by time, as the position is."""
+        """Differentiate signals ``(..., N)`` by time as the position was."""
         reach = int(self.o.settings["reach"])
         return derivative(x, self.recording.segments, self.recording.period, reach)
 
     def behind(self) -> Iterator[tuple[str, float, Array]]:
-        """Give what a gearbox carries with each share of the inertia behind it.
-
-        Yields
-        ------
-        label : str
-            The share in words.
-        share : float
-            Of the inertia; one alone where gravity and springs hardly vary, as then it is only a
-            factor.
-        carried : ndarray
-            ``(N,)`` that share of the inertia's torque, and all of gravity and springs, N m or N.
-        """
+        """Yield the torque ``(N,)`` that a gearbox carries, by share of inertia behind it."""
         for share in _BEHIND if self.scales.weighs else (1.0,):
             carried = self.weight + share * (self.carried - self.weight)
             yield f"{share:.0%} of the inertia behind it", share, carried
 
     def state(self, transmitted: Array) -> State:
-        """Give the state of one element that stands for all, at the joint's speed.
-
-        It carries the torque ``transmitted`` ``(N,)``; gravity is left out.
-        """
+        """Return the state of one element at the joint's speed that carries a torque ``(N,)``."""
         o = self.o
         still = np.zeros_like(o.q)
         return State(o.q, o.qd, o.qdd, self.direction, o.stamps, transmitted, still)
 
     @property
     def sizes(self) -> Sizes:
-        """Sizes by which grids of shapes are scaled: torque's rms, speed and duration."""
-        one = self.scales
-        return Sizes(one.torque, one.speed, 1.0, 1.0, 1.0, one.duration)
+        """Scales of grids of shapes: torque's rms, speed and duration."""
+        scales = self.scales
+        return Sizes(scales.torque, scales.speed, 1.0, 1.0, 1.0, scales.duration)
 
 
 def _elastic(a: Along) -> Sets:
     hertz, r = [times * a.scales.band for times in _ANTIRESONANCES], a.recording
     rows = resonating(a.carried, r.segments, r.period, hertz)
-    found = {f"{f:.3g} Hz": [row] for f, row in zip(hertz, rows, strict=True)}
-    return {"far above the band": [a.rate(a.rate(a.smooth(a.carried)))]} | found
+    columns = {f"{f:.3g} Hz": [row] for f, row in zip(hertz, rows, strict=True)}
+    return {"far above the band": [a.rate(a.rate(a.smooth(a.carried)))]} | columns

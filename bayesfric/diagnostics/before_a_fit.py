@@ -1,9 +1,8 @@
-"""What makes any fit doubtful, as recordings and base parameters show it before there is one.
+"""What makes any fit doubtful, as recordings and base parameters show it before a fit.
 
-Asked are units and columns of the position, a torque that a controller made of the motion, bands
-in which the inertia comes out smaller, losses below zero, and a mechanism that leaves much of the
-torque unexplained. Each doubt is a dictionary: its ``kind``, and the numbers that its wording
-needs.
+Checked are the position's units and columns, feedback of the motion in the torque, bands in which
+the inertia is attenuated, negative losses, and unexplained torque. A doubt is a dictionary with its
+``kind`` and the numbers that its wording needs.
 """
 
 from __future__ import annotations
@@ -28,58 +27,38 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
 _ANGLES = ("rad", "deg", "turn")
-# What another reading leaves of the torque at most, over what this one leaves. Of the measured
-# pendulums that spin the right unit leaves 0.03 to 0.4, and none leaves less than a right one does.
+# Residual variance with another unit over that with this one, at most. Of measured spinning
+# pendulums the right unit has 0.03 to 0.4, and none less than the right one.
 FAR_LESS = 0.5
-# Share of the torque's variance that a model of the joint should explain, where what it leaves
-# is no white noise.
+# Share of the torque's variance that a model should explain if its residual is not white.
 EXPLAINED = 0.8
-# Robust standard deviations below zero that are no chance.
+# Robust standard deviations below zero that are significant.
 _NEGATIVE = 3.0
 
 
 def little_explained(chain: Joint, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Doubt a mechanism that leaves much of the torque even with its best base parameters.
+    """Doubt a mechanism that explains less than 80 % even with its best base parameters.
 
-    Returns
-    -------
-    list of dict
-        Empty, or one doubt of ``kind`` ``unexplained``: the ``share`` of the torque's variance that
-        is explained, and what may be wrong, see :func:`instead`.
-
-    Notes
-    -----
-    There is a doubt where less than 80 % of the variance is explained and neighbouring residuals
-    correlate by more than 0.2: a small signal in white noise is left little of, too, and its model
-    may be right.
+    A white residual is no doubt: a small signal in white noise may have the right model.
     """
-    share, left = best_share(chain, observations)
-    if share >= EXPLAINED or not lag_one(left, np.ones(left.size - 1, np.bool_)) > CORRELATED:
+    share, residual = best_share(chain, observations)
+    if (
+        share >= EXPLAINED
+        or not lag_one(residual, np.ones(residual.size - 1, np.bool_)) > CORRELATED
+    ):
         return []
     quantity = effort_words("motor torque", chain.motor_motion)
-    told = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
-    return [told | instead(chain, observations, share)]
+    doubt = {"kind": "unexplained", "share": share, "quantity": quantity, "at_best": True}
+    return [doubt | alternatives(chain, observations, share)]
 
 
-def instead(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
-    """Say what may be wrong where little is explained: never the mechanism that is in use.
-
-    Parameters
-    ----------
-    share
-        Of the torque's variance, what the best base parameters explain.
-
-    Returns
-    -------
-    dict
-        ``units``, see :func:`other_units`; and ``presets``, names of those that have gravity and
-        the same ratio, where a rotary load is modelled without gravity.
-    """
-    weighed = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
-    known = {} if weighed else {name: preset.chain() for name, preset in PRESETS.items()}
+def alternatives(chain: Joint, observations: Sequence[Observation], share: float) -> dict[str, Any]:
+    """Suggest units and presets that may explain more than the mechanism in use."""
+    has_gravity = "first_moment" in chain.load.choices or chain.load.motion != "rotary"
+    with_gravity = {} if has_gravity else {name: preset.chain() for name, preset in PRESETS.items()}
     presets = [
         name
-        for name, other in known.items()
+        for name, other in with_gravity.items()
         if "first_moment" in other.load.choices
         and name != chain.made_from
         and other.ratio == chain.ratio
@@ -88,55 +67,21 @@ def instead(chain: Joint, observations: Sequence[Observation], share: float) -> 
 
 
 def doubts_before(totals: Estimate, observations: Sequence[Observation]) -> list[dict[str, Any]]:
-    """Look for what makes any fit doubtful, in recordings and their base parameters.
-
-    Parameters
-    ----------
-    totals
-        Estimate of :func:`bayesfric.estimates.least_squares.least_squares`.
-
-    Returns
-    -------
-    list of dict
-        Of ``kind`` ``feedback`` (the torque follows the motion by a simple law), ``attenuated`` (a
-        band that was asked for, in which the inertia comes out smaller than in a narrower one) and
-        ``negative`` (a loss or an inertia below zero). None names ``parameters``: all are doubtful.
-    """
-    return [*_feedback(observations), *_attenuated(observations), *_negative(totals)]
+    """Collect doubts of recordings and their base parameters."""
+    return [*_feedback_laws(observations), *_attenuated(observations), *_negative_losses(totals)]
 
 
 def few_outputs(observations: Sequence[Observation], parameters: int) -> Iterator[dict[str, Any]]:
-    """Say that too few outputs are left to ask whether the model is right, and how long would do.
-
-    A run says so by itself, where it has asked.
-
-    Parameters
-    ----------
-    parameters
-        How many there are; :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` more outputs are
-        wanted.
-
-    Yields
-    ------
-    dict
-        At most one, of ``kind`` ``few``; ``seconds`` is how long the recordings would have to last
-        with the same share of outputs.
-    """
+    """Report too few outputs to test the model, and how long a recording would suffice."""
     outputs, wanted = sum(o.measured.size for o in observations), parameters + LEAST_OUTPUTS
     if outputs < wanted:
-        lasted = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
-        told = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
-        yield {"kind": "few", **told, "seconds": lasted * wanted / outputs}
+        duration = sum(float(o.stamps[-1] - o.stamps[0]) for o in observations)
+        counts = {"outputs": outputs, "parameters_free": parameters, "wanted": wanted}
+        yield {"kind": "few", **counts, "seconds": duration * wanted / outputs}
 
 
 def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[dict[str, Any]]:
-    """Doubt what is made of data and a prior that contradict each other: neither supports it.
-
-    Parameters
-    ----------
-    contradicted
-        By :func:`bayesfric.estimates.input_error.contradicted`.
-    """
+    """Doubt estimates from data and a prior that contradict each other."""
     if contradicted:
         values = {name: value for name, (value, _) in contradicted.items()}
         times = {name: sds for name, (_, sds) in contradicted.items()}
@@ -144,27 +89,14 @@ def against_prior(contradicted: Mapping[str, tuple[float, float]]) -> Iterator[d
 
 
 def strange_velocity(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name recorded velocities of another unit or column than their positions.
-
-    Parameters
-    ----------
-    observations
-        The recordings; a velocity is strange where it is less than half or more than twice the
-        differentiated position, both filtered alike.
-
-    Yields
-    ------
-    dict
-        Of ``kind`` ``velocity``: ``recording`` and ``factor``, 0 where the two have nothing in
-        common.
-    """
+    """Report recorded velocities that differ from the position's derivative by a factor."""
     for o in observations:
         if (factor := o.settings.get("velocity_factor")) is not None:
             yield {"kind": "velocity", "recording": o.name, "factor": factor}
 
 
-def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Group recordings by the law that their torque follows, of speed's sign or position."""
+def _feedback_laws(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
+    """Group recordings by the feedback law that their torque follows."""
     laws: dict[str, list[str]] = {}
     for o in observations:
         if law := o.settings.get("feedback"):
@@ -174,24 +106,21 @@ def _feedback(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
 
 
 def _attenuated(observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Name bands that were asked for and that lose part of the inertia."""
-    seen = {o.name: o.settings for o in observations if "band_narrower" in o.settings}
-    if seen:
+    """Report requested bands that attenuate the inertia."""
+    settings = {o.name: o.settings for o in observations if "band_narrower" in o.settings}
+    if settings:
         yield {
             "kind": "attenuated",
             "bands": {
                 name: [float(numbers["band_doubted"]), float(numbers["band_narrower"])]
-                for name, numbers in seen.items()
+                for name, numbers in settings.items()
             },
-            "times": max(float(numbers["inertia_narrower"]) for numbers in seen.values()),
+            "times": max(float(numbers["inertia_narrower"]) for numbers in settings.values()),
         }
 
 
-def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
-    """Name losses and inertias that least squares finds below zero, beyond chance.
-
-    That is three standard deviations; the larger of the plain and the robust one counts.
-    """
+def _negative_losses(totals: Estimate) -> Iterator[dict[str, Any]]:
+    """Report losses and inertias that are significantly negative by least squares."""
     below = {
         v.name: v.value
         for v in totals.values
@@ -204,25 +133,16 @@ def _negative(totals: Estimate) -> Iterator[dict[str, Any]]:
 
 
 def _loses(row: Quantity | None) -> bool:
-    """Whether energy is lost or stored by it; a negative square only bends the curve of a loss."""
+    """Whether it must be positive; a square only bends the curve of a loss."""
     return row is not None and row.role == "own" and row.lower == 0.0 and row.power in (0, 1)
 
 
 def best_share(chain: Joint, observations: Sequence[Observation]) -> tuple[float, Array]:
-    """Give the share of the torque's variance that the best base parameters explain.
-
-    Returns
-    -------
-    share : float
-        ``1 - var(r) / var(y)`` of the filtered torque ``y`` and the least squares residual ``r``,
-        all recordings together.
-    residual : ndarray
-        ``(n,)`` N m or N, recording after recording.
-    """
+    """Return the share of variance explained by base parameters, and the residual ``(n,)``."""
     projection = TotalsProjection(chain, observations)
     measured = np.concatenate([o.measured for o in observations])
-    left = measured - projection.regressors @ projection.solve(measured)
-    return 1.0 - float(np.var(left) / np.var(measured)), left
+    residual = measured - projection.regressors @ projection.solve(measured)
+    return 1.0 - float(np.var(residual) / np.var(measured)), residual
 
 
 def other_units(
@@ -230,41 +150,27 @@ def other_units(
 ) -> list[dict[str, Any]]:
     """List units of the position that explain far more of the torque, the best first.
 
-    Parameters
-    ----------
-    chain, observations
-        The joint, and its recordings as they were read.
-    explained
-        Share of the variance that they explain as read, where it is known already.
-
-    Returns
-    -------
-    list of dict
-        Each ``is`` a unit that was ``taken`` for another, with the ``share`` of the torque that
-        base parameters then explain. Named are those that leave less than half of the variance that
-        is unexplained now. Empty for a load that slides.
-
-    Notes
-    -----
-    Position, speed and acceleration are scaled together. Only a torque that is no power of the
-    angle, such as gravity's, tells: the coefficients of inertia and friction absorb the scale.
+    Position, speed and acceleration are scaled together. Only a torque that is nonlinear in the
+    angle, such as gravity's, identifies the scale.
     """
     if chain.load.motion != "rotary":
         return []
     if explained is None:
         explained = best_share(chain, observations)[0]
     least = 1.0 - FAR_LESS * (1.0 - explained)
-    found = [one for one in _tried(chain, observations) if one["share"] > least]
-    return sorted(found, key=lambda one: -float(one["share"]))
+    better = [row for row in _explained_by_unit(chain, observations) if row["share"] > least]
+    return sorted(better, key=lambda row: -float(row["share"]))
 
 
-def _tried(chain: Joint, observations: Sequence[Observation]) -> Iterator[dict[str, Any]]:
-    """Give what radian, degree and turn explain, each taken for each other one."""
-    for one, other in permutations(_ANGLES, 2):
-        times = units.scale([one], "angle") / units.scale([other], "angle")
+def _explained_by_unit(
+    chain: Joint, observations: Sequence[Observation]
+) -> Iterator[dict[str, Any]]:
+    """Yield the explained share with each angle unit in place of each other."""
+    for unit, other in permutations(_ANGLES, 2):
+        times = units.scale([unit], "angle") / units.scale([other], "angle")
         moving = ("q", "qd", "qdd", "speed")
         scaled = [
             replace(o, smooth=None, **{key: times * getattr(o, key) for key in moving})
             for o in observations
         ]
-        yield {"is": one, "taken": other, "share": best_share(chain, scaled)[0]}
+        yield {"is": unit, "taken": other, "share": best_share(chain, scaled)[0]}

@@ -1,12 +1,9 @@
 """What else could explain a torque: one table, a row each.
 
-A candidate is a kind and the columns that it adds beside the model's own, functions of the motion
-and of the model's torque along it. Where its shape is not known it has several sets of columns, one
-each value of a grid: no shape is searched for. Columns that only make up for a shape which lies
-between those of the grid are ``beside``: they are no candidates, and go in with one.
+A candidate is a kind of effect and the columns that it adds to the model's own, functions of the
+motion and of the model's torque along it. An unknown shape has a set of columns for each value of
+a grid; nuisance columns only represent shapes between those of the grid.
 
-Notes
------
 Columns at the joint's position q and speed v, with s = sign(v), T the model's motor torque, Tc that
 of inertia, gravity and springs alone (the load that a transmission carries), t the time:
 
@@ -14,7 +11,7 @@ of inertia, gravity and springs alone (the load that a transmission carries), t 
 kind                        columns
 ==========================  ================================================================
 delay                       dT/dt, of all recordings or one
-target_delay                what a late target changes, where the torque is computed from one
+target_delay                change by a late target that the torque is computed from
 torque_constant, offset     T; 1
 torque_by_sign, saturation  abs(T); T abs(T)
 coulomb, viscous            s; v
@@ -58,7 +55,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesfric.diagnostics.along import ORDER, Along, Sets
-from bayesfric.diagnostics.scans import DELAYS, late
+from bayesfric.diagnostics.disturbances import DELAYS, delay_columns
 from bayesfric.diagnostics.states import deflection, in_gap
 from bayesfric.diagnostics.statistics import Key
 from bayesfric.mechanism.quantities import QUANTITIES
@@ -70,75 +67,57 @@ SMOOTHED = "smoothed"
 
 _REACHES = (0.003, 0.01, 0.03, 0.1, 0.3)
 _FLIGHTS = (0.7, 1.4, 2.8)
-# Columns that are laid out at once: as many as stand in one line of a cache.
+# Columns filtered at once: one cache line.
 _LINE = 8
-# Share of the torque that another current makes at least: simulated ones have 0.4 and more, and
-# measured recordings of the right current fit up to 0.14.
+# Least share of the torque from another current: simulated ones have at least 0.4, measured
+# recordings of the right current up to 0.14.
 _ANOTHER = 0.3
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A row of the table of candidates.
+    """A row of the table of candidates."""
 
-    Attributes
-    ----------
-    name
-        Of the kind, a key of the words.
-    columns
-        Makes the sets of columns ``(N,)``, by name of the shape; empty where the recording has
-        none.
-    beside
-        Makes columns that stand for shapes between those of the grid, see the module.
-    option, choice
-        Of the mechanism's configuration, which put it in; empty where nothing does.
-    positive
-        Whether its coefficients must be positive, as those of a loss that grows.
-    other
-        Choice of the same option that may be negative, where there is one.
-    loss
-        Whether it is friction, and so of the size of what the model loses.
-    of_speed
-        Whether it is a shape of friction over speed, which the friction law of a fit takes in.
-    of_recording
-        Whether it is a fault of the recorded torque, which no term of the model makes up for.
-    least
-        Share of the torque, rms, that it has where it is there: another current differs from the
-        winding's by about as much as the torque, and so many columns fit a little of anything.
-    """
-
-    name: str
+    name: str  # key of ``words.toml``
+    # columns (N,) of each shape, by its name; empty if the recording has none
     columns: Callable[[Along], Sets]
-    beside: Callable[[Along], Sequence[Array]] = lambda _: ()
+    # nuisance columns for shapes between those of the grid
+    nuisance: Callable[[Along], Sequence[Array]] = lambda _: ()
+    # option of the mechanism's configuration that adds it; empty if none does
     option: str = ""
     choice: str | bool = True
+    # whether its coefficients must be positive, as those of a growing loss
     positive: bool = False
-    other: str = ""
-    loss: bool = False
+    other: str = ""  # choice of the option that may be negative
+    loss: bool = False  # whether it is friction, and so scaled by the model's losses
+    # whether it is a function of speed, which the friction law absorbs
     of_speed: bool = False
+    # whether it is a fault of the recorded torque, which no term models
     of_recording: bool = False
+    # least share of the torque's rms: another current differs by about as much as the torque, and
+    # so many columns always fit a little
     least: float = 0.0
 
 
-def _late(a: Along) -> Sets:
+def _delay(a: Along) -> Sets:
     rate = a.torque_rate
     if a.chain.by_target:  # which comes with the position
         return {}
     if len(a.scales.names) == 1:
         return {"": [rate]}
-    own = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
-    return {"": [rate], **own}
+    by_recording = {f"in {name}": [rate * float(name == a.o.name)] for name in a.scales.names}
+    return {"": [rate], **by_recording}
 
 
-def _one(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
+def _single(column: Callable[[Along], Array]) -> Callable[[Along], Sets]:
     return lambda a: {"": [column(a)]}
 
 
 def _term(name: str) -> Callable[[Along], Sets]:
-    """Take a column from the table of quantities, at every value of what shapes it."""
+    """Take a column from the table of quantities, at every value of its shape."""
     row = QUANTITIES[name]
 
-    def made(a: Along) -> Sets:
+    def columns(a: Along) -> Sets:
         assert row.column is not None
         state = a.state(a.carried)
         if not row.shape:
@@ -147,7 +126,7 @@ def _term(name: str) -> Callable[[Along], Sets]:
         assert tries is not None
         return {f"{x:.3g}": [row.column(state, x)] for x in tries(a.sizes)}
 
-    return made
+    return columns
 
 
 def _stribeck(a: Along) -> Sets:
@@ -156,7 +135,7 @@ def _stribeck(a: Along) -> Sets:
     return {f"{v:.3g}": [a.direction * np.exp(-((a.o.qd / v) ** 2))] for v in tries(a.sizes)}
 
 
-def _concave(a: Along) -> Sequence[Array]:
+def _intermediate_powers(a: Along) -> Sequence[Array]:
     v = np.abs(a.o.qd) / a.scales.speed
     return [a.direction * v**0.25, a.direction * v**0.75]
 
@@ -165,34 +144,34 @@ def _loads(column: Callable[[Along, Array], Sequence[Array]]) -> Callable[[Along
     return lambda a: {label: column(a, carried) for label, _, carried in a.behind()}
 
 
-def _two(a: Along, carried: Array) -> Sequence[Array]:
+def _by_power(a: Along, carried: Array) -> Sequence[Array]:
     state = a.state(carried)
     rows = QUANTITIES["load_drive"], QUANTITIES["load_back"]
     return [row.column(state) for row in rows if row.column]
 
 
-def _gap(a: Along) -> Sets:
-    """Give the load's acceleration in its gap, for shares of inertia behind it and gaps.
+def _backlash(a: Along) -> Sets:
+    """Return the load's acceleration in the gap, for shares of inertia behind it and gap widths.
 
     Half a gap is ``a t^2 / 2``, of the typical acceleration a and of t = 0.7, 1.4 and 2.8 over 2 pi
     times the band in Hz.
     """
     segments = np.array(a.recording.segments)
-    found: dict[str, Array] = {}
+    flights: dict[str, Array] = {}
     for label, share, carried in a.behind():
         if not (share and a.scales.need):
             continue
         need = a.smooth(carried) / (share * a.scales.inertia)
         for times in _FLIGHTS:
             half = 0.5 * a.scales.need * (times / (2.0 * np.pi * a.scales.band)) ** 2
-            found[f"{label}, {half:.2g}"] = in_gap(need, a.recording.period, half, segments)
-    if not found:
+            flights[f"{label}, {half:.2g}"] = in_gap(need, a.recording.period, half, segments)
+    if not flights:
         return {}
-    columns = a.rate(a.rate(a.smooth(np.array([*found.values()]))))
-    return {key: [column] for key, column in zip(found, columns, strict=True)}
+    columns = a.rate(a.rate(a.smooth(np.array([*flights.values()]))))
+    return {key: [column] for key, column in zip(flights, columns, strict=True)}
 
 
-def _bristles(a: Along) -> Sets:
+def _presliding(a: Along) -> Sets:
     q, way = a.o.q, a.direction
     return {f"{100 * x:.2g}%": [deflection(q, x * a.scales.reach) - way] for x in _REACHES}
 
@@ -217,7 +196,7 @@ def _repeating(a: Along) -> Sets:
 def _friction_by_angle(a: Along) -> Sets:
     if a.chain.load.motion != "rotary":
         return {"": [a.direction * a.o.q]}
-    once = {"1 a turn of the joint": [np.sin(a.o.q), np.cos(a.o.q)]}  # of less than a turn, too
+    once = {"1 a turn of the joint": [np.sin(a.o.q), np.cos(a.o.q)]}  # also for less than a turn
     waves = once | {name: [*columns] for name, columns in _repeating(a).items()}
     return {name: [a.direction * x for x in columns] for name, columns in waves.items()}
 
@@ -235,33 +214,33 @@ def _temperature(a: Along) -> Sets:
 
 
 def _another_signal(a: Along) -> Sets:
-    found = {}
+    columns = {}
     for name in a.scales.others:
         signal = a.recording.inputs.others.get(name)
         x = np.zeros_like(a.o.q) if signal is None else a.smooth(signal.at(a.o.stamps))
-        found[name] = [x, a.rate(x), a.rate(a.rate(x))]
-    return found
+        columns[name] = [x, a.rate(x), a.rate(a.rate(x))]
+    return columns
 
 
 def _smoothed(a: Along) -> Sets:
-    """Give what low-passing the log takes off Coulomb friction: all else is smooth before."""
+    """Return the effect of a low-passed log on Coulomb friction; other terms are smooth already."""
     segments, fs, way = a.recording.segments, 1.0 / a.recording.period, a.direction
     return {f"{f:.3g} Hz": [lowpass(way, segments, fs, f, ORDER) - way] for f in a.cutoffs}
 
 
 def _current_column(a: Along) -> Sets:
-    """Give the regressors times what another current differs by.
+    """Return regressors times the difference of another current.
 
-    The supply's is the winding's times the duty cycle, which speed and torque ask for. Regressors
-    stand in place of the model's torque, whose estimate is then wrong.
+    The supply's current is the winding's times the duty cycle, which depends on speed and torque.
+    Regressors replace the model's torque, whose estimate is then wrong.
     """
-    own, v = a.regressors, a.o.qd
-    signs = [np.sign(x) for x in (own[0], own[1], *own[3:])]
+    regressors, v = a.regressors, a.o.qd
+    signs = [np.sign(x) for x in (regressors[0], regressors[1], *regressors[3:])]
     return {
-        "the supply's": [*(x * np.abs(v) for x in own), a.torque * np.abs(a.torque)],
-        "the supply's without a sign": [*(x * v for x in own), a.torque**2],
-        "signed by power": [x * a.direction for x in own],
-        "without a sign": [x * sign for sign in signs for x in own],
+        "the supply's": [*(x * np.abs(v) for x in regressors), a.torque * np.abs(a.torque)],
+        "the supply's without a sign": [*(x * v for x in regressors), a.torque**2],
+        "signed by power": [x * a.direction for x in regressors],
+        "without a sign": [x * sign for sign in signs for x in regressors],
     }
 
 
@@ -272,31 +251,31 @@ def _torque_constant_by_angle(a: Along) -> Sets:
 KINDS: tuple[Kind, ...] = (
     Kind(
         "delay",
-        _late,
+        _delay,
         lambda a: [] if a.chain.by_target else [a.rate(a.torque_rate)],
         option="delay",
     ),
-    Kind("target_delay", lambda _: {}, option="delay"),  # see scans.late
-    Kind("torque_constant", _one(lambda a: a.torque)),
-    Kind("torque_by_sign", _one(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
+    Kind("target_delay", lambda _: {}, option="delay"),  # see disturbances.delay_columns
+    Kind("torque_constant", _single(lambda a: a.torque)),
+    Kind("torque_by_sign", _single(lambda a: np.abs(a.torque)), lambda a: [a.torque**2]),
     Kind(
         "saturation",
-        _one(lambda a: a.torque * np.abs(a.torque)),
+        _single(lambda a: a.torque * np.abs(a.torque)),
         lambda a: [a.torque**3, a.torque**5],
     ),
-    Kind("offset", _one(lambda a: np.ones_like(a.o.q)), option="offset"),
+    Kind("offset", _single(lambda a: np.ones_like(a.o.q)), option="offset"),
     Kind(
         "coulomb",
-        _one(lambda a: a.direction),
+        _single(lambda a: a.direction),
         option="coulomb",
         choice="symmetric",
         loss=True,
         of_speed=True,
     ),
-    Kind("viscous", _one(lambda a: a.o.qd), option="viscous", loss=True, of_speed=True),
+    Kind("viscous", _single(lambda a: a.o.qd), option="viscous", loss=True, of_speed=True),
     Kind(
         "viscous_by_direction",
-        _one(lambda a: np.abs(a.o.qd)),
+        _single(lambda a: np.abs(a.o.qd)),
         option="viscous",
         choice="by-direction",
         loss=True,
@@ -312,7 +291,13 @@ KINDS: tuple[Kind, ...] = (
         of_speed=True,
     ),
     Kind(
-        "power", _term("power"), _concave, option="power", positive=True, loss=True, of_speed=True
+        "power",
+        _term("power"),
+        _intermediate_powers,
+        option="power",
+        positive=True,
+        loss=True,
+        of_speed=True,
     ),
     Kind(
         "stribeck",
@@ -325,7 +310,7 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "stribeck_by_direction",
-        _one(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
+        _single(lambda a: np.exp(-np.abs(a.o.qd) / (0.1 * a.scales.speed))),
         loss=True,
         of_speed=True,
     ),
@@ -339,7 +324,7 @@ KINDS: tuple[Kind, ...] = (
     ),
     Kind(
         "load_loss_by_power",
-        _loads(_two),
+        _loads(_by_power),
         option="load_loss",
         choice="two",
         positive=True,
@@ -365,20 +350,18 @@ KINDS: tuple[Kind, ...] = (
         positive=True,
         loss=True,
     ),
-    Kind("inertia", _one(lambda a: a.o.qdd), option="inertia"),
+    Kind("inertia", _single(lambda a: a.o.qdd), option="inertia"),
     Kind("gravity", _gravity, option="gravity_angle"),
     Kind("spring", _term("spring"), option="spring"),
     Kind("friction_by_angle", _friction_by_angle, option="periodic_friction", loss=True),
     Kind("inertia_by_angle", _inertia_by_angle),
     Kind("repeating", _repeating, option="cogging"),
     Kind(
-        "elastic",
-        lambda a: a.elastic,
-        lambda a: [*a.rate(np.concatenate([*a.elastic.values()]))],
+        "elastic", lambda a: a.elastic, lambda a: [*a.rate(np.concatenate([*a.elastic.values()]))]
     ),
-    Kind("backlash", _gap),
-    Kind("presliding", _bristles, loss=True, of_speed=True),
-    Kind("drift", _one(lambda a: a.clock), lambda a: [a.clock**2, a.clock**3]),
+    Kind("backlash", _backlash),
+    Kind("presliding", _presliding, loss=True, of_speed=True),
+    Kind("drift", _single(lambda a: a.clock), lambda a: [a.clock**2, a.clock**3]),
     Kind(
         "coulomb_warming",
         _term("coulomb_warming"),
@@ -406,26 +389,26 @@ BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 
 
 def columns_along(along: Along) -> Iterator[tuple[Key, Array]]:
-    """Make the columns ``(N,)`` of all candidates along a motion, with what each is."""
+    """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
         for shape, columns in kind.columns(along).items():
             for number, column in enumerate(columns):
                 yield Key(kind.name, shape, number), column
-        for number, column in enumerate(kind.beside(along)):
-            yield Key(kind.name, "", number, beside=True), column
-    for delay, columns in late(along).items():
+        for number, column in enumerate(kind.nuisance(along)):
+            yield Key(kind.name, "", number, nuisance=True), column
+    for delay, columns in delay_columns(along).items():
         far = DELAYS[along.chain.by_target]
         for number, column in enumerate(columns):
             yield Key(far, f"by about {delay:.2g} s", number, delay=delay), column
 
 
 def filtered_columns(o: Observation, columns: Sequence[Array]) -> Array:
-    """Filter columns ``(N,)``; those of other recordings, which are nothing here, are not asked."""
-    there = [i for i, column in enumerate(columns) if column.any()]
+    """Filter columns ``(N,)``, skipping those that are zero."""
+    nonzero = [i for i, column in enumerate(columns) if column.any()]
     out = np.zeros((o.filter.n_outputs, len(columns)))
-    for first in range(0, len(there), _LINE):
-        some = there[first : first + _LINE]
-        raw = np.stack([columns[i] for i in some], axis=1)
+    for first in range(0, len(nonzero), _LINE):
+        block = nonzero[first : first + _LINE]
+        raw = np.stack([columns[i] for i in block], axis=1)
         raw[~np.isfinite(raw)] = 0.0
-        out[:, some] = o.filter.apply(raw.T).T
+        out[:, block] = o.filter.apply(raw.T).T
     return out

@@ -1,8 +1,4 @@
-"""What else explains the torque, as findings: what it is, what it moves, and what puts it in.
-
-Between the regression that ranks candidates and the report: its steps become findings, with the
-line of a configuration that adds the term where there is one.
-"""
+"""What else explains the torque, as findings: kind, shifts of parameters, and setting."""
 
 from __future__ import annotations
 
@@ -14,13 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from bayesfric.diagnostics.along import TURNS
 from bayesfric.diagnostics.candidates import BY_NAME, Kind
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.policy import (
-    LEAST_OUTPUTS,
-    LONGEST,
-    MOVES,
-)
-from bayesfric.diagnostics.regression import Regression, Step, Twin
-from bayesfric.diagnostics.twins import NoTwin, excerpt
+from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
+from bayesfric.diagnostics.regression import Regression, Replicate, Step
+from bayesfric.diagnostics.replicates import ReplicateError, subsample
 from bayesfric.estimates.descent import few_threads
 from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.joint import Joint
@@ -37,65 +29,47 @@ Reason = Literal["few", "still"]
 
 @dataclass(frozen=True)
 class Explanation:
-    """What else explains the torque of recordings.
+    """Missing effects in the torque of recordings."""
 
-    Attributes
-    ----------
-    findings
-        Of what is no chance, in the order of the ranking.
-    kinds
-        Of candidates that were asked.
-    untold
-        Kinds that this motion does not tell from what the model has.
-    twins
-        Simulated recordings that judge.
-    largest, limit
-        Of all candidates' statistics, a standard normal's, before any is taken in; and what 95 % of
-        the twins stay below, or what as many independent normals do, the larger of the two.
-    cpu_seconds
-        Spent on the regression and its twins.
-    missing
-        All candidates, to be marginalised as model discrepancy.
-    reason
-        Why it was not asked: there are too ``few`` outputs, or most twins stand ``still``; else
-        ``None``.
-    share
-        Of the samples that were asked, the share of all; below one for long recordings.
-    """
-
-    findings: tuple[Finding, ...] = ()
-    kinds: tuple[str, ...] = ()
-    untold: tuple[str, ...] = ()
-    twins: tuple[Twin, ...] = field(default=(), repr=False)
+    findings: tuple[Finding, ...] = ()  # significant effects in the order of selection
+    kinds: tuple[str, ...] = ()  # of candidates that were tested
+    # kinds that are collinear with the model on this motion
+    indistinguishable: tuple[str, ...] = ()
+    replicates: tuple[Replicate, ...] = field(default=(), repr=False)  # null distribution
+    # largest statistic of all candidates as a standard normal, before any is included, and its
+    # critical value
     largest: float = 0.0
     limit: float = 0.0
-    cpu_seconds: float = 0.0
+    cpu_seconds: float = 0.0  # of the regression and its replicates
+    # why it was not evaluated: too few outputs, or most replicates stand still
     reason: Reason | None = None
+    # share of the samples that was evaluated; below one for long recordings
     share: float = 1.0
+    # all candidates, for model discrepancy
     missing: Missing | None = field(default=None, repr=False)
 
     @property
-    def asked(self) -> bool:
-        """Whether there is an answer."""
+    def answered(self) -> bool:
+        """Whether the regression was evaluated."""
         return self.reason is None
 
     @property
-    def put_in(self) -> tuple[Finding, ...]:
-        """Findings that a model may be completed by; none where the recording is at fault first."""
+    def applicable(self) -> tuple[Finding, ...]:
+        """Findings whose setting may be applied; none if the recording is faulty."""
         faulty = bool(self.findings) and of_recording(self.findings[0].kind)
-        return () if faulty else tuple(one for one in self.findings if one.put_in)
+        return () if faulty else tuple(finding for finding in self.findings if finding.applicable)
 
-    def noted(self, *, widened: bool) -> tuple[Finding, ...]:
-        """Give findings; of what is marginalised a note, where intervals are ``widened`` for it.
+    def with_severity(self, *, widened: bool) -> tuple[Finding, ...]:
+        """Return findings; marginalised ones are notes if intervals are ``widened`` for them.
 
-        A fault of the recording stays a doubt: it is no term whose size could be averaged over.
+        A fault of the recording stays a doubt: no term could be marginalised.
         """
-        room = self.missing.kinds if self.missing and widened else {}
+        marginalised = self.missing.kinds if self.missing and widened else {}
         return tuple(
-            replace(one, severity="note")
-            if one.kind in room and not of_recording(one.kind)
-            else one
-            for one in self.findings
+            replace(finding, severity="note")
+            if finding.kind in marginalised and not of_recording(finding.kind)
+            else finding
+            for finding in self.findings
         )
 
     @property
@@ -103,25 +77,22 @@ class Explanation:
         """A row for each finding."""
         import pandas as pd
 
-        return pd.DataFrame([one.as_dict() for one in self.findings])
+        return pd.DataFrame([finding.as_dict() for finding in self.findings])
 
     def as_json(self) -> dict[str, Any]:
-        """Give all of it as JSON holds it."""
-        told = {"kinds": list(self.kinds), "untold": list(self.untold), "twins": len(self.twins)}
-        told |= {"largest": self.largest, "limit": self.limit}
-        told |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason, "share": self.share}
-        return {"findings": [one.as_dict() for one in self.findings], **told}
+        """Return everything as JSON data."""
+        record = {
+            "kinds": list(self.kinds),
+            "untold": list(self.indistinguishable),
+            "twins": len(self.replicates),
+        }
+        record |= {"largest": self.largest, "limit": self.limit}
+        record |= {"cpu_seconds": self.cpu_seconds, "reason": self.reason, "share": self.share}
+        return {"findings": [one.as_dict() for one in self.findings], **record}
 
 
-def unasked(chain: Joint, observations: Sequence[Observation]) -> Reason | None:
-    """Say why recordings cannot be asked, as far as that is known before anything is computed.
-
-    Returns
-    -------
-    str or None
-        ``few`` where there are fewer outputs than the parameters and
-        :data:`~bayesfric.diagnostics.policy.LEAST_OUTPUTS` together.
-    """
+def too_few_outputs(chain: Joint, observations: Sequence[Observation]) -> Reason | None:
+    """Return the reason why recordings cannot be evaluated, if there is one beforehand."""
     few = sum(o.measured.size for o in observations) < len(chain.names) + LEAST_OUTPUTS
     return "few" if few else None
 
@@ -135,87 +106,53 @@ def explain(
     known: Sequence[str],
     seed: int,
 ) -> Explanation:
-    """Ask recordings what else explains their torque.
-
-    Parameters
-    ----------
-    chain, recordings, observations, processing
-        The joint, and what was measured of it, as read and as prepared by which filters.
-    point
-        Parameters by name, an estimate by the input error.
-    known
-        Names of parameters that are fixed.
-    seed
-        Of the twins.
-
-    Returns
-    -------
-    Explanation
-        What no chance is, in the order in which it explains; see
-        :mod:`bayesfric.diagnostics.regression` for the method and its sources. Where twins cannot
-        be simulated it has the ``reason`` and nothing else. Of more samples than
-        :data:`~bayesfric.diagnostics.policy.LONGEST` an excerpt of half as many is asked.
-    """
+    """Find what else explains the torque of recordings."""
     begun, values = time.process_time(), chain.vector(point)
-    whole = sum(r.time.size for r in recordings)
+    samples = sum(r.time.size for r in recordings)
     try:
         with few_threads(observations):
-            if whole > LONGEST:
-                most = [LONGEST * r.time.size // (2 * whole) for r in recordings]
-                each = zip(recordings, observations, most, strict=True)
-                made = [excerpt(chain, values, r, o, processing, n) for r, o, n in each]
-                recordings, observations = zip(*made, strict=True)
-            share = sum(r.time.size for r in recordings) / whole
-            asked = Regression(chain, recordings, observations, processing, values, known, seed)
-            # what moves a number by so many sds of an excerpt's is more of the whole's
-            steps = [_sharpened(step, share**-0.5) for step in asked.steps()]
-    except NoTwin:
+            if samples > LONGEST:
+                limits = [LONGEST * r.time.size // (2 * samples) for r in recordings]
+                pairs = zip(recordings, observations, limits, strict=True)
+                subsamples = [subsample(chain, values, r, o, processing, n) for r, o, n in pairs]
+                recordings, observations = zip(*subsamples, strict=True)
+            share = sum(r.time.size for r in recordings) / samples
+            regression = Regression(
+                chain, recordings, observations, processing, values, known, seed
+            )
+            # the full recordings have smaller standard deviations than subsamples
+            steps = [_sharpened(step, share**-0.5) for step in regression.steps()]
+    except ReplicateError:
         return Explanation(reason="still")
     return Explanation(
-        tuple(finding(chain, step) for step in steps if step.sure),
-        asked.kinds,
-        asked.untold,
-        asked.simulated,
+        tuple(finding(chain, step) for step in steps if step.significant),
+        regression.kinds,
+        regression.indistinguishable,
+        regression.simulated,
         steps[0].largest,
         steps[0].limit,
         time.process_time() - begun,
         share=share,
-        missing=asked.missing(),
+        missing=regression.missing(),
     )
 
 
 def of_recording(name: str) -> bool:
-    """Whether a finding is a fault of the recorded torque, by its kind."""
+    """Whether a kind of finding is a fault of the recorded torque."""
     return name in BY_NAME and BY_NAME[name].of_recording
 
 
 def _sharpened(step: Step, factor: float) -> Step:
-    """Count what a step moves in standard deviations that are smaller by a factor."""
+    """Scale the shifts of a step."""
     return replace(step, moves={name: factor * x for name, x in step.moves.items()})
 
 
 def finding(chain: Joint, step: Step) -> Finding:
-    """Say one step of the ranking as a finding.
+    """Convert one step of forward selection to a finding.
 
-    What has a sign that it cannot have stands for what this motion hardly tells it from, where that
-    may have any; else it has no name.
-
-    Parameters
-    ----------
-    chain
-        The joint, which says what configuration would put the term in.
-    step
-        What was taken in, its coefficients, and what it moves.
-
-    Returns
-    -------
-    Finding
-        A ``doubt`` where it moves a reported number by more than
-        :data:`~bayesfric.diagnostics.policy.MOVES` standard deviations or is a fault of the
-        recorded torque, else a ``note``. Not
-        ``physical`` where what must be positive came out negative and nothing else looks like it.
+    An effect with an impossible sign is named after a rival that may have it, if there is one.
     """
-    kind, rivals, shape = BY_NAME.get(step.kind), step.alike, step.shape
+    kind, rivals, shape = BY_NAME.get(step.kind), step.collinear, step.shape
     negative = kind is not None and kind.positive and bool((step.coefficients < 0.0).any())
     if kind is not None and negative and kind.other:
         kind, negative = replace(kind, choice=kind.other), False
@@ -242,28 +179,14 @@ def finding(chain: Joint, step: Step) -> Finding:
 
 
 def _carries(chain: Joint) -> bool:
-    """Whether the element that loses by the load, or would, has anything behind it."""
+    """Whether the element with load-dependent friction, or the last one, carries a load."""
     lossy = [k for k, e in enumerate(chain.elements) if e.load_loss != "none"]
     behind = chain.elements[(lossy[0] if lossy else len(chain.elements) - 1) + 1 :]
     return bool(chain.load.choices) or any(e.has("inertia") for e in behind)
 
 
 def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
-    """Give the line of a configuration that puts a candidate into a joint; empty if none does.
-
-    Parameters
-    ----------
-    chain
-        The joint as it is.
-    kind, shape
-        The candidate; of one that repeats, the shape says how often a turn, and of which side.
-
-    Returns
-    -------
-    str
-        Such as ``mechanism.elements.motor.coulomb = "symmetric"``: the first element that does not
-        have the choice yet; of load losses the one that has one, else the last.
-    """
+    """Return the line of a configuration that adds a candidate to a joint, or an empty string."""
     option, value = kind.option, "true" if kind.choice is True else f'"{kind.choice}"'
     if option in ("offset", "delay"):
         return "" if getattr(chain, option) else f"mechanism.{option} = true"
@@ -281,11 +204,11 @@ def setting_of(chain: Joint, kind: Kind, shape: str) -> str:
         value = f"[{cycles}]"
     elif option.startswith("load_"):
         if not _carries(chain):
-            return ""  # a line more would be needed, which moves the inertia behind it
-        # of two, one behind the other, no motion tells more than their product
+            return ""  # that needs another line, which moves the inertia behind it
+        # of two in series only the product is identifiable
         lossy = [e for e in elements if e.load_loss != "none"]
         elements = tuple(lossy or elements[-1:])
-        if not lossy and option != "load_loss":  # which shapes one
+        if not lossy and option != "load_loss":  # the option shapes a load-dependent friction
             option, value = "load_loss", '"one"'
     elif option not in CHOICES:
         return ""

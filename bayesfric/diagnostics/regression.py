@@ -1,15 +1,15 @@
-"""What else explains the torque: one regression, judged by the recording's own twins.
+"""What else explains the torque: one regression, tested against simulated replicates.
 
-Beside the model's own columns, its torque's derivatives by its parameters at an estimate, stand
+The model's own columns, derivatives of its torque by its parameters at an estimate, are joined by
 those of :mod:`bayesfric.diagnostics.candidates`. All pass the parallel filter of the measured
-torque, are whitened by one noise, and are asked for what is left when the model's own are taken
-out. The twins give the mean and spread of each candidate where the model is right, and what chance
-makes of the largest of all (Rubin, Annals of Statistics 12, 1984; Gelman, Meng and Stern,
-Statistica Sinica 6, 1996; Westfall and Young, Resampling-Based Multiple Testing, 1993). What
-exceeds that goes in, the one that explains most first, and the others compete for what is left.
+torque and are whitened by one noise model; the model's own columns are projected out. The
+replicates give the null distribution of each statistic and of the maximum of all (Rubin, Annals of
+Statistics 12, 1984; Gelman, Meng and Stern, Statistica Sinica 6, 1996; Westfall and Young,
+Resampling-Based Multiple Testing, 1993). Significant candidates are included by forward selection.
 
-The noise is chosen on what is left once everything that white noise would not do is taken: on the
-plain residual its memory would swallow the effect. Each twin's is chosen on itself.
+The noise is chosen on the residual after including everything that is significant with white noise:
+on the plain residual its autocorrelation would absorb the effect. Each replicate's is chosen on
+itself.
 """
 
 from __future__ import annotations
@@ -25,6 +25,12 @@ import numpy as np
 from scipy.special import ndtri
 
 from bayesfric.diagnostics.along import Along, Scales, scales_of
+from bayesfric.diagnostics.autocorrelation import (
+    WHITE,
+    Autocorrelation,
+    Layout,
+    choose_autocorrelation,
+)
 from bayesfric.diagnostics.candidates import (
     BY_NAME,
     KINDS,
@@ -32,32 +38,39 @@ from bayesfric.diagnostics.candidates import (
     columns_along,
     filtered_columns,
 )
-from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
+from bayesfric.diagnostics.disturbances import (
+    DELAYS,
+    SINUSOID,
+    TRANSIENT,
+    Scan,
+    sinusoid_columns,
+    transient_columns,
+    tune_frequency,
+)
 from bayesfric.diagnostics.policy import (
-    ALIKE,
     BETTER,
+    COLLINEAR,
     FALSE_ALARMS,
     LEAST_OUTPUTS,
-    MOST,
+    MAX_EFFECTS,
+    REPLICATES,
     TESTABLE,
-    TWINS,
 )
-from bayesfric.diagnostics.scans import DELAYS, PUSH, TONE, Scan, bump, tuned, waves
+from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     HALF,
     OPEN,
     Columns,
     Key,
-    asked,
     basis_of,
     mean_square,
-    scored,
-    solved,
+    project_out,
+    score_candidates,
+    standard_normal_scores,
     testable,
+    truncated_least_squares,
     unit_scores,
-    without,
 )
-from bayesfric.diagnostics.twins import NoTwin, twins
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.inference.missing import Missing
 from bayesfric.mechanism.derived import derive
@@ -69,125 +82,68 @@ from bayesfric.recordings.source import Processing
 
 # Step of a derivative, as a share of a parameter.
 _STEP = 1e-6
-# Share of a quantity's direction that must be determined.
-_TOLD = 0.999
-# Widest share of a parameter by which twins' truths differ.
+# Share of a quantity's direction that must be identified.
+_DETERMINED = 0.999
+# Largest relative spread of a parameter between replicates.
 _WIDEST = 0.1
-# Share of the twins that must have come out.
+# Share of the replicates that must succeed.
 _ENOUGH = 0.5
-# Most that is taken out while noise is chosen, and what each costs there: twice the log of how
-# many candidates there are.
-_PICKS, _DEAR = 8, 10.0
-# Hz below which a tone may be the noise's wander.
-_SLOW = 1.0
+# Largest number of effects included while noise is chosen, and the penalty of each: twice the log
+# of the number of candidates.
+_PICKS, _PICK_COST = 8, 10.0
+# Frequency, Hz, below which a sinusoid may be the noise's drift.
+_DRIFT_HERTZ = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
-    """What one round chose, and all that it knew.
-
-    Attributes
-    ----------
-    kind, shape
-        The candidate.
-    own
-        Numbers of its columns.
-    sure
-        Whether it is no chance.
-    z, p
-        Its statistic as a standard normal; and ``(1 + k) / (n + 1)`` where k of n twins have one as
-        large, of whichever candidate.
-    largest, limit
-        ``z`` of all candidates, and what it must exceed.
-    worth
-        Of every candidate, scans last: its gain, less the log of the number of outputs for each
-        coefficient, shape or place after the first.
-    scan
-        Where a tone, push or far delay was found.
-    """
+class Selection:
+    """Best candidate of one round of forward selection."""
 
     kind: str
     shape: str
-    own: list[int]
-    sure: bool
+    columns: list[int]  # indices
+    significant: bool
+    # statistic as a standard normal, and p-value (1 + k) / (n + 1): k of n replicates have a
+    # candidate with as large a statistic
     z: float
     p: float
+    # largest z of all candidates, and its critical value
     largest: float
     limit: float
+    # BIC-penalised gain of every candidate, searches last
     worth: Array
-    scan: Scan | None = None
+    scan: Scan | None = None  # place of a disturbance or far delay
 
 
 @dataclass(frozen=True, eq=False)
-class Twin:
-    """A simulated recording whose truth is known, and whose torque has no noise.
+class Replicate:
+    """A simulated recording with known parameters and no torque noise."""
 
-    Attributes
-    ----------
-    values
-        ``(n_parameters,)`` it was made with.
-    base, left
-        ``(n, n_parameters)`` derivatives of its outputs there, and ``(n,)`` what the model leaves
-        of its torque: the error of encoder and filters.
-    layout
-        Where its outputs lie in time.
-    """
-
-    values: Array
+    values: Array  # (n_parameters,) true parameters
+    # (n, n_parameters) derivatives of its outputs there, and (n,) residual of the model: the error
+    # of encoder and filters
     base: Array
-    left: Array
+    residual: Array
     layout: Layout
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Step(Choice):
-    """One candidate that is taken in.
+class Step(Selection):
+    """One candidate included by forward selection."""
 
-    Attributes
-    ----------
-    share
-        Root mean square of its torque over that of all torque.
-    recording, span
-        What a push is in, and its seconds; the recording also of what is one recording's alone.
-    coefficients
-        Of its own columns.
-    moves
-        Parameter or derived quantity: by how many of its standard deviations it moves, where the
-        recordings determine it.
-    alike
-        Kinds that explain as much, or look alike on this motion.
-    """
-
-    share: float
+    share: float  # rms of its torque over that of all torque
+    # recording and seconds of a transient; the recording also of an effect in one recording alone
     recording: str
     span: tuple[float, float] | None
-    coefficients: Array
+    coefficients: Array  # of its columns
+    # shift of each identified parameter or derived quantity in its standard deviations
     moves: dict[str, float]
-    alike: tuple[str, ...]
+    collinear: tuple[str, ...]  # kinds that explain as much or are collinear
 
 
 @dataclass(eq=False)
 class Regression:
-    """Recordings, twins and everything that is computed once.
-
-    Parameters
-    ----------
-    chain, recordings, observations, processing
-        The joint, and what was measured of it.
-    values
-        ``(n_parameters,)`` an estimate by the input error.
-    known
-        Names of parameters that are fixed.
-    seed
-        Of the twins.
-    number
-        How many twins.
-
-    Raises
-    ------
-    NoTwin
-        If the filters leave fewer than half of the twins.
-    """
+    """Regression of the residual torque at ``values`` ``(n_parameters,)`` on candidate effects."""
 
     chain: Joint
     recordings: Sequence[Measurement]
@@ -196,13 +152,13 @@ class Regression:
     values: Array
     known: Collection[str] = ()
     seed: int = 0
-    number: int = TWINS
+    number: int = REPLICATES
     scales: Scales = field(init=False)
     data: Columns = field(init=False)
-    twins: list[Columns] = field(init=False)
-    simulated: tuple[Twin, ...] = field(init=False)
-    _placed_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
-    _sure_kinds: set[str] = field(init=False, default_factory=set)
+    replicates: list[Columns] = field(init=False)
+    simulated: tuple[Replicate, ...] = field(init=False)
+    _located_scans: list[tuple[str, tuple[int, ...]]] = field(init=False, default_factory=list)
+    _significant_kinds: set[str] = field(init=False, default_factory=set)
 
     def __post_init__(self) -> None:
         draws, others, noise = np.random.SeedSequence(self.seed).spawn(3)
@@ -212,24 +168,27 @@ class Regression:
         pairs = zip(self.observations, self.recordings, strict=True)
         along = [Along(self.chain, self.values, o, r, self.scales) for o, r in pairs]
         self._smoothed = f"{max(a.smoothed_at() for a in along):.3g} Hz"
-        vectors = self._near(np.random.default_rng(draws))
-        made = [(v, self._columns(v, seen)) for v, seen in self._twins(vectors, others)]
-        self.simulated = tuple(Twin(v, t.base, t.left, t.layout) for v, t in made)
-        self.twins = [twin for _, twin in made]
-        if len(self.twins) < _ENOUGH * self.number:
-            raise NoTwin("with parameters like these it hardly moves")
-        self._clean = [twin.left for twin in self.twins]
+        vectors = self._draw_parameters(np.random.default_rng(draws))
+        simulated = [
+            (v, self._columns(v, observations))
+            for v, observations in self._simulate(vectors, others)
+        ]
+        self.simulated = tuple(Replicate(v, t.base, t.residual, t.layout) for v, t in simulated)
+        self.replicates = [replicate for _, replicate in simulated]
+        if len(self.replicates) < _ENOUGH * self.number:
+            raise ReplicateError("with parameters like these it hardly moves")
+        self._clean = [replicate.residual for replicate in self.replicates]
         self._choose_noise(noise)
 
     # What is compared
 
     @property
     def _sizes(self) -> Array:
-        """What counts as a change of one of each parameter ``(d,)``."""
+        """Scale ``(d,)`` of each parameter."""
         return np.maximum(np.abs(self.values), 1e-12)
 
-    def _own(self, values: Array, observations: Sequence[Observation]) -> Columns:
-        """Make the model's columns of recordings, at parameters ``(n_parameters,)``."""
+    def _model_columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
+        """Compute the model's columns at parameters ``(n_parameters,)``."""
         chain = self.chain
         free = np.array([name not in self.known for name in chain.names])
         steps = free * _STEP * np.maximum(np.abs(values), 1.0)
@@ -239,309 +198,333 @@ class Regression:
         return Columns(base, nothing, np.concatenate(left), Layout.of(observations), ())
 
     def _columns(self, values: Array, observations: Sequence[Observation]) -> Columns:
-        """Put those of candidates beside them."""
+        """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observations, self.recordings, strict=True):
-            made = dict(columns_along(Along(self.chain, values, o, r, self.scales)))
-            blocks.append(filtered_columns(o, list(made.values())))
-        own = self._own(values, observations)
-        return replace(own, others=np.concatenate(blocks), keys=tuple(made))
+            columns = dict(columns_along(Along(self.chain, values, o, r, self.scales)))
+            blocks.append(filtered_columns(o, list(columns.values())))
+        own = self._model_columns(values, observations)
+        return replace(own, others=np.concatenate(blocks), keys=tuple(columns))
 
-    def _near(self, rng: np.random.Generator) -> Array:
-        """Draw vectors ``(number, n_parameters)`` that the recordings hold possible.
+    def _draw_parameters(self, rng: np.random.Generator) -> Array:
+        """Draw parameters ``(number, n_parameters)`` from the estimate's normal.
 
-        From the estimate's normal; its open directions are left out.
+        Unidentified directions are left out.
         """
         size = self._sizes
         rows = self.data.base * size
-        variance = mean_square(without(basis_of(self.data.base), self.data.left), rows.shape[1])
+        variance = mean_square(
+            project_out(basis_of(self.data.base), self.data.residual), rows.shape[1]
+        )
         power, vectors = np.linalg.eigh(rows.T @ rows)
-        told = power > OPEN * power.max()
-        sds = np.minimum(np.sqrt(variance / power[told]), _WIDEST)
-        drawn = rng.standard_normal((self.number, int(told.sum()))) * sds
+        determined = power > OPEN * power.max()
+        sds = np.minimum(np.sqrt(variance / power[determined]), _WIDEST)
+        drawn = rng.standard_normal((self.number, int(determined.sum()))) * sds
         lower = np.array([p.lower for p in self.chain.parameters])
-        return np.asarray(np.maximum(self.values + (drawn @ vectors[:, told].T) * size, lower))
+        return np.asarray(
+            np.maximum(self.values + (drawn @ vectors[:, determined].T) * size, lower)
+        )
 
-    def _twins(
+    def _simulate(
         self, vectors: Array, stream: np.random.SeedSequence
     ) -> Iterator[tuple[Array, list[Observation]]]:
-        """Make a twin at each vector, unless the filters leave too few outputs."""
+        """Simulate a replicate for each vector; skip those with too few outputs after filtering."""
         parts = []
-        for r, o, one in zip(
+        for r, o, recording_seeds in zip(
             self.recordings, self.observations, stream.spawn(len(self.recordings)), strict=True
         ):
-            seeds = one.spawn(len(vectors))
-            parts.append(twins(self.chain, vectors, r, o, self.processing, seeds))
-        for values, seen in zip(vectors, zip(*parts, strict=True), strict=True):
-            made = [o for o in seen if o is not None]
+            seeds = recording_seeds.spawn(len(vectors))
+            parts.append(replicates(self.chain, vectors, r, o, self.processing, seeds))
+        for values, simulated in zip(vectors, zip(*parts, strict=True), strict=True):
+            usable = [o for o in simulated if o is not None]
             least = len(self.chain.names) + LEAST_OUTPUTS
-            if len(made) == len(seen) and sum(o.measured.size for o in made) >= least:
-                yield values, made
+            if len(usable) == len(simulated) and sum(o.measured.size for o in usable) >= least:
+                yield values, usable
 
     # Noise
 
     def _choose_noise(self, stream: np.random.SeedSequence) -> None:
-        """Give twins the noise of what is left when all is taken that is there by white noise."""
+        """Choose the noise on what remains after including effects; add it to the replicates."""
         self._add_noise(WHITE, [], stream)
-        taken: list[list[int]] = [[]]
-        for choice, extra in self._climbed(_PICKS, choosing=True):
-            if not choice.sure:
+        inclusions: list[list[int]] = [[]]
+        for choice, extra in self._forward_selection(_PICKS, for_noise=True):
+            if not choice.significant:
                 break
-            taken.append([*extra, *choice.own])
+            inclusions.append([*extra, *choice.columns])
         best = math.inf
-        for picks, extra in enumerate(taken):
-            memory, bic = _memory(self.data, extra)
-            bic += len(extra) * math.log(self.data.left.size) + _DEAR * picks
+        for picks, extra in enumerate(inclusions):
+            autocorrelation, bic = choose_autocorrelation(
+                self.data.residual_with(extra), self.data.layout
+            )
+            bic += len(extra) * math.log(self.data.residual.size) + _PICK_COST * picks
             if bic < best:
-                best, self.noise, chosen = bic, memory, extra
+                best, self.noise, chosen = bic, autocorrelation, extra
         self._add_noise(self.noise, chosen, stream)
-        self.twins = [replace(t, memory=_memory(t, chosen)[0]) for t in self.twins]
+        self.replicates = [
+            replace(t, autocorrelation=choose_autocorrelation(t.residual_with(chosen), t.layout)[0])
+            for t in self.replicates
+        ]
 
     def _add_noise(
-        self, memory: Memory, extra: Sequence[int], stream: np.random.SeedSequence
+        self, autocorrelation: Autocorrelation, extra: Sequence[int], stream: np.random.SeedSequence
     ) -> None:
-        """Add so much that twins leave as much as the recording does: their sensors make some."""
-        clean = [replace(t, left=x) for t, x in zip(self.twins, self._clean, strict=True)]
-        taken = self.values.size + len(extra)
-        own, total = (
-            float(np.mean([mean_square(d.rest(extra), taken) for d in some]))
-            for some in (clean, [self.data])
+        """Add noise so that the replicates' residual is as large as the recording's."""
+        clean = [replace(t, residual=x) for t, x in zip(self.replicates, self._clean, strict=True)]
+        parameters = self.values.size + len(extra)
+        sensor_power, total = (
+            float(np.mean([mean_square(d.residual_with(extra), parameters) for d in group]))
+            for group in (clean, [self.data])
         )
-        beyond = max(1.0 - own / max(total, 1e-300), 0.1)
-        sd = math.sqrt(total * beyond / memory.variance(self.data.layout))
+        noise_share = max(1.0 - sensor_power / max(total, 1e-300), 0.1)
+        sd = math.sqrt(total * noise_share / autocorrelation.variance(self.data.layout))
         rng = np.random.default_rng(stream)
-        self.twins = [replace(t, left=t.left + sd * memory.drawn(t.layout, rng)) for t in clean]
+        self.replicates = [
+            replace(t, residual=t.residual + sd * autocorrelation.drawn(t.layout, rng))
+            for t in clean
+        ]
 
     # Ranking
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of candidates that are asked."""
+        """Kinds of candidates that are tested."""
         scanned = (key.kind for key in self.data.keys if key.kind == DELAYS[1])
-        return tuple(dict.fromkeys([*(key.kind for key, _ in self._groups), *scanned, TONE, PUSH]))
+        return tuple(
+            dict.fromkeys([*(key.kind for key, _ in self._groups), *scanned, SINUSOID, TRANSIENT])
+        )
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Kinds that could be, and that this motion does not tell from the model's own."""
+    def indistinguishable(self) -> tuple[str, ...]:
+        """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def steps(self, most: int = MOST) -> list[Step]:
-        """Rank what the model lacks: what no chance is, in order, or the first that may be.
-
-        Parameters
-        ----------
-        most
-            How many are looked for, one after the other.
-
-        Returns
-        -------
-        list of Step
-            The last one may be chance, see :attr:`Choice.sure`.
-        """
-        found = []
-        for choice, extra in self._climbed(most):
-            found.append(self._step(choice, extra))
-            if not choice.sure:
+    def steps(self, most: int = MAX_EFFECTS) -> list[Step]:
+        """Forward-select missing effects; if none is significant, return the best candidate."""
+        steps = []
+        for choice, extra in self._forward_selection(most):
+            steps.append(self._step(choice, extra))
+            if not choice.significant:
                 break
-            self._sure_kinds.add(choice.kind)
+            self._significant_kinds.add(choice.kind)
             if choice.scan is not None:
-                self._placed_scans.append((choice.kind, tuple(choice.own)))
-        return found
+                self._located_scans.append((choice.kind, tuple(choice.columns)))
+        return steps
 
     def missing(self) -> Missing:
-        """Give all candidates to be marginalised, after :meth:`steps`.
+        """Return all candidates for marginalisation, after :meth:`steps`.
 
-        Those that were found are among them; a tone, a push or a far delay only where it was, and
-        none that is as large as all torque where it is there. Columns are as large as all torque,
-        of friction as what the model loses; the mean score of the twins is taken off, and half of
-        it counts as spread. The noise is the one that was chosen before: what is taken in differs
-        with the twins where several explain as much.
+        A disturbance or far delay is included only if it was selected, and so is a kind with a
+        least share. Columns have the size of all torque, those of friction the size of the model's
+        losses. The replicates' mean score is subtracted, half of it counts as spread. The noise is
+        that of the whole selection: included effects differ where several explain as much.
         """
-        d = replace(self.data, memory=self.noise).whitened
+        d = replace(self.data, autocorrelation=self.noise).whitened
         base = basis_of(d.base)
-        # what is there for a moment only is no larger for that; and what more is lost is of the
-        # size of what the model loses
+        # a short effect is no larger for that; additional losses are as large as the model's
         size = np.abs(self.data.others).max(axis=0)
         losses = [key.kind in BY_NAME and BY_NAME[key.kind].loss for key in self.data.keys]
-        most = np.where(losses, self.scales.lost, self.scales.torque)
-        size = np.divide(most, size, out=np.zeros_like(size), where=size > 0.0)
+        largest = np.where(losses, self.scales.lost, self.scales.torque)
+        size = np.divide(largest, size, out=np.zeros_like(size), where=size > 0.0)
         columns = self.data.others * size
-        rest, left = without(base, without(base, d.others * size)), without(base, d.left)
-        unit, whole = (np.linalg.norm(x, axis=0) for x in (rest, d.others * size))
-        seen = unit > TESTABLE * whole
-        groups = [(k.kind, tuple(own)) for k, own in self._groups if not BY_NAME[k.kind].least]
-        wanted = groups + self._placed_scans
-        # between the shapes of a grid
-        wanted += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.beside]
+        remainder, residual = (
+            project_out(base, project_out(base, d.others * size)),
+            project_out(base, d.residual),
+        )
+        unit, total = (np.linalg.norm(x, axis=0) for x in (remainder, d.others * size))
+        identified = unit > TESTABLE * total
+        groups = [
+            (k.kind, tuple(members)) for k, members in self._groups if not BY_NAME[k.kind].least
+        ]
+        all_groups = groups + self._located_scans
+        # shapes between those of a grid
+        all_groups += [(f"beside {k.kind}", (i,)) for i, k in enumerate(d.keys) if k.nuisance]
         kinds: dict[str, list[tuple[int, ...]]] = {}
-        for kind, own in wanted:
-            if seen[list(own)].all():
-                kinds.setdefault(kind, []).append(own)
-        free = left.size - base.shape[1]
-        power = float(left @ left)
-        scores, sds = zip(*(unit_scores(twin.whitened, size) for twin in self.twins), strict=True)
+        for kind, members in all_groups:
+            if identified[list(members)].all():
+                kinds.setdefault(kind, []).append(members)
+        free = residual.size - base.shape[1]
+        power = float(residual @ residual)
+        scores, sds = zip(
+            *(unit_scores(replicate.whitened, size) for replicate in self.replicates), strict=True
+        )
         mean, white = np.mean(scores, axis=0), float(np.mean(sds))
         sd, bias = np.std(scores, axis=0, ddof=1) / white, mean / white
         in_law = {kind.name for kind in KINDS if kind.of_speed}
-        biases = self._sure_kinds - in_law
+        biases = self._significant_kinds - in_law
         return Missing(
             biases_friction=np.array([key.kind in biases for key in self.data.keys], dtype=bool),
             observations=tuple(self.observations),
             columns=columns,
             kinds={kind: tuple(shapes) for kind, shapes in kinds.items()},
-            gram=rest.T @ rest,
-            scores=rest.T @ left - mean * unit,
-            rough=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
+            gram=remainder.T @ remainder,
+            scores=remainder.T @ residual - mean * unit,
+            column_errors=np.mean(columns**2, axis=0) / self.noise.variance(self.data.layout),
             power=power,
             spread=np.hypot(np.maximum(sd, 1.0), HALF * bias),
             free=free,
         )
 
-    def _climbed(self, most: int, *, choosing: bool = False) -> Iterator[tuple[Choice, list[int]]]:
-        """Take in one candidate after the other; gives each with the columns taken before it.
+    def _forward_selection(
+        self, most: int, *, for_noise: bool = False
+    ) -> Iterator[tuple[Selection, list[int]]]:
+        """Include one candidate after the other; yield each with the columns included before it.
 
-        While the noise is being chosen it counts as white, and only what was found is taken.
+        With ``for_noise`` the noise is white, and only the selected columns are included.
         """
         extra: list[int] = []
         for _ in range(most):
-            choice = self._best(extra, choosing)
+            choice = self._select(extra, for_noise)
             yield choice, extra
-            extra = [*extra, *choice.own]
-            alone = "gravity", "repeating", TONE, PUSH
-            if not choosing and choice.kind not in alone:
+            extra = [*extra, *choice.columns]
+            single = "gravity", "repeating", SINUSOID, TRANSIENT
+            if not for_noise and choice.kind not in single:
                 keys = enumerate(self.data.keys)
-                family = [i for i, k in keys if k.kind == choice.kind and not k.delay]
-                extra += [i for i in family if i not in extra]
+                same_kind = [i for i, k in keys if k.kind == choice.kind and not k.delay]
+                extra += [i for i in same_kind if i not in extra]
 
-    def _best(self, extra: list[int], choosing: bool) -> Choice:
-        """Choose the candidate that explains most of those that are no chance.
+    def _select(self, extra: list[int], for_noise: bool) -> Selection:
+        """Select the significant candidate with the largest penalised gain.
 
-        A push comes last: it is taken only where nothing else is sure. A fault of the recording is
-        looked for first only. Of a log that holds nothing above its band it is smoothing: what the
-        others explain of it is what is missing.
+        A transient is selected only if nothing else is significant, a fault of the recording only
+        as the first. If the log is low-passed below its band, smoothing is selected: other
+        candidates would explain what it removed.
         """
-        if not choosing:
-            self.data = replace(self.data, memory=_memory(self.data, extra)[0])
-        given = self._groups, extra, self.scales.push
-        mine = asked(self.data, *given)
-        z, null = scored(mine, [asked(twin, *given) for twin in self.twins])
+        if not for_noise:
+            self.data = replace(
+                self.data,
+                autocorrelation=choose_autocorrelation(
+                    self.data.residual_with(extra), self.data.layout
+                )[0],
+            )
+        arguments = self._groups, extra, self.scales.transient_width
+        recorded = score_candidates(self.data, *arguments)
+        z, null = standard_normal_scores(
+            recorded, [score_candidates(replicate, *arguments) for replicate in self.replicates]
+        )
         largest = null.max(axis=1)
         limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
-        # so few twins know it to 0.3: nor is less than by as many normals (Bonferroni)
+        # few replicates give it to 0.3: at least that of as many independent normals (Bonferroni)
         limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
-        kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in mine.scans)]
-        # a shape, or the place of a scan, is one more number
+        kinds = [*(key.kind for key, _ in self._groups), *(scan.kind for scan in recorded.scans)]
+        # a shape, or the place of a search, is one more parameter
         shapes = Counter(key.kind for key, _ in self._groups)
-        more = [len(o) - 1 + (shapes[k.kind] > 1) for k, o in self._groups] + [2, 1, 1]
-        gains = np.append(mine.gains, [scan.peak for scan in mine.scans])
-        worth = gains - np.array(more) * math.log(self.data.left.size)
+        extra_parameters = [len(o) - 1 + (shapes[k.kind] > 1) for k, o in self._groups] + [2, 1, 1]
+        gains = np.append(recorded.gains, [scan.peak for scan in recorded.scans])
+        worth = gains - np.array(extra_parameters) * math.log(self.data.residual.size)
         allowed = z > limit
-        if choosing:  # what the noise's wander can be is not to be taken before it is known
-            slow = mine.scans[0].place < _SLOW
-            allowed &= [k not in (PUSH, "drift") and not (k == TONE and slow) for k in kinds]
-        last = np.array([k == PUSH for k in kinds])
-        if (allowed & ~last).any():
-            allowed &= ~last
-        named = {(key.kind, key.shape) for key, _ in self._groups}
-        faulty = not extra and (SMOOTHED, self._smoothed) in named
-        for i, (key, own) in enumerate(self._groups):
+        if for_noise:  # the noise's drift is not known yet
+            slow = recorded.scans[0].place < _DRIFT_HERTZ
+            allowed &= [
+                k not in (TRANSIENT, "drift") and not (k == SINUSOID and slow) for k in kinds
+            ]
+        transient = np.array([k == TRANSIENT for k in kinds])
+        if (allowed & ~transient).any():
+            allowed &= ~transient
+        shapes_present = {(key.kind, key.shape) for key, _ in self._groups}
+        smoothed = not extra and (SMOOTHED, self._smoothed) in shapes_present
+        for i, (key, members) in enumerate(self._groups):
             kind = BY_NAME[key.kind]
             if kind.least:
-                allowed[i] &= bool(allowed[i]) and self._share(own, extra) > kind.least
-            if faulty or key.kind == SMOOTHED:
+                allowed[i] &= bool(allowed[i]) and self._share(members, extra) > kind.least
+            if smoothed or key.kind == SMOOTHED:
                 allowed[i] = (key.kind, key.shape) == (SMOOTHED, self._smoothed)
-            # what a term that was taken in leaves may look like a fault
+            # the remainder of an included term may look like a fault
             allowed[i] &= not (extra and kind.of_recording)
-        sure = bool(allowed.any())
-        best = int(np.argmax(np.where(allowed, worth, -np.inf) if sure else z))
+        significant = bool(allowed.any())
+        best = int(np.argmax(np.where(allowed, worth, -np.inf) if significant else z))
         p = float((1 + (largest >= z[best]).sum()) / (len(largest) + 1))
-        told = sure, float(z[best]), p, float(z.max()), limit, worth
+        statistics = significant, float(z[best]), p, float(z.max()), limit, worth
         if best < len(self._groups):
-            key, own = self._groups[best]
-            return Choice(key.kind, key.shape, own, *told)
-        scan = self._placed(mine.scans[best - len(self._groups)], extra)
-        own = self._with_scan(scan) if sure or not choosing else []
-        return Choice(scan.kind, self._shape(scan), own, *told, scan)
+            key, members = self._groups[best]
+            return Selection(key.kind, key.shape, members, *statistics)
+        scan = self._tuned_scan(recorded.scans[best - len(self._groups)], extra)
+        members = self._add_scan_columns(scan) if significant or not for_noise else []
+        return Selection(scan.kind, self._scan_shape(scan), members, *statistics, scan)
 
-    def _step(self, choice: Choice, extra: Sequence[int]) -> Step:
-        """Add to a choice what it moves, what looks like it, and the seconds of a push."""
-        # of what is one recording's alone, as a delay
+    def _step(self, choice: Selection, extra: Sequence[int]) -> Step:
+        """Complete a selection by the shifts of parameters, collinear kinds and its place."""
+        # effect in one recording alone, as a delay
         recording = {f"in {name}": name for name in self.scales.names}.get(choice.shape, "")
         span = None
-        if choice.kind == PUSH and choice.scan is not None:
-            place, width = choice.scan.place, 2.0 * self.scales.push
+        if choice.kind == TRANSIENT and choice.scan is not None:
+            place, width = choice.scan.place, 2.0 * self.scales.transient_width
             recording = self.observations[choice.scan.recording].name
             span = place - width, place + width
         return Step(
             **vars(choice),
             recording=recording,
             span=span,
-            alike=tuple(self._alike(choice, extra)) if choice.sure else (),
-            **self._moved(choice.own, extra),
+            collinear=tuple(self._collinear_kinds(choice, extra)) if choice.significant else (),
+            **self._fit_selected(choice.columns, extra),
         )
 
-    def _alike(self, choice: Choice, extra: Sequence[int]) -> Iterator[str]:
-        """Name other kinds that this motion does not tell from the one that was chosen.
-
-        None for a tone or a push.
-        """
-        if choice.kind in (TONE, PUSH):
+    def _collinear_kinds(self, choice: Selection, extra: Sequence[int]) -> Iterator[str]:
+        """List other kinds that explain as much or are collinear; none for disturbances."""
+        if choice.kind in (SINUSOID, TRANSIENT):
             return
         white = self.data.whitened
-        z = without(basis_of(white.beside(extra)), white.others)
-        mine = basis_of(z[:, choice.own])
+        z = project_out(basis_of(white.with_candidates(extra)), white.others)
+        basis = basis_of(z[:, choice.columns])
         ranked = list(zip(self._groups, choice.worth, strict=False))
         best = max((w for (key, _), w in ranked if key.kind == choice.kind), default=-math.inf)
-        if choice.scan is not None:  # the last scan is that of the delay
+        if choice.scan is not None:  # the last search is the delay's
             best = max(best, choice.worth[-1])
-        seen = {choice.kind}
+        yielded = {choice.kind}
         for (key, columns), gain in ranked:
-            if key.kind in seen or BY_NAME[key.kind].of_recording:
+            if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
-            theirs = basis_of(z[:, columns])
-            same = theirs.size > 0 and (
-                float(np.linalg.svd(mine.T @ theirs, compute_uv=False).min()) > ALIKE
+            other = basis_of(z[:, columns])
+            collinear = other.size > 0 and (
+                float(np.linalg.svd(basis.T @ other, compute_uv=False).min()) > COLLINEAR
             )
-            if gain > best - BETTER or (same and gain > 0.5 * best):
-                seen.add(key.kind)
+            if gain > best - BETTER or (collinear and gain > 0.5 * best):
+                yielded.add(key.kind)
                 yield key.kind
 
-    def _moved(self, own: list[int], extra: Sequence[int]) -> dict[str, Any]:
-        """Fit the best candidate: its own coefficients, and what it moves the model's by."""
+    def _fit_selected(self, members: list[int], extra: Sequence[int]) -> dict[str, Any]:
+        """Fit the selected candidate: share, coefficients, and shifts of the model's parameters."""
         white, d, split = self.data.whitened, self.values.size, self.values.size + len(extra)
-        size = np.ones(split + len(own))
+        size = np.ones(split + len(members))
         size[:d] = self._sizes
-        before, *_ = solved(white.beside(extra), white.left, size[:split])
-        both = white.beside([*extra, *own])
-        after, covariance, told = solved(both, white.left, size)
+        before, *_ = truncated_least_squares(
+            white.with_candidates(extra), white.residual, size[:split]
+        )
+        both = white.with_candidates([*extra, *members])
+        after, covariance, determined = truncated_least_squares(both, white.residual, size)
         return {
-            "share": self._share(own, extra),
+            "share": self._share(members, extra),
             "coefficients": after[split:],
-            "moves": self._moves(after[:d] - before[:d], covariance[:d, :d], told[:d]),
+            "moves": self._parameter_shifts(
+                after[:d] - before[:d], covariance[:d, :d], determined[:d]
+            ),
         }
 
-    def _share(self, own: list[int], extra: Sequence[int]) -> float:
-        """Give the root mean square of a candidate's torque over that of all torque."""
+    def _share(self, members: list[int], extra: Sequence[int]) -> float:
+        """Return the rms of a candidate's torque over that of all torque."""
         white, split = self.data.whitened, self.values.size + len(extra)
-        size = np.ones(split + len(own))
+        size = np.ones(split + len(members))
         size[: self.values.size] = self._sizes
-        coefficients = solved(white.beside([*extra, *own]), white.left, size)[0][split:]
-        torque = self.data.others[:, own] @ coefficients
+        coefficients = truncated_least_squares(
+            white.with_candidates([*extra, *members]), white.residual, size
+        )[0][split:]
+        torque = self.data.others[:, members] @ coefficients
         return float(np.sqrt(np.mean(torque**2))) / self.scales.torque
 
-    def _moves(self, shift: Array, covariance: Array, told: Array) -> dict[str, float]:
-        """Give what a shift ``(d,)`` of parameters is for everything that a fit reports.
+    def _parameter_shifts(
+        self, shift: Array, covariance: Array, determined: Array
+    ) -> dict[str, float]:
+        """Convert a shift ``(d,)`` to shifts of each reported quantity in its sd.
 
-        ``told`` ``(d, k)`` are directions that the recordings determine.
+        ``determined`` ``(d, k)`` are the identified directions.
         """
-        found, size = {}, self._sizes
+        shifts, size = {}, self._sizes
         for name, gradient in self._gradients.items():
             scaled = gradient * size
-            inside = told.T @ scaled
+            projected = determined.T @ scaled
             variance = float(gradient @ covariance @ gradient)
-            if inside @ inside > _TOLD * (scaled @ scaled):
-                found[name] = float(gradient @ shift) / math.sqrt(variance)
-        return found
+            if projected @ projected > _DETERMINED * (scaled @ scaled):
+                shifts[name] = float(gradient @ shift) / math.sqrt(variance)
+        return shifts
 
     @cached_property
     def _gradients(self) -> dict[str, Array]:
@@ -549,48 +532,52 @@ class Regression:
         chain, d = self.chain, self.values.size
         load = typical_load(chain, self.observations, self.values)
         steps = _STEP * self._sizes
-        moved = self.values + np.concatenate([np.diag(steps), -np.diag(steps)])
-        found = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
-        for one in derive(chain, moved, load):
-            found[one.name] = (one.values[:d] - one.values[d:]) / (2.0 * steps)
-        return {k: v for k, v in found.items() if k not in self.known and np.isfinite(v).all()}
+        shifted = self.values + np.concatenate([np.diag(steps), -np.diag(steps)])
+        gradients = {name: np.eye(d)[i] for i, name in enumerate(chain.names)}
+        for quantity in derive(chain, shifted, load):
+            gradients[quantity.name] = (quantity.values[:d] - quantity.values[d:]) / (2.0 * steps)
+        return {k: v for k, v in gradients.items() if k not in self.known and np.isfinite(v).all()}
 
-    def _placed(self, scan: Scan, extra: Sequence[int]) -> Scan:
-        """Tune the frequency of a tone; a push stays where it is."""
-        if scan.kind != TONE:
+    def _tuned_scan(self, scan: Scan, extra: Sequence[int]) -> Scan:
+        """Refine the frequency of a sinusoid."""
+        if scan.kind != SINUSOID:
             return scan
         d, white = self.data, self.data.whitened
-        basis = basis_of(white.beside(extra))
+        basis = basis_of(white.with_candidates(extra))
 
-        def left(x: Array) -> Array:
-            return without(basis, d.memory.whitened(x, d.layout))
+        def project(x: Array) -> Array:
+            return project_out(basis, d.autocorrelation.whitened(x, d.layout))
 
-        hertz = tuned(without(basis, white.left), d.layout, scan.place, left)
+        hertz = tune_frequency(project_out(basis, white.residual), d.layout, scan.place, project)
         return replace(scan, place=hertz)
 
-    def _shape(self, scan: Scan) -> str:
-        if scan.kind == TONE:
+    def _scan_shape(self, scan: Scan) -> str:
+        if scan.kind == SINUSOID:
             return f"{scan.place:.3g} Hz"
         if scan.kind in DELAYS:
             return next(key.shape for key in self.data.keys if key.delay == scan.place)
         return f"{self.observations[scan.recording].name} at {scan.place:.2f} s"
 
-    def _with_scan(self, scan: Scan) -> list[int]:
-        """Add the columns of what a scan has found to recording and twins, and number them."""
-        if scan.kind in DELAYS:  # which have them already
+    def _add_scan_columns(self, scan: Scan) -> list[int]:
+        """Append the columns of a search result to recording and replicates; return indices."""
+        if scan.kind in DELAYS:  # these columns exist already
             return [i for i, key in enumerate(self.data.keys) if key.delay == scan.place]
         first = self.data.others.shape[1]
 
-        def widened(d: Columns) -> Columns:
-            tone, width = scan.kind == TONE, self.scales.push
-            more = waves(d.layout, scan.place) if tone else bump(d.layout, scan, width)
-            keys = (Key(scan.kind, self._shape(scan), i) for i in range(more.shape[1]))
-            return replace(d, others=np.column_stack([d.others, more]), keys=(*d.keys, *keys))
+        def extended(d: Columns) -> Columns:
+            is_sinusoid, width = scan.kind == SINUSOID, self.scales.transient_width
+            new_columns = (
+                sinusoid_columns(d.layout, scan.place)
+                if is_sinusoid
+                else transient_columns(d.layout, scan, width)
+            )
+            keys = (Key(scan.kind, self._scan_shape(scan), i) for i in range(new_columns.shape[1]))
+            return replace(
+                d, others=np.column_stack([d.others, new_columns]), keys=(*d.keys, *keys)
+            )
 
-        self.data, self.twins = widened(self.data), [widened(twin) for twin in self.twins]
+        self.data, self.replicates = (
+            extended(self.data),
+            [extended(replicate) for replicate in self.replicates],
+        )
         return list(range(first, self.data.others.shape[1]))
-
-
-def _memory(d: Columns, extra: Sequence[int]) -> tuple[Memory, float]:
-    """Choose the memory of what is left beside ``extra``, candidates; and its criterion."""
-    return memory_of(d.rest(extra), d.layout)

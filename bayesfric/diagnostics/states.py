@@ -1,7 +1,6 @@
-"""States that a motion leaves behind: bristles, a load in its gap, an elastic transmission.
+"""Hidden states of a motion: bristle deflection, backlash, elastic transmission.
 
-What they add to the torque depends on the motion before, so that no function of position, speed and
-acceleration stands for it.
+Their torque depends on the past motion; no function of position, speed and acceleration gives it.
 """
 
 from __future__ import annotations
@@ -15,34 +14,16 @@ from scipy import fft
 
 from bayesfric.recordings.arrays import Array, Segments
 
-# Share of critical damping of an elastic transmission, and samples below which it has no spectrum.
+# Damping ratio of an elastic transmission, and least number of samples of a spectrum.
 _DAMPING, _FEW = 0.05, 20
 
 
 @njit(cache=True)
 def deflection(q, reach):  # type: ignore[no-untyped-def]
-    """Deflection of a bristle over its most, along a motion.
+    """Relative bristle deflection ``(N,)`` by Dahl's model, ``dz/dq = (1 - z sign(v)) / reach``.
 
-    Parameters
-    ----------
-    q
-        ``(N,)`` position, rad or m.
-    reach
-        Distance after which 1/e of the way to the largest deflection is left, rad or m.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)``, -1 to 1; 0 at the first sample.
-
-    Notes
-    -----
-    Dahl's model of presliding [1]_, ``dz/dq = (1 - z sign(v)) / reach``, exact between samples.
-
-    References
-    ----------
-    .. [1] P. R. Dahl, "A solid friction model", The Aerospace Corporation, TOR-0158(3107-18)-1
-       (1968).
+    Exact between samples. P. R. Dahl, "A solid friction model", The Aerospace Corporation,
+    TOR-0158(3107-18)-1 (1968).
     """
     z = np.zeros(q.size)
     for i in range(1, q.size):
@@ -54,59 +35,29 @@ def deflection(q, reach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def since_reversal(q, least):  # type: ignore[no-untyped-def]
-    """Distance since the last reversal that went further than a least distance.
-
-    Parameters
-    ----------
-    q
-        ``(N,)`` position, rad or m.
-    least
-        Reversals that go no further are passed over, as steps of the encoder; rad or m.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)`` rad or m.
-    """
+    """Distance ``(N,)`` since the last reversal larger than a least distance."""
     out = np.empty(q.size)
-    turn = far = q[0]
-    way = 0.0
+    reversal = extreme = q[0]
+    direction = 0.0
     for i in range(q.size):
         x = q[i]
-        if way == 0.0:
-            if abs(x - turn) > least:
-                way = 1.0 if x > turn else -1.0
-                far = x
-        elif (x - far) * way > 0.0:
-            far = x
-        elif (far - x) * way > least:
-            turn, way, far = far, -way, x
-        out[i] = abs(x - turn)
+        if direction == 0.0:
+            if abs(x - reversal) > least:
+                direction = 1.0 if x > reversal else -1.0
+                extreme = x
+        elif (x - extreme) * direction > 0.0:
+            extreme = x
+        elif (extreme - x) * direction > least:
+            reversal, direction, extreme = extreme, -direction, x
+        out[i] = abs(x - reversal)
     return out
 
 
 @njit(cache=True)
 def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
-    """Place of a load in its gap (backlash), along a motion.
+    """Relative position ``(N,)`` of a load in its gap (backlash).
 
-    It flies freely from where the acceleration that the motor must give it changes sign, until it
-    meets the other side, and stays there.
-
-    Parameters
-    ----------
-    need
-        ``(N,)`` acceleration that the motor must give the load, rad/s² or m/s².
-    period
-        From one sample to the next, s.
-    half
-        Half of the gap, rad or m.
-    segments
-        ``(k, 2)`` first sample of each and one past its last; there the state begins anew.
-
-    Returns
-    -------
-    ndarray
-        ``(N,)``, -1 to 1.
+    It flies freely from where its acceleration ``need`` changes sign until it meets the other side.
     """
     out = np.zeros(need.size)
     for a, b in segments:
@@ -126,36 +77,20 @@ def in_gap(need, period, half, segments):  # type: ignore[no-untyped-def]
 
 
 def resonating(x: Array, segments: Segments, period: float, hertz: Sequence[float]) -> Array:
-    """Give what elastic transmissions add to a load's torque, by their antiresonances.
+    """Return the torque ``(k, N)`` that elastic transmissions add at their antiresonances.
 
-    Parameters
-    ----------
-    x
-        ``(N,)`` torque of the load behind a stiff transmission, N m or N.
-    segments, period
-        Of the samples: parts without gaps, and s from one to the next.
-    hertz
-        ``k`` antiresonances: the load on its spring while the motor is held.
-
-    Returns
-    -------
-    ndarray
-        ``(k, N)``; zero in segments of 20 samples and fewer.
-
-    Notes
-    -----
-    ``1 / (1 - r^2 + 2 i D r) - 1`` of each frequency, r its ratio to the antiresonance, with D =
-    0.05 of critical damping.
+    ``1 / (1 - r^2 + 2 i D r) - 1`` of the load's torque, r the frequency over the antiresonance, D
+    = 0.05.
     """
     out = np.zeros((len(hertz), x.size))
     for a, b in segments:
         if b - a <= _FEW:
             continue
-        # without its trend a part joins its own beginning
+        # detrended, its ends join
         part = x[a:b]
         part = part - np.linspace(part[0], part[-1], part.size)
         size = fft.next_fast_len(2 * part.size, real=True)
         f = fft.rfftfreq(size, period) / np.asarray(hertz)[:, None]
-        more = 1.0 / (1.0 - f**2 + 2j * _DAMPING * f) - 1.0
-        out[:, a:b] = fft.irfft(more * fft.rfft(part, size), size)[:, : part.size]
+        response = 1.0 / (1.0 - f**2 + 2j * _DAMPING * f) - 1.0
+        out[:, a:b] = fft.irfft(response * fft.rfft(part, size), size)[:, : part.size]
     return out

@@ -1,7 +1,7 @@
-"""Statistics of candidates: joint t of each, and how unlikely it is among the twins'.
+"""Statistics of candidate effects: joint t of each, and its score among the replicates.
 
-Everything here is least squares of a residual on columns, after the model's own columns, its
-derivatives by its parameters, are taken out of both (Frisch and Waugh, Econometrica 1, 1933).
+Everything is least squares of a residual on columns after the model's own columns, the derivatives
+by its parameters, are projected out of both (Frisch and Waugh, Econometrica 1, 1933).
 """
 
 from __future__ import annotations
@@ -14,341 +14,259 @@ from functools import cached_property
 import numpy as np
 from scipy.special import betainc, ndtri_exp
 
-from bayesfric.diagnostics.memory import WHITE, Layout, Memory
+from bayesfric.diagnostics.autocorrelation import WHITE, Autocorrelation, Layout
+from bayesfric.diagnostics.disturbances import (
+    DELAY,
+    Scan,
+    sinusoidal_disturbance,
+    transient_disturbance,
+)
 from bayesfric.diagnostics.policy import TESTABLE
-from bayesfric.diagnostics.scans import DELAY, Scan, push, tone
 from bayesfric.recordings.arrays import Array
 
-# Eigenvalues of a Gram matrix, singular values squared, below these shares of the largest are
-# rounding, or an open direction.
+# Shares of the largest eigenvalue of a Gram matrix below which a direction is rounding, or
+# unidentified.
 _ROUNDING, OPEN = 1e-9, 1e-7
-# What twins show as a mean is half known: the recording may share it or not.
+# Share of the replicates' mean that counts as spread: the recording may have it or not.
 HALF = 0.5
-# Correlation from which two columns are one, and eigenvalue below which several are.
+# Correlation from which two columns are equal, and eigenvalue below which several are collinear.
 _SAME, _SINGULAR = 0.9999, 1e-4
 
 
 @dataclass(frozen=True)
 class Key:
-    """Which column of which candidate.
-
-    Attributes
-    ----------
-    kind, shape, number
-        The candidate, and which of its columns.
-    beside
-        Whether it is no candidate, and goes in with one: for shapes between those of a grid.
-    delay
-        s; its column, the first of two, then has the coefficient one. 0 for what is no far delay.
-    """
+    """Candidate that a column belongs to."""
 
     kind: str
     shape: str
     number: int
-    beside: bool = False
+    # Whether it is a nuisance column, which only represents shapes between those of a grid.
+    nuisance: bool = False
+    # Far delay, s, or 0: its first column has coefficient one, the second is the torque's rate.
     delay: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What passed the filters: of one recording or twin, or of several together.
+    """Filtered regression columns of one recording or replicate, or of several together."""
 
-    Attributes
-    ----------
-    base
-        ``(n, d)`` derivatives of the torque by the model's parameters.
-    others
-        ``(n, m)`` columns of the candidates.
-    left
-        ``(n,)`` what the model leaves of the torque, N m or N.
-    layout
-        Where outputs lie in time.
-    keys
-        ``m``, one for each column of ``others``.
-    memory
-        Autocorrelation of the noise.
-    """
-
-    base: Array
-    others: Array
-    left: Array
+    base: Array  # (n, d) derivatives of the torque by the model's parameters
+    others: Array  # (n, m) columns of the candidates
+    residual: Array  # (n,) torque less the model's, N m or N
     layout: Layout
     keys: tuple[Key, ...]
-    memory: Memory = WHITE
+    autocorrelation: Autocorrelation = WHITE  # of the noise
 
     @cached_property
     def whitened(self) -> Columns:
-        """The same with the noise's autocorrelation taken out."""
-        if self.memory is WHITE:
+        """The same with whitened noise."""
+        if self.autocorrelation is WHITE:
             return self
-        both = np.column_stack([self.base, self.others, self.left])
-        white, d = self.memory.whitened(both, self.layout), self.base.shape[1]
+        both = np.column_stack([self.base, self.others, self.residual])
+        white, d = self.autocorrelation.whitened(both, self.layout), self.base.shape[1]
         return replace(
-            self, base=white[:, :d], others=white[:, d:-1], left=white[:, -1], memory=WHITE
+            self,
+            base=white[:, :d],
+            others=white[:, d:-1],
+            residual=white[:, -1],
+            autocorrelation=WHITE,
         )
 
-    def beside(self, extra: Sequence[int]) -> Array:
-        """Put columns of candidates, by number, beside the model's own, ``(n, d + k)``."""
+    def with_candidates(self, extra: Sequence[int]) -> Array:
+        """Append columns of candidates, by number, to the model's own: ``(n, d + k)``."""
         return np.column_stack([self.base, self.others[:, extra]]) if len(extra) else self.base
 
-    def rest(self, extra: Sequence[int]) -> Array:
-        """Give what is left ``(n,)`` when columns of candidates, ``extra``, are fitted, too."""
-        return without(basis_of(self.beside(extra)), self.left)
+    def residual_with(self, extra: Sequence[int]) -> Array:
+        """Return the residual ``(n,)`` when columns ``extra`` are fitted, too."""
+        return project_out(basis_of(self.with_candidates(extra)), self.residual)
 
 
 def testable(d: Columns) -> list[tuple[Key, list[int]]]:
-    """Group columns to candidates; leave out what the model's own, or each other's, can do.
-
-    Returns
-    -------
-    list of tuple
-        A key of each candidate that this motion can show, and the numbers of its columns. A column
-        is left out where less than 1.5 % of its norm is outside what the model's own and those
-        before it span; a candidate of several, where the only one left is another candidate.
-    """
+    """Group columns by candidate; drop those collinear with the model's or each other."""
     groups: dict[tuple[str, str], list[int]] = {}
     for i, key in enumerate(d.keys):
-        if not (key.beside or key.delay):
+        if not (key.nuisance or key.delay):
             groups.setdefault((key.kind, key.shape), []).append(i)
     base = basis_of(d.base)
-    found: list[tuple[Key, list[int]]] = []
+    candidates: list[tuple[Key, list[int]]] = []
     singles: list[Array] = []
-    for own in groups.values():
-        kept, have = [], base
-        for i in own:
+    for members in groups.values():
+        independent, basis = [], base
+        for i in members:
             column = d.others[:, i]
-            rest = without(have, without(have, column))
-            if np.linalg.norm(rest) > TESTABLE * np.linalg.norm(column) > 0.0:
-                kept.append(i)
-                have = np.column_stack([have, rest / np.linalg.norm(rest)])
-        if not kept:
+            remainder = project_out(basis, project_out(basis, column))
+            if np.linalg.norm(remainder) > TESTABLE * np.linalg.norm(column) > 0.0:
+                independent.append(i)
+                basis = np.column_stack([basis, remainder / np.linalg.norm(remainder)])
+        if not independent:
             continue
-        if len(kept) == 1:
-            rest = without(base, d.others[:, kept[0]])
-            rest = rest / np.linalg.norm(rest)
-            # what is left of several may be another candidate
-            if len(own) > 1 and any(abs(rest @ x) > _SAME for x in singles):
+        if len(independent) == 1:
+            remainder = project_out(base, d.others[:, independent[0]])
+            remainder = remainder / np.linalg.norm(remainder)
+            # one column of several may equal another candidate
+            if len(members) > 1 and any(abs(remainder @ x) > _SAME for x in singles):
                 continue
-            singles.append(rest)
-        found.append((d.keys[kept[0]], kept))
-    return found
+            singles.append(remainder)
+        candidates.append((d.keys[independent[0]], independent))
+    return candidates
 
 
 # Least squares
 
 
 def basis_of(x: Array) -> Array:
-    """Orthonormal basis of what columns span.
-
-    Parameters
-    ----------
-    x
-        ``(n, d)``, of any sizes.
-
-    Returns
-    -------
-    ndarray
-        ``(n, k)``, k at most d; from the eigenvectors of the Gram matrix of the scaled columns.
-    """
+    """Return an orthonormal basis ``(n, k)`` of the span of columns ``(n, d)``."""
     size = np.sqrt((x**2).sum(axis=0))
     x = x[:, size > 0.0] / size[size > 0.0]
     if not x.size:
         return np.zeros((len(x), 0))
     power, vectors = np.linalg.eigh(x.T @ x)
-    kept = power > _ROUNDING * power.max()
-    return np.asarray(x @ (vectors[:, kept] / np.sqrt(power[kept])))
+    nonzero = power > _ROUNDING * power.max()
+    return np.asarray(x @ (vectors[:, nonzero] / np.sqrt(power[nonzero])))
 
 
-def without(basis: Array, x: Array) -> Array:
-    """Give what a basis ``(n, k)`` leaves of a column ``(n,)`` or of columns ``(n, m)``."""
+def project_out(basis: Array, x: Array) -> Array:
+    """Project an orthonormal basis ``(n, k)`` out of a column ``(n,)`` or columns ``(n, m)``."""
     return np.asarray(x - basis @ (basis.T @ x))
 
 
-def mean_square(x: Array, taken: int = 0) -> float:
-    """Give the variance of a residual ``(n,)`` of which ``taken`` parameters were fitted."""
-    return float(x @ x) / max(x.size - taken, 1)
+def mean_square(x: Array, parameters: int = 0) -> float:
+    """Return the variance of a residual ``(n,)`` after fitting a number of parameters."""
+    return float(x @ x) / max(x.size - parameters, 1)
 
 
-def solved(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
-    """Least squares, along the directions that the columns determine.
+def truncated_least_squares(x: Array, y: Array, size: Array) -> tuple[Array, Array, Array]:
+    """Solve ``x b = y`` along the directions that the columns ``(n, d)`` determine.
 
-    Parameters
-    ----------
-    x, y
-        ``(n, d)`` columns and ``(n,)`` what they explain.
-    size
-        ``(d,)`` what counts as a change of one, in each parameter's unit.
-
-    Returns
-    -------
-    estimate : ndarray
-        ``(d,)``; along the other directions nothing moves.
-    covariance : ndarray
-        ``(d, d)``, of the residual's variance.
-    directions : ndarray
-        ``(d, k)`` orthonormal, in units of ``size``: those that are determined.
+    Returns estimate ``(d,)``, covariance ``(d, d)`` and these directions ``(d, k)``; ``size``
+    ``(d,)`` scales the parameters.
     """
     rows = x * size
     unit = np.sqrt((rows**2).sum(axis=0))
     unit[unit == 0.0] = 1.0
     power, vectors = np.linalg.eigh((rows / unit).T @ (rows / unit))
-    kept = power > OPEN * power.max()
-    inverse = (vectors[:, kept] / power[kept]) @ vectors[:, kept].T / np.outer(unit, unit)
-    found = inverse @ (rows.T @ y)
-    variance = mean_square(y - rows @ found, int(kept.sum()))
-    told = np.linalg.qr(vectors[:, kept] * unit[:, None])[0]
-    return found * size, variance * inverse * np.outer(size, size), told
+    identified = power > OPEN * power.max()
+    inverse = (
+        (vectors[:, identified] / power[identified])
+        @ vectors[:, identified].T
+        / np.outer(unit, unit)
+    )
+    solution = inverse @ (rows.T @ y)
+    variance = mean_square(y - rows @ solution, int(identified.sum()))
+    directions = np.linalg.qr(vectors[:, identified] * unit[:, None])[0]
+    return solution * size, variance * inverse * np.outer(size, size), directions
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """Statistics of one recording or twin: of each candidate, and of the scans.
+class CandidateScores:
+    """Statistics of one recording or replicate."""
 
-    Attributes
-    ----------
-    t
-        Joint t ``(k,)`` of each group's k coefficients; NaN where nothing of it is left.
-    gains
-        ``(m,)`` what each takes of chi squared.
-    scans
-        The largest of each kind that is looked for at any place: tone, push, far delay.
-    """
-
-    t: list[Array]
-    gains: Array
+    t: list[Array]  # joint t ``(k,)`` of each candidate's k coefficients; NaN if not identified
+    gains: Array  # (m,) gain of each in chi squared
+    # largest sinusoidal and transient disturbance, and far delay
     scans: tuple[Scan, ...]
 
 
-def asked(
-    d: Columns,
-    groups: Sequence[tuple[Key, list[int]]],
-    extra: Sequence[int],
-    width: float,
-) -> Asked:
-    """Ask every candidate beside the model's own columns and those that were taken in.
+def score_candidates(
+    d: Columns, groups: Sequence[tuple[Key, list[int]]], extra: Sequence[int], width: float
+) -> CandidateScores:
+    """Test every candidate in addition to the model's own columns and those already included.
 
-    Parameters
-    ----------
-    groups
-        Candidates, see :func:`testable`.
-    extra
-        Numbers of columns that were taken in.
-    width
-        That of a push, s, see :func:`bayesfric.diagnostics.scans.push`.
-
-    Returns
-    -------
-    Asked
-
-    Notes
-    -----
-    Of whitened columns z and residual y, both beside the model's own, ``b = (z'z)^-1 z'y``; t is b
-    over its standard deviations, and the gain is ``b'z'y`` over the variance of what is left.
+    With whitened columns z and residual y, the model's own projected out, ``b = (z'z)^-1 z'y``; t
+    is b over its standard deviations, and the gain ``b'z'y`` over the variance of the residual.
     """
     white = d.whitened
-    basis = basis_of(white.beside(extra))
-    y = without(basis, white.left)
-    z = without(basis, white.others)
+    basis = basis_of(white.with_candidates(extra))
+    y = project_out(basis, white.residual)
+    z = project_out(basis, white.others)
     free, power = y.size - basis.shape[1], float(y @ y)
-    there = any(d.keys[i].delay for i in extra)  # one is enough
-    delay = _delayed(() if there else d.keys, z, y, free)
-    size, rest = (np.sqrt(np.einsum("ij,ij->j", x, x)) for x in (white.others, z))
-    told = rest > TESTABLE * size
-    unit = np.where(rest > 0.0, rest, 1.0)
+    has_delay = any(d.keys[i].delay for i in extra)
+    delay = _delayed(() if has_delay else d.keys, z, y, free)
+    size, remaining = (np.sqrt(np.einsum("ij,ij->j", x, x)) for x in (white.others, z))
+    identified = remaining > TESTABLE * size
+    unit = np.where(remaining > 0.0, remaining, 1.0)
     slopes = (z.T @ y) / unit
-    found, gains = [np.full(len(own), np.nan) for _, own in groups], np.zeros(len(groups))
+    t_values, gains = (
+        [np.full(len(members), np.nan) for _, members in groups],
+        np.zeros(len(groups)),
+    )
     columns = np.ascontiguousarray(z.T)
-    for k in {len(own) for _, own in groups}:  # all of a size at once
-        chosen = np.array([i for i, (_, own) in enumerate(groups) if len(own) == k])
-        own = np.array([groups[i][1] for i in chosen])
-        gram = np.ones((len(own), 1, 1))
+    for k in {len(members) for _, members in groups}:  # all of one size at once
+        same_size = np.array([i for i, (_, members) in enumerate(groups) if len(members) == k])
+        members = np.array([groups[i][1] for i in same_size])
+        gram = np.ones((len(members), 1, 1))
         if k > 1:
-            gram = columns[own] @ columns[own].mT
-            gram /= unit[own][:, :, None] * unit[own][:, None, :]
+            gram = columns[members] @ columns[members].mT
+            gram /= unit[members][:, :, None] * unit[members][:, None, :]
         least, axes = np.linalg.eigh(gram)
-        some = told[own].all(axis=1) & (least[:, 0] >= _SINGULAR)
-        inverse = (axes[some] / least[some][:, None]) @ axes[some].mT
-        slope = slopes[own[some]]
+        solvable = identified[members].all(axis=1) & (least[:, 0] >= _SINGULAR)
+        inverse = (axes[solvable] / least[solvable][:, None]) @ axes[solvable].mT
+        slope = slopes[members[solvable]]
         b = np.einsum("gij,gj->gi", inverse, slope)
-        taken = (b * slope).sum(axis=1)
-        variance = np.maximum(power - taken, 1e-12 * power) / max(free - k, 1)
+        explained = (b * slope).sum(axis=1)
+        variance = np.maximum(power - explained, 1e-12 * power) / max(free - k, 1)
         spread = variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)
-        gains[chosen[some]] = taken / variance
-        for i, t in zip(chosen[some], b / np.sqrt(spread), strict=True):
-            found[i] = t
-    return Asked(found, gains, (tone(y, d.layout), push(y, d.layout, width), delay))
+        gains[same_size[solvable]] = explained / variance
+        for i, t in zip(same_size[solvable], b / np.sqrt(spread), strict=True):
+            t_values[i] = t
+    return CandidateScores(
+        t_values,
+        gains,
+        (sinusoidal_disturbance(y, d.layout), transient_disturbance(y, d.layout, width), delay),
+    )
 
 
 def _delayed(keys: Sequence[Key], z: Array, y: Array, free: int) -> Scan:
-    """Find the far delay that leaves least: a coefficient of one, and how fast the torque changed.
+    """Find the far delay with the smallest residual.
 
-    As the first is no free coefficient, only that of the rate is fitted.
+    Its first column has coefficient one; only that of the torque's rate is fitted.
     """
     first = [i for i, key in enumerate(keys) if key.delay and key.number == 0]
     if not first:
         return Scan(DELAY, 0.0, 0.0)
     rate = z[:, np.add(first, 1)]
-    left = y[:, None] - z[:, first]
+    residual = y[:, None] - z[:, first]
     size = np.maximum(np.einsum("ij,ij->j", rate, rate), 1e-300)
-    left = left - rate * (np.einsum("ij,ij->j", rate, left) / size)
+    residual = residual - rate * (np.einsum("ij,ij->j", rate, residual) / size)
     power = float(y @ y)
-    rest = np.maximum(np.einsum("ij,ij->j", left, left), 1e-12 * power)
-    gains = (power - rest) / rest * (free - 2)
+    remaining = np.maximum(np.einsum("ij,ij->j", residual, residual), 1e-12 * power)
+    gains = (power - remaining) / remaining * (free - 2)
     best = int(np.argmax(gains))
     return Scan(keys[first[0]].kind, max(float(gains[best]), 0.0), keys[first[best]].delay)
 
 
-def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
-    """How unlikely each statistic is among the twins', as a standard normal; scans last.
+def standard_normal_scores(
+    recorded: CandidateScores, others: Sequence[CandidateScores]
+) -> tuple[Array, Array]:
+    """Score each statistic among the replicates' as a standard normal, disturbances last.
 
-    Parameters
-    ----------
-    mine
-        Statistics of the recordings.
-    others
-        Those of n twins.
-
-    Returns
-    -------
-    z : ndarray
-        ``(m,)`` of the recordings; 0 where a candidate could not be asked.
-    null : ndarray
-        ``(n, m)`` of the twins, each among the others.
-
-    Notes
-    -----
-    The squared distance of a candidate's t from the twins' mean, in their covariance, is
-    Hotelling's [1]_. Half of the mean counts as spread: the recording may share what filters and
-    encoder make of a right model or not. The largest of a scan is taken for Gumbel's, with the
-    twins' mean and sd.
-
-    References
-    ----------
-    .. [1] H. Hotelling, "The generalization of Student's ratio", Annals of Mathematical Statistics
-       2 (1931) 360-378.
+    The squared distance of a candidate's t from the replicates' mean, in their covariance, is
+    Hotelling's (Annals of Mathematical Statistics 2 (1931) 360-378). The maximum of a disturbance
+    search is assumed to be Gumbel distributed, with the replicates' mean and standard deviation.
+    Returns scores ``(m,)`` of the recording and ``(n, m)`` of the replicates.
     """
-    n, m = len(others), len(mine.t)
-    more = len(mine.scans)
-    z, null = np.zeros(m + more), np.zeros((n, m + more))
-    for i, x in enumerate(mine.t):
-        t = np.array([one.t[i] for one in others])
+    n, m = len(others), len(recorded.t)
+    n_scans = len(recorded.scans)
+    z, null = np.zeros(m + n_scans), np.zeros((n, m + n_scans))
+    for i, x in enumerate(recorded.t):
+        t = np.array([other.t[i] for other in others])
         if np.isnan(x).any() or np.isnan(t).any():
             continue
         mean, cov = t.mean(axis=0), np.atleast_2d(np.cov(t.T))
         wide = _shrunk(cov) + HALF**2 * np.outer(mean, mean)
-        far = float((x - mean) @ np.linalg.solve(wide, x - mean))
-        z[i] = float(_normal(np.array(far), x.size, n))
-        # of each twin, without itself in mean and covariance
-        apart = (t - mean) * n / (n - 1)
-        pairs = apart[:, :, None] * apart[:, None, :]
-        each = _shrunk(((n - 1) * cov - (n - 1) / n * pairs) / (n - 2))
-        h = np.einsum("ij,ijk,ik->i", apart, np.linalg.inv(each), apart)
+        distance = float((x - mean) @ np.linalg.solve(wide, x - mean))
+        z[i] = float(_normal(np.array(distance), x.size, n))
+        # each replicate is left out of mean and covariance
+        deviation = (t - mean) * n / (n - 1)
+        pairs = deviation[:, :, None] * deviation[:, None, :]
+        covariances = _shrunk(((n - 1) * cov - (n - 1) / n * pairs) / (n - 2))
+        h = np.einsum("ij,ijk,ik->i", deviation, np.linalg.inv(covariances), deviation)
         null[:, i] = _normal(h, x.size, n - 1)
-    for i, scan in enumerate(mine.scans):
-        peaks = np.array([one.scans[i].peak for one in others])
+    for i, scan in enumerate(recorded.scans):
+        peaks = np.array([other.scans[i].peak for other in others])
         mean = (peaks.sum() - peaks) / (n - 1)
         sd = np.array([np.delete(peaks, k).std(ddof=1) for k in range(n)])
-        # where twins show nothing at all, a unit of chi squared
+        # at least a unit of chi squared
         sd, all_sd = np.maximum(sd, 1.0), max(float(peaks.std(ddof=1)), 1.0)
         z[m + i] = _extreme(np.array((scan.peak - peaks.mean()) / all_sd))
         null[:, m + i] = _extreme((peaks - mean) / sd)
@@ -356,23 +274,20 @@ def scored(mine: Asked, others: Sequence[Asked]) -> tuple[Array, Array]:
 
 
 def _shrunk(covariance: Array) -> Array:
-    """Take a tenth off what covariances ``(..., k, k)`` have beside the diagonal."""
-    one = np.eye(covariance.shape[-1])
-    return np.asarray(covariance * (0.9 + 0.1 * one) + 1e-9 * one)
+    """Shrink the off-diagonal elements of covariances ``(..., k, k)`` by a tenth."""
+    identity = np.eye(covariance.shape[-1])
+    return np.asarray(covariance * (0.9 + 0.1 * identity) + 1e-9 * identity)
 
 
 def _normal(square: Array, k: int, n: int) -> Array:
-    """Give the standard normal as unlikely as a squared distance from ``n`` others in ``k``.
-
-    That is Hotelling's: their mean and covariance are estimates.
-    """
+    """Convert Hotelling's squared distance, k-dimensional, to a standard normal score."""
     f = square * n / (n + 1) / (n - 1)
     p = betainc(0.5 * (n - k), 0.5 * k, 1.0 / (1.0 + f))
     return np.asarray(-ndtri_exp(np.minimum(np.log(np.maximum(p, 1e-300) / 2.0), -1e-12)))
 
 
 def _extreme(u: Array) -> Array:
-    """Give the standard normal as unlikely as a standardised Gumbel's, the largest of many."""
+    """Convert a standardised Gumbel variable to a normal score."""
     g = u * math.pi / math.sqrt(6.0) + float(np.euler_gamma)
     small = np.maximum(-np.expm1(-np.exp(-np.minimum(g, 20.0))), 1e-12)
     logs = np.where(g > 20.0, -g, np.log(small))
@@ -380,9 +295,9 @@ def _extreme(u: Array) -> Array:
 
 
 def unit_scores(d: Columns, size: Array) -> tuple[Array, float]:
-    """Give scores of unit columns beside the model's own, of a whitened twin, and their sd."""
+    """Return scores of unit columns of a whitened replicate, and the residual's sd."""
     base = basis_of(d.base)
-    rest, left = without(base, d.others * size), without(base, d.left)
-    unit = np.linalg.norm(rest, axis=0)
-    scores = rest.T @ left / np.where(unit > 0.0, unit, np.inf)
-    return np.asarray(scores), math.sqrt(mean_square(left, base.shape[1]))
+    remainder, residual = project_out(base, d.others * size), project_out(base, d.residual)
+    unit = np.linalg.norm(remainder, axis=0)
+    scores = remainder.T @ residual / np.where(unit > 0.0, unit, np.inf)
+    return np.asarray(scores), math.sqrt(mean_square(residual, base.shape[1]))

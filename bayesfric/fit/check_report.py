@@ -1,4 +1,4 @@
-"""What is measured, its quality and its problems: all there is to say before a fit."""
+"""Report on recordings before a fit: what is measured, its quality and its problems."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from bayesfric.report.summary.summary import estimate_summary
 from bayesfric.report.terminal import aligned, shortened, wrapped
 from bayesfric.report.words import doubt_text, line_of
 
-# Recordings, and doubts, that are named one by one.
+# Largest number of recordings, and of doubts, that are listed.
 _MANY = 5
 
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What was read, and what looks wrong."""
+    """What was read, and its problems."""
 
-    found: Mapping[str, Any]
+    record: Mapping[str, Any]
 
     def as_json(self) -> dict[str, Any]:
-        """Give what ``bayesfric check --json`` prints."""
-        return dict(self.found)
+        """Return what ``bayesfric check --json`` prints."""
+        return dict(self.record)
 
     def text(self, *, verbose: bool = False) -> str:
-        """Say it for people; ``verbose`` with every step and prior."""
-        return "\n".join(_lines(self.found, verbose))
+        """Return the report as text; ``verbose`` with every step and prior."""
+        return "\n".join(_lines(self.record, verbose))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What looks wrong, a sentence each: of every recording, then of all together."""
-        rows = self.found["recordings"]
-        said = [f"{one['name']}: {text}" for one in rows for text in one["warnings"]]
-        return (*said, *map(doubt_text, self.found["doubts"]))
+        """Warnings of every recording, then of all together."""
+        rows = self.record["recordings"]
+        texts = [f"{row['name']}: {text}" for row in rows for text in row["warnings"]]
+        return (*texts, *map(doubt_text, self.record["doubts"]))
 
 
 def check(model: Problem | Path | str) -> CheckReport:
@@ -63,21 +63,21 @@ def check(model: Problem | Path | str) -> CheckReport:
         For anything that cannot be used.
     """
     model = model if isinstance(model, Problem) else Problem.from_config(model)
-    return CheckReport(_found(model))
+    return CheckReport(_record(model))
 
 
-def _found(model: Problem) -> dict[str, Any]:
+def _record(model: Problem) -> dict[str, Any]:
     explained, auto = model.explain(), model.config.tables.mechanism.auto
-    # what a fit begins to put in is no doubt; what is left then, it asks anew
-    taken = explained.put_in if auto else ()
+    # effects that a fit adds are no doubts; what remains is evaluated again then
+    included = explained.applicable if auto else ()
     (totals,) = model.estimates(["least-squares"])
-    findings = [one.as_dict() for one in explained.findings if one not in taken]
-    (point,) = model.estimates(["input-error"])
+    findings = [finding.as_dict() for finding in explained.findings if finding not in included]
+    (estimate,) = model.estimates(["input-error"])
     doubts = [
-        *against_prior(model.contradicted(dict(point.point))),
+        *against_prior(model.contradicted(dict(estimate.point))),
         *little_explained(model.chain, model.observations),
         *doubts_before(totals, model.observations),
-        *(one | {"kind": "missing", "what": one["kind"]} for one in findings),
+        *(finding | {"kind": "missing", "what": finding["kind"]} for finding in findings),
         *few_outputs(model.observations, len(model.chain.names)),
     ]
     if model.chain.unseen_inertia:
@@ -108,34 +108,34 @@ def _found(model: Problem) -> dict[str, Any]:
         "priors": {
             name: {"prior": prior.text, "default": prior.default}
             for name, prior in model.priors.items()
-            # whether the noise remembers, the residuals of an estimate will say
+            # the residuals of an estimate determine the autocorrelation
             if not (prior.default and name in unsettled)
         },
         "doubts": doubts,
-        "taken": [one.as_dict() for one in taken],
+        "taken": [finding.as_dict() for finding in included],
         "findings": findings,
         "least_squares": estimate_summary(totals),
     }
 
 
 def _parts(model: Problem) -> Iterator[tuple[Measurement, Observation, str | None]]:
-    """Everything read, with which part of a recording is held out where one is."""
+    """Yield everything read, with which part is held out."""
     for recording, observation in zip(model.recordings, model.observations, strict=True):
         yield recording, observation, None
-    for one in model.held_out:
-        yield one.recording, one.observation, one.part
+    for part in model.held_out:
+        yield part.recording, part.observation, part.part
 
 
 def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
-    recordings, most = found["recordings"], None if verbose else _MANY
-    for one in recordings[:most]:
-        told = one["settings"]
-        rate = f" at {told['sampling_rate']:.4g} Hz" if told.get("sampling_rate") else ""
-        band = f", compared up to {told['band']:.3g} Hz" if told.get("band") else ""
-        held = f", {one['held_out']} held out" if one["held_out"] else ""
-        yield shortened(f"{one['name']}: {one['duration']:.4g} s{rate}{band}{held}")
+    recordings, limit = found["recordings"], None if verbose else _MANY
+    for recording in recordings[:limit]:
+        settings = recording["settings"]
+        rate = f" at {settings['sampling_rate']:.4g} Hz" if settings.get("sampling_rate") else ""
+        band = f", compared up to {settings['band']:.3g} Hz" if settings.get("band") else ""
+        held = f", {recording['held_out']} held out" if recording["held_out"] else ""
+        yield shortened(f"{recording['name']}: {recording['duration']:.4g} s{rate}{band}{held}")
         if verbose:
-            yield from _steps(one)
+            yield from _steps(recording)
     if verbose:
         yield from ("", "Priors")
         for name, prior in found["priors"].items():
@@ -158,7 +158,7 @@ def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:
         yield f"{rms:.3g} {totals['residual_unit']} rms left"
     yield ""
     if verbose:
-        yield from (line_of("put in", one) for one in found["taken"])
+        yield from (line_of("put in", row) for row in found["taken"])
         yield from (f"WARNING: {doubt_text(doubt)}" for doubt in found["doubts"])
     else:
         yield from _doubts(found)
@@ -175,10 +175,10 @@ def _steps(recording: Mapping[str, Any]) -> Iterator[str]:
 
 def _doubts(found: Mapping[str, Any]) -> Iterator[str]:
     lines = [line_of(doubt["kind"], doubt) for doubt in found["doubts"]]
-    said = Counter(text.split(";")[0] for one in found["recordings"] for text in one["warnings"])
-    lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in said.items()]
-    for one in found["taken"]:
-        yield from wrapped(f"fit will put in: {line_of(one['kind'], one)}", indent=2)
+    counts = Counter(text.split(";")[0] for row in found["recordings"] for text in row["warnings"])
+    lines += [text if n == 1 else f"{text} ({n} recordings)" for text, n in counts.items()]
+    for row in found["taken"]:
+        yield from wrapped(f"fit will put in: {line_of(row['kind'], row)}", indent=2)
     for line in lines[:_MANY]:
         yield from wrapped(f"! {line}", indent=2)
     if len(lines) > _MANY:

@@ -1,4 +1,4 @@
-"""A finished posterior to go on with: of a sampled model, or of a run directory."""
+"""A finished posterior for further commands, of a sampled model or a run directory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint
@@ -25,80 +25,70 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Finished:
-    """What was fitted, and draws that allow for the model's error where recordings show any."""
+    """Model, summary and draws of a posterior, widened by the model discrepancy if there is any.
+
+    :class:`bayesfric.fit.result.Result` is what sampling returns and what writes a run; this is
+    what is left of it in a run directory, and what export, roll-out and plots need.
+    """
 
     model: Problem
     summary: Summary
-    names: tuple[str, ...]  # of what was sampled, noise scales last
-    draws: Array  # (n, len(names)), in SI units
+    names: tuple[str, ...]  # of the sampled parameters, noise scales last
+    draws: Array  # (n, len(names)) in SI units
     name: str  # of the run, for messages and captions
 
     @property
     def joint(self) -> Joint:
-        """The mechanism, with the offsets of its recordings."""
+        """The joint, with the offsets of its recordings."""
         return self.model.chain
 
     def picked(self, most: int) -> Array:
-        """At most so many draws, evenly spread, ``(n, len(names))``."""
+        """Return at most so many draws ``(n, len(names))``, evenly spaced."""
         if most >= len(self.draws):
             return self.draws
         return np.asarray(self.draws[np.linspace(0, len(self.draws) - 1, most).astype(int)])
 
     def values(self, draws: Array) -> Array:
-        """Parameters of the joint, fixed ones included: ``(n, d)`` to ``(n, n_parameters)``."""
-        found = np.empty((len(draws), len(self.joint.names)))
+        """Insert fixed parameters: ``(n, d)`` to ``(n, n_parameters)``."""
+        parameters = np.empty((len(draws), len(self.joint.names)))
         for k, name in enumerate(self.joint.names):
             if name in self.names:
-                found[:, k] = draws[:, self.names.index(name)]
+                parameters[:, k] = draws[:, self.names.index(name)]
             else:
-                found[:, k] = self.model.priors[name].value
-        return found
+                parameters[:, k] = self.model.priors[name].value
+        return parameters
 
 
 def finished(posterior: Any) -> Finished:
-    """Take a posterior from :meth:`bayesfric.Model.sample`, or the folder of a finished run.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds no run, or none of the recordings that it was fitted to.
-    """
+    """Load a posterior of :meth:`bayesfric.Model.sample`, or the folder of a finished run."""
     if not isinstance(posterior, str | Path):
         return _sampled(result_of(posterior))
     run = Path(posterior)
     summary, model, groups = _read(run)
     names = tuple(summary.parameters)
-    found = groups.get("widened") or groups["posterior"]
-    draws = np.stack([found[name].ravel() for name in names], axis=1)
+    group = groups.get("widened") or groups["posterior"]
+    draws = np.stack([group[name].ravel() for name in names], axis=1)
     return Finished(model, summary, names, draws.astype(np.float64), run.resolve().name)
 
 
 def fit_of(run: Path) -> tuple[Fit, Summary]:
-    """Put a finished run's fit together again, from its draws and recordings.
-
-    Its point estimates are in the summary only.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds no run, or none of the recordings that it was fitted to.
-    """
+    """Restore a finished run's fit from its draws and recordings, without point estimates."""
     summary, model, groups = _read(run)
-    told, rows = summary.sampler, summary.parameters
+    sampler, rows = summary.sampler, summary.parameters
     chains = np.stack([groups["posterior"][name] for name in rows], axis=-1).astype(np.float64)
-    ensembles = told.ensembles or 1
-    if len(chains) % ensembles:  # a light run's draws are one chain
+    ensembles = sampler.ensembles or 1
+    if len(chains) % ensembles:  # the draws of a light run are one chain
         ensembles = 1
     draws = chains.reshape(ensembles, -1, *chains.shape[1:])
-    middle = np.median(chains.reshape(-1, chains.shape[-1]), axis=0)
+    median = np.median(chains.reshape(-1, chains.shape[-1]), axis=0)
     fixed = {n: p.value for n, p in model.priors.items() if p.fixed}
-    point = fixed | dict(zip(rows, middle.tolist(), strict=True))
+    point = fixed | dict(zip(rows, median.tolist(), strict=True))
     noise = summary.noise
     target = model.target(
         {name: point[name] for name in model.chain.names},
-        Choice(noise.order or 0, (), tuple(noise.memory), noise.room),
+        NoiseChoice(noise.order or 0, (), tuple(noise.memory), noise.room),
     )
-    # a walker that never moved repeats where it was put
+    # a walker that never moved has no spread
     moved = np.ptp(draws, axis=2).any(axis=-1)
     posterior = Posterior(
         names=target.names,
@@ -106,33 +96,33 @@ def fit_of(run: Path) -> tuple[Fit, Summary]:
         draws=draws,
         log_density=groups["sample_stats"]["lp"].reshape(draws.shape[:-1]),
         diagnostics=Diagnostics(
-            status=cast(Status, told.status),
-            problems=tuple(told.problems),
+            status=cast(Status, sampler.status),
+            problems=tuple(sampler.problems),
             rhat=np.array([row.rhat or np.nan for row in rows.values()]),
             ess=np.array([row.ess or np.nan for row in rows.values()]),
-            tau=np.full(len(rows), told.tau or np.nan),
-            acceptance=moved * (told.acceptance or 1.0),
+            tau=np.full(len(rows), sampler.tau or np.nan),
+            acceptance=moved * (sampler.acceptance or 1.0),
             ensembles=ensembles,
             walkers=draws.shape[1],
-            warmup=told.warmup or 0,
-            steps=told.steps or draws.shape[2],
-            thin=told.thin or 1,
-            not_finite=told.not_finite or 0,
-            seconds=told.seconds or 0.0,
+            warmup=sampler.warmup or 0,
+            steps=sampler.steps or draws.shape[2],
+            thin=sampler.thin or 1,
+            not_finite=sampler.not_finite or 0,
+            seconds=sampler.seconds or 0.0,
         ),
-        seed=told.seed or 0,
+        seed=sampler.seed or 0,
     )
     held_out = predict_held_out(target, posterior, model.held_out) if model.held_out else ()
-    found = Fit(target, posterior, (), tuple(held_out))
+    fit = Fit(target, posterior, (), tuple(held_out))
     if "widened" in groups:
-        # made in the coordinates that were sampled in, which are others here
-        held = np.stack([groups["widened"][name].ravel() for name in rows], axis=1)
-        found = replace(found, told=held.astype(np.float64))
-    return found, summary
+        # they were made in the coordinates that were sampled, which differ here
+        widened = np.stack([groups["widened"][name].ravel() for name in rows], axis=1)
+        fit = replace(fit, widened_draws=widened.astype(np.float64))
+    return fit, summary
 
 
 def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
-    """Read summary, configuration with its recordings, and draws."""
+    """Read summary, model and draws."""
     summary = Summary.read(read_summary_file(run), str(run))
     model = Problem.from_config(run / "config.toml")
     path = run / "posterior.nc"
@@ -146,7 +136,7 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
                 groups["sample_stats"] = {"lp": read_array(file["sample_stats"]["lp"])}
     except BadInput:
         groups = {}
-    if not _whole(groups):
+    if not _complete(groups):
         raise BadInput(str(path), "holds no draws of the run's parameters", "fit the run again")
     free = [name for name in model.chain.names if not model.priors[name].fixed]
     if missing := [name for name in free if name not in summary.parameters]:
@@ -156,8 +146,8 @@ def _read(run: Path) -> tuple[Summary, Problem, dict[str, dict[str, Array]]]:
     return summary, model, groups
 
 
-def _whole(groups: dict[str, dict[str, Array]]) -> bool:
-    """Whether there are draws, numbers of one shape a group, ``(chains, draws)``."""
+def _complete(groups: dict[str, dict[str, Array]]) -> bool:
+    """Whether there are draws, finite and of one shape in each group."""
     return len(next((x.shape for x in groups.get("posterior", {}).values()), ())) == 2 and all(
         len({x.shape for x in group.values()}) == 1
         and all(x.size and x.dtype.kind == "f" and np.isfinite(x).all() for x in group.values())

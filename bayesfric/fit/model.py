@@ -1,4 +1,4 @@
-"""A joint and what was measured of it: every question that can be asked of the two."""
+"""A joint and its recordings: estimate, identify, sample."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class Model(Problem):
-    """A joint and its recordings, with what is believed beforehand.
+    """A joint and its recordings, with priors.
 
     Parameters
     ----------
@@ -49,8 +49,7 @@ class Model(Problem):
     recordings
         One or more.
     noise
-        The model of the torque residuals (``"auto"``, ``"white"``),
-        or a whole ``[noise]`` table.
+        The model of the torque residuals (``"auto"``, ``"white"``), or a ``[noise]`` table.
     priors
         By parameter: a number fixes, a pair is uniform; a frozen distribution of
         :mod:`scipy.stats`, or the text of a configuration.
@@ -65,17 +64,17 @@ class Model(Problem):
     Attributes
     ----------
     config
-        The configuration that says the same.
+        The equivalent configuration.
     chain
-        The mechanism, with the offsets of the recordings.
+        The joint, with the offsets of the recordings.
     recordings, observations
-        Those to be fitted, as read and as prepared, in the same order.
+        Those to be fitted, as read and as preprocessed, in the same order.
     encoder
-        The same as ``observations`` with the motion that their encoders tell.
+        ``observations`` with the motion of the encoder alone.
     priors
         Of every parameter and noise scale.
     held_out
-        What is to be predicted and not fitted.
+        Recordings to be predicted and not fitted.
 
     Raises
     ------
@@ -94,7 +93,7 @@ class Model(Problem):
         **tables: Any,
     ) -> None:
         recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
-        if wrong := [one for one in recordings if not isinstance(one, Recording)]:
+        if wrong := [recording for recording in recordings if not isinstance(recording, Recording)]:
             raise BadInput("Model: recordings", f"got {wrong[0]!r}", "give objects of Recording")
         document = {
             "mechanism": mechanism_table(joint),
@@ -107,10 +106,10 @@ class Model(Problem):
         self._read(config_of(document), recordings, joint.terms)
 
     def estimate(self, *methods: Method) -> pd.DataFrame:
-        """Tabulate what :meth:`estimates` finds, a row for each method and number.
+        """Tabulate point estimates, a row for each method and parameter; by default all methods.
 
-        Without names it is all methods. Columns are those of ``estimates`` in ``summary.json``;
-        what these recordings do not determine has no value, but a ``span`` that fits as well.
+        Columns are those of ``estimates`` in ``summary.json``; an unidentified parameter has no
+        value, but a ``span`` that fits as well.
 
         Raises
         ------
@@ -120,9 +119,9 @@ class Model(Problem):
         import pandas as pd
 
         rows = {
-            (one.method, name): row
-            for one in self.estimates(methods or METHODS)
-            for name, row in estimate_summary(one)["parameters"].items()
+            (estimate.method, name): row
+            for estimate in self.estimates(methods or METHODS)
+            for name, row in estimate_summary(estimate)["parameters"].items()
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
@@ -132,13 +131,11 @@ class Model(Problem):
         return frame.droplevel("method") if len(methods) == 1 else frame
 
     def identify(self) -> pd.DataFrame:
-        """Tabulate what :meth:`identification` finds, a row for each parameter."""
+        """Tabulate :meth:`identification`, a row for each parameter."""
         return self.identification().frame
 
     def identification(self, *, progress: ProgressCallback = no_progress) -> Identification:
-        """Tell what these recordings can and cannot determine, before anything is sampled.
-
-        The likelihood is looked at where an estimate is.
+        """Find what these recordings can and cannot determine, by the likelihood at an estimate.
 
         Raises
         ------
@@ -151,14 +148,14 @@ class Model(Problem):
             return identify(target, point, speed=speed)
 
     def advise(self, name: str, *, progress: ProgressCallback = no_progress) -> Ranking:
-        """Rank recordings to make next by what they would leave of one quantity.
+        """Rank next recordings by the standard deviation they would leave of one quantity.
 
         Parameters
         ----------
         name
             A free parameter or a derived quantity.
         progress
-            Called as work goes on.
+            Progress callback.
 
         Returns
         -------
@@ -183,14 +180,12 @@ class Model(Problem):
             )
 
     def _at_estimate(self, progress: ProgressCallback) -> tuple[Target, Array]:
-        """Look at the likelihood at an estimate by the method that it belongs to.
+        """Make the target at an estimate by the likelihood's own method.
 
-        Load losses are held by their priors there. Where the load never drives the motor,
-        nothing but noise says what is lost when it does, and an estimate by the data alone ends
-        in a corner: a gearbox that cannot be driven back at all. What the data do tell outweighs
-        these priors by far.
+        Load-dependent friction has its priors there: if the load never drives the motor, an
+        estimate by the data alone ends at a gearbox that cannot be back-driven.
         """
-        method, given = self.config.tables.likelihood.method, self.evidence
+        method, evidence = self.config.tables.likelihood.method, self.evidence
         losses = {
             p.name: (prior.mean(), prior.sd())
             for p in self.chain.parameters
@@ -198,15 +193,15 @@ class Model(Problem):
             and not (prior := self.priors[p.name]).fixed
         }
         finite = {name: pair for name, pair in losses.items() if np.isfinite(pair).all()}
-        knowledge = replace(given.knowledge, priors={**finite, **given.knowledge.priors})
-        given = replace(given, knowledge=knowledge)
+        knowledge = replace(evidence.knowledge, priors={**finite, **evidence.knowledge.priors})
+        evidence = replace(evidence, knowledge=knowledge)
         with self.config.named():
-            found = estimate_by([method], given, progress=by_method(progress))[method]
+            estimate = estimate_by([method], evidence, progress=by_method(progress))[method]
         progress(Progress("identifiability"))
-        place = dict(found.point)
-        target = self.target(place)
+        point = dict(estimate.point)
+        target = self.target(point)
         with self.config.named(), few_threads(self.observations):
-            return target, estimate_point(target, place)
+            return target, estimate_point(target, point)
 
     @cached_property
     def _start(self) -> StartingPoint:
@@ -218,7 +213,7 @@ class Model(Problem):
         return self._start.target.names
 
     def log_density(self, theta: Any) -> Any:
-        """Log of the posterior density, not normalised, for any other sampler.
+        """Log posterior density, not normalised, for other samplers.
 
         Parameters
         ----------
@@ -229,7 +224,7 @@ class Model(Problem):
         Returns
         -------
         float or ndarray
-            One number for each vector; ``-inf`` where it is impossible.
+            Of each vector; ``-inf`` if it is impossible.
         """
         target = self._start.target
         if isinstance(theta, Mapping):
@@ -244,8 +239,8 @@ class Model(Problem):
         density = target.log_prior(rows)
         density[np.isnan(density)] = -np.inf
         if (possible := density > -np.inf).any():
-            likely = target.log_likelihood(rows[possible])
-            density[possible] += np.where(np.isfinite(likely), likely, -np.inf)
+            likelihood = target.log_likelihood(rows[possible])
+            density[possible] += np.where(np.isfinite(likelihood), likelihood, -np.inf)
         return density if values.ndim == 2 else float(density[0])
 
     def fit(
@@ -255,16 +250,16 @@ class Model(Problem):
         output_error: bool = False,
         progress: ProgressCallback = no_progress,
     ) -> Result:
-        """Sample the posterior, and sum it up.
+        """Sample the posterior, and summarise it.
 
         Parameters
         ----------
         seed
             Replaces the configuration's.
         output_error
-            Make the output-error estimate too, as ``estimation.output_error`` asks for it.
+            Make the output-error estimate, too, as by ``estimation.output_error``.
         progress
-            Called as work goes on.
+            Progress callback.
 
         Raises
         ------
@@ -274,15 +269,10 @@ class Model(Problem):
         sampling = self.config.tables.sampling
         if seed is not None:
             sampling = sampling.model_copy(update={"seed": seed})
-        return fit(
-            self,
-            sampling,
-            output_error=output_error,
-            progress=progress,
-        )
+        return fit(self, sampling, output_error=output_error, progress=progress)
 
     def pool(self, *, seed: int | None = None, progress: ProgressCallback = no_progress) -> Pooled:
-        """Say what recordings of which some parameters differ tell together.
+        """Fit recordings together of which some parameters differ.
 
         ``vary``, or the table ``pooling``, names these parameters; ``seed`` replaces that of the
         table ``sampling``.
@@ -310,20 +300,20 @@ class Model(Problem):
         seed
             Replaces that of the table ``sampling``.
         output_error
-            Make the output-error estimate too.
+            Make the output-error estimate, too.
         progress
-            Whether to show a bar, or what to call as work goes on.
+            Whether to show a bar, or a progress callback.
 
         Returns
         -------
         xarray.DataTree
             What ``posterior.nc`` holds, in ArviZ's groups; :func:`bayesfric.summary`,
-            :mod:`bayesfric.plot` and :func:`bayesfric.report` take it. Its draws take the model for
-            right. Where the recordings show that it is not, the group ``widened`` holds draws with
-            room for that: those to go on with, whose intervals pages and tables print.
+            :mod:`bayesfric.plot` and :func:`bayesfric.report` take it. Its draws assume the model.
+            If the recordings contradict it, the group ``widened`` holds draws that include the
+            model discrepancy: use these, whose intervals pages and tables print.
         """
-        with progress_shown(progress) as tell:
-            return self.fit(seed=seed, output_error=output_error, progress=tell).tree()
+        with progress_shown(progress) as progress_callback:
+            return self.fit(seed=seed, output_error=output_error, progress=progress_callback).tree()
 
     def __repr__(self) -> str:
         lines = [f"{o.name}: {len(o.time)} outputs" for o in self.observations]

@@ -1,4 +1,4 @@
-"""Several recordings of one joint of which some parameters differ: one posterior of all."""
+"""One posterior of several recordings of a joint of which some parameters differ."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from bayesfric.problem.problem import Problem, starting_point
 from bayesfric.results.reported import Outcome, verdict
 
 LEVEL = 0.9
-# Runs that a joint posterior has room for.
-_MOST = 12
+# Largest number of recordings of a joint posterior.
+_MAX_RECORDINGS = 12
 
 
 @dataclass(frozen=True)
 class PooledParameter:
-    """One that differs from recording to recording."""
+    """A parameter that differs between recordings."""
 
     name: str
     unit: str
@@ -37,7 +37,7 @@ class PooledParameter:
 
 @dataclass(frozen=True)
 class SharedParameter:
-    """One that all recordings have, by the joint posterior."""
+    """A parameter that all recordings share."""
 
     name: str
     unit: str
@@ -47,7 +47,7 @@ class SharedParameter:
 
 @dataclass(frozen=True)
 class Pooled:
-    """What recordings say together; intervals hold ``level``."""
+    """Result of all recordings together; intervals hold ``level``."""
 
     recordings: tuple[str, ...]
     varying: tuple[PooledParameter, ...]
@@ -55,75 +55,73 @@ class Pooled:
     level: float
     status: Status
     outcome: Outcome
-    findings: tuple[Finding, ...]  # what else explains each recording's torque
+    findings: tuple[Finding, ...]  # of each recording
     problems: tuple[str, ...]
     warnings: tuple[str, ...]  # of :func:`bayesfric.check`
-    seconds: float  # of all that was sampled, by the clock
+    seconds: float
     cpu_seconds: float
 
     def as_json(self) -> dict[str, Any]:
-        """Give strings, numbers, lists and dicts."""
+        """Return JSON data."""
         return asdict(self)
 
 
 def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Pooled:
-    """Fit every recording alone, then all together, as a model's configuration says.
+    """Fit every recording separately, then all together.
 
-    ``seed`` replaces the configuration's.
-
-    BadInput for fewer than two recordings, too many for one posterior, names that the joint does
-    not have or that are known, and an output-error likelihood.
+    ``seed`` replaces the configuration's. BadInput for fewer than two recordings or too many,
+    unknown or fixed parameters, and an output-error likelihood.
     """
-    spent = Timer()
+    timer = Timer()
     tables = problem.config.tables
     settings, vary = tables.sampling, list(tables.pooling.vary)
     if seed is not None:
         settings = settings.model_copy(update={"seed": seed})
     _check(problem, vary)
     choice = starting_point(problem, progress=progress).choice
-    noise, priors = problem.remembering(choice)
-    targets, alone, rooms = [], [], []
+    noise, priors = problem.with_noise(choice)
+    targets, posteriors, discrepancies = [], [], []
     explained: list[Explanation] = []
     for k, observation in enumerate(problem.observations):
         progress(Progress(f"recording {observation.name}"))
         target = make_target(problem.chain, [observation], priors, "shared", noise)
         with problem.config.named():
-            found = fit(target, settings.model_copy(update={"seed": settings.seed + k}))
-        if found.posterior.diagnostics.status == "unusable":
+            single = fit(target, settings.model_copy(update={"seed": settings.seed + k}))
+        if single.posterior.diagnostics.status == "unusable":
             raise BadInput(
                 f"recording {observation.name!r}",
                 "its own posterior cannot be sampled",
                 "fit it alone first, 'bayesfric fit' says why",
             )
-        targets.append(found.target)
-        alone.append(found.posterior)
+        targets.append(single.target)
+        posteriors.append(single.posterior)
         explained.append(problem.alone(k).explain(progress=progress))
-        rooms.append(discrepancy(found.target, found.posterior, explained[-1].missing))
+        discrepancies.append(discrepancy(single.target, single.posterior, explained[-1].missing))
     names = [o.name for o in problem.observations]
     progress(Progress("all recordings together"))
-    together = JointTarget(targets, names, vary, alone, settings.seed)
-    posterior = sample(together, together.start, settings)  # type: ignore[arg-type]
+    joint = JointTarget(targets, names, vary, posteriors, settings.seed)
+    posterior = sample(joint, joint.start, settings)  # type: ignore[arg-type]
     units = {p.name: p.unit for p in problem.chain.parameters}
-    flat = together.widened(posterior, rooms)
-    jointly = varying_parts(posterior, flat, names, vary, LEVEL)
+    draws = joint.widened(posterior, discrepancies)
+    jointly = varying_parts(posterior, draws, names, vary, LEVEL)
     findings = tuple(
-        replace(one, recording=name)
-        for name, asked, own in zip(names, explained, rooms, strict=True)
-        for one in asked.noted(widened=own.shown)
+        replace(finding, recording=name)
+        for name, explanation, errors in zip(names, explained, discrepancies, strict=True)
+        for finding in explanation.with_severity(widened=errors.is_plausible)
     )
-    doubts = [one for one in findings if one.severity == "doubt"]
-    moved = {
-        name: tuple(dict.fromkeys(one.kind for one in doubts if name in one.moves))
+    doubts = [finding for finding in findings if finding.severity == "doubt"]
+    moved_by = {
+        name: tuple(dict.fromkeys(finding.kind for finding in doubts if name in finding.moves))
         for name in units
     }
     status = posterior.diagnostics.status
     return Pooled(
         recordings=tuple(names),
         varying=tuple(
-            PooledParameter(name, units[name], jointly[name], moved[name]) for name in vary
+            PooledParameter(name, units[name], jointly[name], moved_by[name]) for name in vary
         ),
         shared=tuple(
-            SharedParameter(name, units[name], interval(flat[:, j], LEVEL), moved[name])
+            SharedParameter(name, units[name], interval(draws[:, j], LEVEL), moved_by[name])
             for j, name in enumerate(posterior.names)
             if name in units
         ),
@@ -132,16 +130,16 @@ def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Po
         outcome=verdict(
             converged=status == "reliable",
             doubts=len(doubts),
-            doubtful=sum(map(bool, moved.values())),
-            asked=None if any(one.reason for one in explained) else len(explained[0].kinds),
+            doubtful=sum(map(bool, moved_by.values())),
+            asked=None if any(e.reason for e in explained) else len(explained[0].kinds),
             explained=None,
-            lacking=bool(findings) and any(one.shown for one in rooms),
+            lacking=bool(findings) and any(errors.is_plausible for errors in discrepancies),
         ).outcome,
         findings=findings,
         problems=posterior.diagnostics.problems,
         warnings=check(problem).warnings,
-        seconds=spent.seconds,
-        cpu_seconds=spent.cpu_seconds,
+        seconds=timer.seconds,
+        cpu_seconds=timer.cpu_seconds,
     )
 
 
@@ -168,10 +166,10 @@ def _check(problem: Problem, vary: Sequence[str]) -> None:
         raise BadInput("likelihood.method", what, 'take "input-error"')
     count = len(problem.observations)
     if count < 2:
-        raise BadInput("recordings", "one alone is no population", "add another")
-    if count > _MOST:
+        raise BadInput("recordings", "one recording is not a population", "add another")
+    if count > _MAX_RECORDINGS:
         raise BadInput(
             "recordings",
-            f"{count} are too many for one posterior, {_MOST} at most",
+            f"{count} are too many for one posterior, {_MAX_RECORDINGS} at most",
             "fit each alone, and 'bayesfric compare' the runs",
         )

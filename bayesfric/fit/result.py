@@ -1,4 +1,4 @@
-"""What sampling a model gives: the posterior, the numbers that sum it up, a run directory."""
+"""Result of sampling a model, and its run directory."""
 
 from __future__ import annotations
 
@@ -21,29 +21,32 @@ from bayesfric.report.terminal import PrintedSummary
 if TYPE_CHECKING:
     import xarray as xr
 
-# Attribute by which the tree that Model.sample returns refers to its Result. Copies, which may be
-# changed, and trees that are read from a file have none.
+# Attribute by which the tree that Model.sample returns refers to its Result; copies and trees read
+# from a file have none.
 _RESULT = "_bayesfric_result"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """A sampled model."""
+    """A sampled model with its summary.
+
+    :class:`bayesfric.inference.fitting.Fit` says how it differs from ``Fit`` and ``Finished``.
+    """
 
     model: Problem
-    fit: Fit  # draws and diagnostics, point estimates, predictions of what was held out
-    summary: Summary  # what summary.json holds, but for the place of recordings
+    fit: Fit  # draws, point estimates and predictions
+    summary: Summary  # of ``summary.json``, without the place of recordings
 
     def __repr__(self) -> str:
         return str(self.summary)
 
     @property
     def recordings(self) -> list[Measurement]:
-        """All that was read, also what was held out."""
+        """All recordings, also held-out ones."""
         return [*self.model.recordings, *(one.recording for one in self.model.held_out)]
 
     def tree(self) -> xr.DataTree:
-        """Give what ``posterior.nc`` holds."""
+        """Return the contents of ``posterior.nc``."""
         from bayesfric.report.posterior_file import posterior_tree  # imports xarray and pandas
 
         text = self.model.config.text
@@ -59,37 +62,37 @@ class Result:
         paper: bool = False,
         progress: ProgressCallback = no_progress,
     ) -> Summary:
-        """Write a run directory, and give what its ``summary.json`` holds.
+        """Write a run directory, and return what its ``summary.json`` holds.
 
-        Nothing is left behind where the folder cannot be written to. With a number of ``draws`` it
-        is a light one, see :func:`~bayesfric.report.run_directory.write_run`; ``paper`` adds
-        LaTeX, and figures as PDF and PNG.
+        Nothing is left behind if the folder cannot be written. ``draws`` makes it a light one, see
+        :func:`~bayesfric.report.run_directory.write_run`; ``paper`` adds LaTeX, and figures as PDF
+        and PNG.
         """
         from bayesfric.report.run_directory import write_run  # brings Matplotlib with it
 
-        config, measured = self.model.config, self.recordings
-        # what was given as a table in memory is saved in the run, where its configuration has it
+        config, recordings = self.model.config, self.recordings
+        # tables in memory are saved in the run
         files = {
             recording.source.name or f"recording-{n}": (saved_name(n), recording)
             for n, recording in enumerate(self.model.given, start=1)
             if recording.table is not None
         }
         with TemporaryDirectory() as name:
-            for k, one in enumerate(measured):
-                if one.name in files:
-                    file, recording = files[one.name]
-                    made = Path(name, file)
-                    made.parent.mkdir(exist_ok=True)
-                    recording.saved(made)
-                    measured[k] = replace(one, path=folder / file, sha256=sha256(made))
-            origin = config.origin_of(measured, folder if self.model.given else config.folder)
+            for k, measured in enumerate(recordings):
+                if measured.name in files:
+                    file, recording = files[measured.name]
+                    saved = Path(name, file)
+                    saved.parent.mkdir(exist_ok=True)
+                    recording.saved(saved)
+                    recordings[k] = replace(measured, path=folder / file, sha256=sha256(saved))
+            origin = config.origin_of(recordings, folder if self.model.given else config.folder)
             summary = self.summary.model_copy(update={"source": origin.model_dump(mode="json")})
             write_run(
                 folder,
                 self.fit,
                 summary,
                 config.text,
-                measured,
+                recordings,
                 Path(name),
                 draws,
                 paper=paper,
@@ -99,13 +102,13 @@ class Result:
 
 
 def result_of(posterior: Any) -> Result:
-    """Give what a posterior was made from, one that :meth:`bayesfric.Model.sample` returned."""
+    """Return the result of a posterior that :meth:`bayesfric.Model.sample` returned."""
     if isinstance(posterior, Result):
         return posterior
     result = getattr(posterior, _RESULT, None)
     if not isinstance(result, Result):
         raise BadInput(
-            "posterior", "is not what Model.sample returned", "give that, and no copy or part of it"
+            "posterior", "is not what Model.sample returned", "give that, not a copy or part of it"
         )
     return result
 

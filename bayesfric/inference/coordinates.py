@@ -1,8 +1,8 @@
 """Coordinates in which the posterior is searched and sampled.
 
-Priors are stated and results reported in physical parameters. The search for the mode and the
-sampler work in coordinates in which the posterior is closer to a normal; a target adds the
-logarithm of the Jacobian determinant.
+Priors are given and results reported in physical parameters. The search for the mode and the
+sampler work in coordinates in which the posterior is closer to a normal; a target adds the log
+Jacobian determinant.
 """
 
 from __future__ import annotations
@@ -17,40 +17,37 @@ from scipy.special import ndtr, ndtri
 
 Array = NDArray[np.float64]
 
-# Between two bounds, a posterior wider than this share of their distance is cut by both.
+# Width of the posterior, over the distance of two bounds, from which both truncate it.
 _WIDE = 0.1
 
 
 class Coordinates(ABC):
     """A one-to-one map between coordinates ``u`` and the ``d`` free parameters.
 
-    There may be a second set, in which the torque is linear; the sampler moves walkers in both.
+    There may be a second set in which the torque is linear; the sampler moves walkers in both.
     """
 
     @property
     def is_nonlinear(self) -> bool:
-        """Whether the torque is not linear here, but in the second set."""
+        """Whether the torque is nonlinear in ``u`` and linear in the second set."""
         return False
 
     @property
     @abstractmethod
     def represents(self) -> NDArray[np.intp]:
-        """Index ``(d,)`` of the free parameter whose torque each linear coordinate sums up."""
+        """Index ``(d,)`` of the free parameter whose torque each linear coordinate represents."""
 
     def to_linear(self, u: Array) -> tuple[Array, Array]:
-        """Map ``(n, d)`` to linear coordinates ``(n, d)``, with ``log|dv/du|`` ``(n,)``."""
+        """Map ``(n, d)`` to linear coordinates, with ``log|dv/du|`` ``(n,)``."""
         return u, np.zeros(len(u))
 
     def from_linear(self, v: Array) -> Array:
-        """Map linear coordinates ``(n, d)`` back; rows without a counterpart are not finite."""
+        """Map linear coordinates ``(n, d)`` back; impossible rows are not finite."""
         return v
 
     @abstractmethod
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        """Map ``(n, d)`` to parameters ``(n, d)`` and ``log|d parameters / d u|`` ``(n,)``.
-
-        The latter is ``-inf`` where a row has no counterpart.
-        """
+        """Map ``(n, d)`` to parameters and the log Jacobian ``(n,)``, ``-inf`` if impossible."""
 
     @abstractmethod
     def from_parameters(self, parameters: Array) -> Array:
@@ -58,22 +55,12 @@ class Coordinates(ABC):
 
 
 class BoundedCoordinates(Coordinates):
-    """Each parameter alone.
+    """Each parameter separately, with bounds and posterior widths ``(d,)``, if known.
 
-    Parameters
-    ----------
-    lower, upper
-        ``(d,)`` bounds, infinite where there are none.
-    widths
-        ``(d,)`` approximate standard deviations of the posterior, if known.
-
-    Notes
-    -----
-    Without widths, for the search, a parameter with one bound is represented by the logarithm of
-    its distance from it. With widths, for the sampler, it represents itself: the torque is linear
-    in it, and the bound cuts the posterior. A parameter between two bounds is represented by the
-    normal quantile of its place between them; with widths only if they are less than ten widths
-    apart.
+    Without widths, for the search, a parameter with one bound is the logarithm of its distance from
+    it, one with two bounds the normal quantile of its relative position. With widths, for the
+    sampler, a parameter represents itself, as the torque is linear in it and the bound truncates
+    the posterior; only bounds closer than ten widths are mapped by the quantile.
     """
 
     def __init__(
@@ -93,21 +80,21 @@ class BoundedCoordinates(Coordinates):
         self._high = np.where(high, self.upper, 0.0)
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
+        # exp saturates; the density there is zero
         """See :class:`Coordinates`."""
-        # exp saturates far out; the density there is zero anyway
         distance = np.exp(np.clip(u, -700.0, 700.0))
         x = np.where(self._above, self._low + distance, u)
         x = np.where(self._below, self._high - distance, x)
         x = np.where(self._between, self._low + self._span * ndtr(u), x)
         slope = np.where(self._above | self._below, u, 0.0)
         slope = np.where(self._between, np.log(self._span) + log_normal(u), slope)
-        # rounding may put a parameter on its bound, where a noise model may end
+        # rounding may place a parameter on its bound, where a noise model may be undefined
         outside = (x <= self.lower) | (x >= self.upper)
         return x, np.where(outside.any(axis=1), -np.inf, slope.sum(axis=1))
 
     def from_parameters(self, parameters: Array) -> Array:
+        # all branches are evaluated for all parameters, and fail on the others' values
         """See :class:`Coordinates`."""
-        # every branch is computed for every parameter, and each fails on the others' numbers
         with np.errstate(all="ignore"):
             u = np.where(self._above, np.log(parameters - self._low), parameters)
             u = np.where(self._below, np.log(self._high - parameters), u)
@@ -120,6 +107,6 @@ class BoundedCoordinates(Coordinates):
 
 
 def log_normal(u: Array) -> Array:
-    """Log density of a standard normal: the log slope of its distribution function."""
-    with np.errstate(over="ignore"):  # minus infinity is right then
+    """Log density of a standard normal."""
+    with np.errstate(over="ignore"):
         return np.asarray(-0.5 * u**2 - 0.5 * math.log(2.0 * math.pi))

@@ -1,30 +1,24 @@
-r"""Model discrepancy: how far reported numbers may be off because the model is not exactly right.
+r"""Model discrepancy: errors of reported numbers because the model is not exactly right.
 
-A posterior takes the model for true; its intervals then may miss parameters that another cause of
-torque biases [1]_. Candidates of what is missing are marginalised, with sizes as
-:mod:`bayesfric.inference.missing` draws them. A column :math:`z` of size :math:`\gamma` moves the
-estimate by :math:`-B\gamma` with :math:`B = (X'X + P)^{-1} X'z`, of whitened derivatives :math:`X`
-and the prior's information :math:`P`.
+A posterior assumes the model; its intervals may then miss parameters that an unmodelled torque
+biases (Brynjarsdóttir and O'Hagan, Inverse Problems 30 (2014) 114007). Candidates of what is
+missing are marginalised, with sizes drawn by :mod:`bayesfric.inference.missing`. A column :math:`z`
+of size :math:`\gamma` moves the estimate by :math:`-B\gamma` with :math:`B = (X'X + P)^{-1} X'z`,
+of whitened derivatives :math:`X` and the prior's information :math:`P`.
 
-What that is to a number depends on its measurand (:data:`Quantity.measurand`):
+The error depends on the measurand (:data:`Quantity.measurand`):
 
-- a *constant* (inertia, first moment, spring, gain) has a physical value, and :math:`B\gamma` is an
-  error of it in full;
-- *friction* is the law that the same model would be fitted to on other motions like the recorded
-  ones. What is missing moves that law, too, so only the difference counts,
-  :math:`(B_w - B)\gamma` with :math:`B_w` of smoothly reweighted outputs: another motion weighs
-  speeds, positions and times otherwise. Only a cause that was found and that is no function of
-  speed is an error in full.
+- a *constant* (inertia, first moment, spring, gain) has a physical value, and :math:`B\gamma` is
+its error;
+- *friction* is the law that the same model would be fitted to on similar motions, which a missing
+effect moves, too. Only the difference counts, :math:`(B_w - B)\gamma` with :math:`B_w` of smoothly
+reweighted outputs, as another motion weighs speeds, positions and times otherwise. An effect that
+is significant and no function of speed biases friction in full.
 
-The mean of the moves is no shift: the column may be another one that looks alike on this motion.
-It is spread to either side. Where nothing is likely to be missing, the residual is reweighted in
-the same way, and its scatter beyond the posterior's is added (a smooth Bayesian bootstrap [2]_).
-
-References
-----------
-.. [1] J. Brynjarsdóttir, A. O'Hagan, "Learning about physical parameters: the importance of model
-   discrepancy", Inverse Problems 30 (2014) 114007.
-.. [2] D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9 (1981) 130-134.
+The mean of the moves is applied with a random sign, as the column may be a collinear one. If
+nothing is likely to be missing, the residual is reweighted in the same way, and its scatter beyond
+the posterior's is added (a smooth Bayesian bootstrap; Rubin, Annals of Statistics 9 (1981)
+130-134).
 """
 
 from __future__ import annotations
@@ -45,110 +39,71 @@ from bayesfric.recordings.observation import Observation
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-# Draws that the covariance is estimated from, and the step of central differences in posterior sds.
+# Draws for the covariance, and step of central differences in posterior standard deviations.
 _DRAWS, _STEP = 4000, 0.3
-# Halvings of that step where it leaves the support, and redraws of what was moved out of it.
+# Halvings of a step that leaves the support, and redraws of moves that leave it.
 _HALVINGS, _TRIES = 12, 12
-# Share of the information of the whole that a subsample or a reweighting has at least.
+# Least share of the full information that a subsample or reweighting has.
 _LEAST = 0.05
 # Reweightings; their width was compared in ``studies/replication``.
 _REWEIGHTINGS = 40
-# What 95 % of right models' residuals scatter over the posterior's variance: the ten features of
-# weights are as many directions. Measured on 200 numbers of right benches: 1.97.
+# 95 % quantile of the residual moves' mean square over the posterior variance for right models: the
+# ten features of the weights are as many directions. Measured on 200 benches: 1.97.
 _CHANCE_SCATTER = float(chi2.ppf(0.95, 10)) / 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Discrepancy:
-    """Moves of the free parameters, in the target's unbounded coordinates.
+    """Moves of the free parameters, in the target's unbounded coordinates."""
 
-    Attributes
-    ----------
-    chance
-        Probability that a candidate is missing; 0 where the recording speaks against it.
-    deviations
-        ``(n, k)`` draws of the moves less their mean.
-    mean
-        ``(k,)`` spread to either side of the estimate.
-    covariance
-        ``(k, k)`` of the posterior in these coordinates.
-    """
-
+    # probability that a candidate is missing; 0 if the recording contradicts it
     chance: float
-    deviations: Array
-    mean: Array
-    covariance: Array
+    deviations: Array  # (n, k) draws of the moves less their mean
+    mean: Array  # (k,) applied with a random sign
+    covariance: Array  # (k, k) of the posterior
 
     @property
-    def shown(self) -> bool:
-        """Whether intervals have room for a candidate that may be missing."""
+    def is_plausible(self) -> bool:
+        """Whether intervals allow for a missing effect."""
         return self.chance > 0.0
 
     @property
     def moved(self) -> float:
-        """Share of draws that are moved: all by the residual where no candidate is missing."""
-        return self.chance if self.shown else float(self.deviations.any())
+        """Share of draws that are moved: all by the residual if no candidate is missing."""
+        return self.chance if self.is_plausible else float(self.deviations.any())
 
     def moves(self, rows: NDArray[np.intp], sides: Array) -> Array:
-        """Give moves ``(n, k)`` of rows of ``deviations`` and standard normal ``sides`` (n, 1)."""
+        """Compute moves ``(n, k)`` from rows of ``deviations`` and normal ``sides`` ``(n, 1)``."""
         return np.asarray(self.deviations[rows] + sides * self.mean)
 
     def widened(self, target: Target, parameters: Array, rng: np.random.Generator) -> Array:
-        """Move draws of the posterior by as much as the model may be off.
-
-        Parameters
-        ----------
-        target
-            Whose unbounded coordinates the moves are in.
-        parameters
-            ``(n, d)`` draws, SI units.
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)``; noise scales stay as they are. Bounds cut what was moved: a pair of draw and
-            move that ends beyond one is replaced by another pair.
-        """
+        """Move draws ``(n, d)`` of the posterior by the model discrepancy."""
         widened = parameters.copy()
         if not self.moved:
             return widened
         v, k = target.unbounded(parameters), len(self.mean)
         rows = np.flatnonzero(rng.uniform(size=len(v)) < self.moved)
-        draws = rows
+        drawn = rows
         for _ in range(_TRIES):
-            moved = v[draws]
-            pick = rng.integers(len(self.deviations), size=rows.size)
-            moved[:, :k] += self.moves(pick, rng.standard_normal((rows.size, 1)))
+            moved = v[drawn]
+            moves_drawn = rng.integers(len(self.deviations), size=rows.size)
+            moved[:, :k] += self.moves(moves_drawn, rng.standard_normal((rows.size, 1)))
             inside = target.from_unbounded(moved)
             possible = np.isfinite(inside).all(axis=1)
             widened[rows[possible]] = inside[possible]
             rows = rows[~possible]
-            draws = rng.integers(len(v), size=rows.size)
+            drawn = rng.integers(len(v), size=rows.size)
         return widened
 
 
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:
-    """Marginalise what may be missing from the torque.
+    """Marginalise missing effects.
 
-    Parameters
-    ----------
-    target, posterior
-        Of a fit.
-    missing
-        Candidates; ``None`` where they could not be evaluated.
-
-    Returns
-    -------
-    Discrepancy
-        No moves without candidates, for positions, and for an unusable sample. Where the
-        probability that something is missing is below the one before the recording is seen, 0.1,
-        its chance is 0 and moves are the residual's.
+    Without candidates, for positions and for unusable samples there are no moves.
     """
     k = len(target.free)
-    known = isinstance(target.likelihood, TorqueLikelihood)
-    if missing is None or not known or posterior.diagnostics.status == "unusable":
+    is_torque = isinstance(target.likelihood, TorqueLikelihood)
+    if missing is None or not is_torque or posterior.diagnostics.status == "unusable":
         return Discrepancy(0.0, np.zeros((1, k)), np.zeros(k), np.eye(k))
     chance = chance_missing(missing)
     fit, rng = _Linearised.of(target, posterior, missing.observations), _stream(posterior)
@@ -165,7 +120,7 @@ def _stream(posterior: Posterior, *more: int) -> np.random.Generator:
 
 @dataclass(frozen=True, eq=False)
 class _Linearised:
-    """The fit as a linear regression in unit noise, along the posterior's own axes."""
+    """The fit as a linear regression with unit noise, along the posterior's principal axes."""
 
     likelihood: TorqueLikelihood
     scales: Array
@@ -179,18 +134,18 @@ class _Linearised:
     def of(
         cls, target: Target, posterior: Posterior, observations: Sequence[Observation]
     ) -> _Linearised:
-        """Take central differences about the posterior's mean.
+        """Linearise by central differences at the posterior's mean.
 
-        ``observations`` may be subsamples, whose outputs count for as much more of the whole.
+        Outputs of subsamples count for more accordingly.
         """
-        k, whole = len(target.free), target.likelihood
-        assert isinstance(whole, TorqueLikelihood)
-        likelihood = TorqueLikelihood(whole.chain, observations, whole.noise)
-        shares = likelihood.sizes / whole.sizes
+        k, full = len(target.free), target.likelihood
+        assert isinstance(full, TorqueLikelihood)
+        likelihood = TorqueLikelihood(full.chain, observations, full.noise)
+        shares = likelihood.sizes / full.sizes
         v = target.unbounded(posterior.flat(_DRAWS))
         v = v[np.isfinite(v).all(axis=1)]
         root = np.linalg.cholesky(np.atleast_2d(np.cov(v[:, :k].T)))
-        # over a sizeable step: what a kink does to a draw counts, not its slope
+        # the step is large: a kink's effect on a draw counts, not its slope
         steps, size = np.zeros((2 * k + 1, v.shape[1])), _STEP
         steps[:k, :k], steps[k : 2 * k, :k] = root.T, -root.T
         for _ in range(_HALVINGS):
@@ -207,8 +162,8 @@ class _Linearised:
             return tuple(_whitened(part, x, scales, shares).T for x in (changes, residuals))  # type: ignore[return-value]
 
         rows, residual = linearised(likelihood, shares)
-        every = linearised(whole, np.ones(len(shares)))[0] if (shares < 1.0).any() else rows
-        prior = _at_least(np.eye(k) - every.T @ every, 0.0)
+        full_rows = linearised(full, np.ones(len(shares)))[0] if (shares < 1.0).any() else rows
+        prior = _raised_eigenvalues(np.eye(k) - full_rows.T @ full_rows, 0.0)
         return cls(likelihood, scales, shares, root, rows, residual, prior)
 
     @property
@@ -217,16 +172,16 @@ class _Linearised:
         return np.asarray(self.root @ self.root.T)
 
     def estimator(self, weights: Array | float = 1.0) -> Array:
-        """Give the estimate's change ``(k, n)`` for a unit change of each weighted output."""
+        """Return the estimate's change ``(k, n)`` per unit change of each weighted output."""
         weighted = (self.rows.T * weights).T
-        information = _at_least(weighted.T @ self.rows + self.prior, _LEAST)
+        information = _raised_eigenvalues(weighted.T @ self.rows + self.prior, _LEAST)
         return np.asarray(self.root @ np.linalg.solve(information, weighted.T))
 
     def reweighted(self, rng: np.random.Generator) -> Iterator[Array]:
-        """Give estimators under smooth weights of mean one, log-normal with a unit variance.
+        """Yield estimators under smooth log-normal weights of mean one and unit log variance.
 
-        The logarithm is a quadratic of the ranks of time, speed, its size, position and
-        acceleration: what another motion like the recorded ones does more or less of.
+        The log weight is a quadratic of the ranks of time, speed, its size, position and
+        acceleration, which similar motions vary.
         """
         ranks = np.array([rankdata(x) - 0.5 * (len(x) + 1) for x in self._motion().T])
         ranks /= np.maximum(ranks.std(axis=1, keepdims=True), 1e-300)
@@ -245,9 +200,9 @@ class _Linearised:
     def moves(
         self, friction: Flags, missing: Missing, sizes: Array, rng: np.random.Generator
     ) -> Array:
-        """Give moves ``(n, k)`` by candidates of drawn ``sizes`` ``(n, m)``.
+        """Compute moves ``(n, k)`` by candidates of sizes ``(n, m)``.
 
-        ``friction`` ``(k,)`` says which coordinates are of the friction law.
+        ``friction`` ``(k,)`` flags coordinates of the friction law.
         """
         ends = np.cumsum([o.measured.size for o in self.likelihood.outputs])[:-1]
         parts = [part.T for part in np.split(missing.columns, ends)]
@@ -255,19 +210,18 @@ class _Linearised:
         moves = -sizes @ (self.estimator() @ columns).T
         law = sizes * ~missing.biases_friction
         for first, estimator in enumerate(self.reweighted(rng)):
-            some = np.arange(first, len(sizes), _REWEIGHTINGS)
-            another = law[some] @ (estimator[friction] @ columns).T
-            moves[np.ix_(some, friction)] += another
+            draws = np.arange(first, len(sizes), _REWEIGHTINGS)
+            law_moves = law[draws] @ (estimator[friction] @ columns).T
+            moves[np.ix_(draws, friction)] += law_moves
         return np.asarray(moves)
 
     def residual_moves(self, rng: np.random.Generator) -> Array:
-        """Give moves ``(n, k)`` by the reweighted residual: their scatter beyond the posterior's.
+        """Compute moves ``(n, k)`` by the reweighted residual, beyond the posterior's scatter.
 
-        Of a right model they scatter as it does, in as many directions as weights have features;
-        coordinates with no more than 95 % of right models have none.
+        Coordinates that scatter no more than those of 95 % of right models have none.
         """
         plain = self.estimator() @ self.residual
-        moves = np.array([one @ self.residual - plain for one in self.reweighted(rng)])
+        moves = np.array([estimator @ self.residual - plain for estimator in self.reweighted(rng)])
         ratio = np.mean(moves**2, axis=0) / np.diag(self.covariance)
         excess = np.sqrt(1.0 - 1.0 / np.maximum(ratio, 1.0)) * (ratio > _CHANCE_SCATTER)
         return np.asarray(np.concatenate([moves, -moves]) * excess)
@@ -276,13 +230,13 @@ class _Linearised:
 def _whitened(
     likelihood: TorqueLikelihood, outputs: Sequence[Array], scales: Array, shares: Array
 ) -> Array:
-    """Whiten ``(..., M)`` of each recording, and weigh it as what it is a share of."""
+    """Whiten outputs ``(..., M)`` of each recording, over the root of its subsample's share."""
     innovations = likelihood.innovations(outputs, scales)
     weighed = [x / np.sqrt(share) for x, share in zip(innovations, shares, strict=True)]
     return np.concatenate(weighed, axis=-1)
 
 
-def _at_least(information: Array, least: float) -> Array:
-    """Raise the eigenvalues of a symmetric matrix to a least one."""
+def _raised_eigenvalues(information: Array, least: float) -> Array:
+    """Raise the eigenvalues of a symmetric matrix to a minimum."""
     power, axes = np.linalg.eigh(information)
     return np.asarray((axes * np.maximum(power, least)) @ axes.T)

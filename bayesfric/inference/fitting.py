@@ -1,8 +1,7 @@
-"""The whole way from prepared recordings to a posterior.
+"""From preprocessed recordings to a posterior.
 
-Priors are read, a likelihood is put on the recordings, point estimates give places to start from,
-the mode is climbed to, coordinates are chosen for the posterior's widths there, and the posterior
-is sampled.
+Read priors, make the likelihood, start from point estimates, climb to the mode, choose coordinates
+for the posterior's widths there, and sample.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.prior.defaults import default_prior
-from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
+from bayesfric.inference.prior.priors import Prior, PriorText, default_prior, read_prior
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target
@@ -37,122 +35,95 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-# Draws of the expected posterior that a cheaper likelihood is prepared for.
-_DRAWS = 300
-# Predicted outputs, over all draws, that a mean residual is made of.
-_PREDICTED = 2_000_000
-# Draws that are enough for intervals with the model's error, each of which is tried.
-_WIDE = 8000
-# Evaluations of a climb's step that may be dear before it is prepared anew.
-_OUTSIDE = 50
-# How often the simulation is linearised anew at the mode it led to.
-_ROUNDS = 2
-# Steps of a climb that simulates.
-_MOST_SIMULATED = 20
+# Draws of the expected posterior for which a likelihood is precomputed.
+_PRECOMPUTE_DRAWS = 300
+# Predicted outputs, over all draws, of a mean residual.
+_PREDICTED_OUTPUTS = 2_000_000
+# Draws that are widened by the model discrepancy, each of which is evaluated.
+_WIDENED_DRAWS = 8000
+# Slow evaluations in a step of a climb from which the target is precomputed again.
+_SLOW_EVALUATIONS = 50
+# Number of times that the simulation is linearised at the mode.
+_LINEARISATIONS = 2
+# Largest number of steps of a climb that simulates.
+_SIMULATED_STEPS = 20
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A finished fit; the target's likelihood holds mechanism and observations.
+    """A posterior with its target and what was examined of it.
 
-    Attributes
-    ----------
-    target
-        The log-posterior, in the coordinates that were sampled.
-    posterior
-        Draws, the model taken for true.
-    estimates
-        Point estimates of the same recordings, least squares first.
-    held_out
-        Predictions of what the likelihood did not see.
-    linearisation
-        What :func:`linearisation_change` said before sampling; far below 1 it does not matter.
-        ``None`` where nothing is linearised.
-    discrepancy
-        How far the model may be off, where that was asked.
-    told
-        ``(n, d)`` reported draws, widened by model discrepancy, as a finished run holds them; they
-        are made from ``discrepancy`` where left out.
+    One of three: ``Fit`` is the sampled posterior; :class:`bayesfric.fit.result.Result` adds model
+    and summary, and writes a run; :class:`bayesfric.fit.finished_run.Finished` is what later
+    commands need, of either a result or a run directory.
     """
 
-    target: Target
-    posterior: Posterior
-    estimates: tuple[Estimate, ...]
-    held_out: tuple[Prediction, ...] = ()
+    target: Target  # in the coordinates that were sampled
+    posterior: Posterior  # draws, assuming the model
+    estimates: tuple[Estimate, ...]  # point estimates, least squares first
+    held_out: tuple[Prediction, ...] = ()  # of recordings that the likelihood did not use
+    # see :func:`linearisation_change`; None if nothing is linearised
     linearisation: float | None = None
-    discrepancy: Discrepancy | None = None
-    told: Array | None = None
+    discrepancy: Discrepancy | None = None  # None where it was not evaluated
+    # (n, d) draws of a finished run, widened by the model discrepancy
+    widened_draws: Array | None = None
 
     @cached_property
     def wide(self) -> Fit:
-        """The same fit with what the model may lack marginalised in its draws.
+        """The same fit with draws widened by the model discrepancy, at most about 8000.
 
-        At most about 8000 of the draws, thinned along steps, are moved by
-        :meth:`Discrepancy.widened`; the fit itself where there is no discrepancy. Draws of a
-        finished run have no log density: it is nan.
+        Draws of a finished run have no log density: it is nan.
         """
         posterior = self.posterior
-        if self.told is not None:
-            held = self.told[None, None]
-            unknown = np.full(held.shape[:-1], np.nan)
-            # whose walkers are not told: those that never moved were left out
-            diagnostics = replace(posterior.diagnostics, acceptance=np.ones(held.shape[:2]))
-            changed = replace(posterior, draws=held, log_density=unknown, diagnostics=diagnostics)
-            return replace(self, posterior=changed, told=None)
+        if self.widened_draws is not None:
+            reported = self.widened_draws[None, None]
+            unknown = np.full(reported.shape[:-1], np.nan)
+            # walkers are unknown; those that never moved were excluded
+            diagnostics = replace(posterior.diagnostics, acceptance=np.ones(reported.shape[:2]))
+            widened = replace(
+                posterior, draws=reported, log_density=unknown, diagnostics=diagnostics
+            )
+            return replace(self, posterior=widened, widened_draws=None)
         if self.discrepancy is None or not self.discrepancy.moved:
             return self
         rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(12,)))
         e, w, steps, d = posterior.draws.shape
-        some = slice(None, None, -(-e * w * steps // _WIDE))
-        draws = posterior.draws[:, :, some]
+        thinned = slice(None, None, -(-e * w * steps // _WIDENED_DRAWS))
+        draws = posterior.draws[:, :, thinned]
         moved = self.discrepancy.widened(self.target, draws.reshape(-1, d), rng)
-        changed = replace(
+        widened = replace(
             posterior,
             draws=moved.reshape(draws.shape),
-            log_density=posterior.log_density[:, :, some],
+            log_density=posterior.log_density[:, :, thinned],
         )
-        return replace(self, posterior=changed, discrepancy=None)
+        return replace(self, posterior=widened, discrepancy=None)
 
     @property
     def chain(self) -> Joint:
-        """The mechanism."""
+        """The joint."""
         return self.target.likelihood.chain
 
     @property
     def observations(self) -> tuple[Observation, ...]:
-        """The prepared recordings."""
+        """The preprocessed recordings."""
         return self.target.likelihood.observations
 
     @property
     def predicting(self) -> Array:
-        """Draws ``(n, d)`` that predict every output: 200, of long recordings fewer."""
+        """Draws ``(n, d)`` for predictions: 200, fewer for long recordings."""
         outputs = sum(o.measured.size for o in self.target.likelihood.outputs)
-        return self.posterior.flat(max(10, min(200, _PREDICTED // outputs)))
+        return self.posterior.flat(max(10, min(200, _PREDICTED_OUTPUTS // outputs)))
 
     @cached_property
     def residuals(self) -> list[Array]:
-        """Measured minus posterior mean output of each recording, ``(M,)`` in the outputs' unit.
-
-        The mean is over the draws of :attr:`predicting`.
-        """
+        """Measured minus posterior mean output ``(M,)`` of each recording."""
         likelihood = self.target.likelihood
         predicted = likelihood.predict(self.target.chain_values(self.predicting))
         pairs = zip(likelihood.outputs, predicted, strict=True)
         return [o.measured - rows.mean(axis=0) for o, rows in pairs]
 
     def chain_draws(self, n: int | None = None) -> Array:
-        """Draws of all parameters of the mechanism, fixed ones included.
-
-        Parameters
-        ----------
-        n
-            At most so many, evenly spread; all if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n, n_parameters)`` in the order of ``chain.names``, SI units.
-        """
+        """Draws ``(n, n_parameters)`` of all parameters of the joint, fixed ones included."""
         return self.target.chain_values(self.posterior.flat(n))
 
 
@@ -162,32 +133,9 @@ def read_priors(
     observations: Sequence[Observation],
     noise: Sequence[str] = ("sigma",),
 ) -> dict[str, Prior]:
-    """Give priors of every parameter and noise scale: a configuration's, and defaults for the rest.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    texts
-        What is said of parameters, by name. ``offset`` stands for those of all recordings that have
-        their own.
-    observations
-        The recordings, whose size sets the scale of defaults.
-    noise
-        Scales that the likelihood has: ``sigma`` makes ``noise.sigma``.
-
-    Returns
-    -------
-    dict
-        By name, the mechanism's parameters first.
-
-    Raises
-    ------
-    BadInput
-        If a name is unknown, a prior cannot be, a noise scale is fixed, or nothing is left free.
-    """
+    """Complete the configured priors of parameters and noise scales with defaults."""
     noises = [f"noise.{quantity}" for quantity in noise]
-    # one prior for the offset stands for those of all recordings that have none of their own
+    # one prior of the offset applies to all recordings without one
     if "offset" in texts and chain.own_offsets:
         texts = dict.fromkeys(chain.offset_names, texts["offset"]) | {
             name: text for name, text in texts.items() if name != "offset"
@@ -221,36 +169,14 @@ def make_target(
     noise_scale: NoiseScale,
     noise: Autoregressive | None = None,
 ) -> Target:
-    """Put the likelihood of the torque, priors and noise together.
-
-    Parameters
-    ----------
-    chain, observations
-        The mechanism, and prepared recordings of it.
-    priors
-        As :func:`read_priors` gives them, for the noise's scales too.
-    noise_scale
-        Whether recordings share their noise's size.
-    noise
-        Model of the torque's noise; white if left out.
-    """
+    """Make the log-posterior of the torque."""
     return target_of(TorqueLikelihood(chain, observations, noise), priors, noise_scale)
 
 
 def target_of(
     likelihood: Likelihood, priors: Mapping[str, Prior], noise_scale: NoiseScale
 ) -> Target:
-    """Put any likelihood and its priors together.
-
-    Parameters
-    ----------
-    likelihood
-        Of torque or position.
-    priors
-        As :func:`read_priors` gives them for the likelihood's noise scales.
-    noise_scale
-        Whether recordings share their noise's size.
-    """
+    """Make the log-posterior of a likelihood."""
     recordings = [o.name for o in likelihood.observations]
     noise = noise_of(recordings, likelihood.noise.scales, priors, noise_scale)
     return Target(likelihood, priors, noise)
@@ -263,61 +189,38 @@ def fit(
     estimates: Sequence[Estimate] = (),
     progress: ProgressCallback = no_progress,
 ) -> Fit:
-    """Estimate, climb to the mode, sample.
+    """Search the mode and sample; ``sampling.seed`` makes everything reproducible.
 
-    Parameters
-    ----------
-    target
-        The log-posterior.
-    sampling
-        How it is sampled.
-    estimates
-        Already made, for the search to start from; least squares if there are none.
-    progress
-        See :func:`bayesfric.inference.sampling.sampling.sample`.
-
-    Returns
-    -------
-    Fit
-        The posterior, with the target in the coordinates that were sampled.
-
-    Raises
-    ------
-    BadInput
-        If the motion cannot tell the totals of eq. (11) apart, the priors leave no place the search
-        could start from, or a simulation's linearisation does not hold over the posterior.
-
-    Notes
-    -----
-    Estimates that simulate, and only stand beside a posterior of the torque, are not started from:
-    they may be cut off by the clock, and a fit must be repeatable. Everything else random comes
-    from ``sampling.seed``.
+    Estimates by simulation do not start a posterior of the torque: they may be cut off by the
+    clock.
     """
     likelihood = target.likelihood
     if not estimates:
         estimates = (least_squares(likelihood.chain, likelihood.observations),)
     progress(Progress("searching the mode"))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
-    # what only stands beside the posterior, and may be cut off by the clock, must not move it
-    beside = {one.name for one in ESTIMATORS.values() if one.simulates} - {likelihood.method}
-    begin = [e for e in estimates if e.method not in beside]
-    points = _points(target, begin)
-    target = target.uncut_at(points[0])
+    # simulating estimates may be cut off by the clock and must not influence the posterior
+    simulating = {estimator.name for estimator in ESTIMATORS.values() if estimator.simulates} - {
+        likelihood.method
+    }
+    starting_estimates = [e for e in estimates if e.method not in simulating]
+    points = _starting_points(target, starting_estimates)
+    target = target.with_circular_cut_at(points[0])
     prior_draws = np.stack([prior.draw(500, rng) for prior in target.priors], axis=1)
     try:
-        candidates = _candidates(target, begin, points, prior_draws)
-        # estimates with a point searched from several starts, and are beside the mode already
-        climbs = 1 if any(e.point for e in begin) else CLIMBS
-        heights = target.excerpt()(candidates)
+        candidates = _candidates(target, starting_estimates, points, prior_draws)
+        # estimates with a point are near the mode already
+        climbs = 1 if any(e.point for e in starting_estimates) else CLIMBS
+        heights = target.subsample()(candidates)
         candidates = candidates[np.argsort(-heights)[:climbs]]
         prior_places = target.from_parameters(prior_draws)
         best = gauss_newton(target, candidates[0], prior_places)
-        target = _prepared(target, best, rng)
+        target = _precomputed(target, best, rng)
         if likelihood.method == "input-error":
             search = _Search(target, prior_places, rng)
             widths = 1.0 / np.sqrt(np.diag(np.linalg.inv(best.covariance)))
             mode = climb(
-                search, candidates, climbs=climbs, widths=widths, moved=search.prepare_again
+                search, candidates, climbs=climbs, widths=widths, on_step=search.precompute_again
             )
         else:
             target, mode = _simulated_mode(target, candidates)
@@ -325,15 +228,17 @@ def fit(
         raise BadInput(
             "priors", "leave no possible starting point near the data", "widen the narrowest ones"
         ) from None
-    # Once the posterior's widths are known, better coordinates than logarithms are too.
-    first = gauss_newton(target, mode, prior_places)
-    place, widths = _place_and_widths(target, first)
-    shaped = target.uncut_at(dict(zip(target.free, place, strict=False))).with_widths(widths)
-    prior_draws = _on_turn(shaped, prior_draws)
+    # Once the posterior's widths are known, the sampler's coordinates can be used.
+    normal = gauss_newton(target, mode, prior_places)
+    place, widths = _place_and_widths(target, normal)
+    shaped = target.with_circular_cut_at(dict(zip(target.free, place, strict=False))).with_widths(
+        widths
+    )
+    prior_draws = _unwrapped(shaped, prior_draws)
     start = gauss_newton(
         shaped, shaped.from_parameters(place[None])[0], shaped.from_parameters(prior_draws)
     )
-    shaped = _prepared(shaped, start, rng)
+    shaped = _precomputed(shaped, start, rng)
     simulated = likelihood.method == "output-error"
     change = linearisation_change(shaped, start, rng) if simulated else None
     try:
@@ -344,65 +249,67 @@ def fit(
 
 
 class _Search:
-    """Log density of a target that is prepared anew once a climb has left where it is cheap.
+    """Log density that is precomputed again when the search leaves its region.
 
-    With a million samples a vector outside costs ten thousand times one inside.
+    With a million samples a slow evaluation costs ten thousand times a fast one.
     """
 
     def __init__(self, target: Target, prior_places: Array, rng: np.random.Generator) -> None:
         self.target, self._prior_places, self._rng = target, prior_places, rng
-        self._outside = target.likelihood.outside
+        self._slow = target.likelihood.slow_evaluations
 
     def __call__(self, u: Array) -> Array:
         return self.target(u)
 
-    def prepare_again(self, place: Array) -> None:
-        """Prepare at coordinates ``(d,)`` if the last step was mostly outside."""
-        before, self._outside = self._outside, self.target.likelihood.outside
-        if self._outside - before > _OUTSIDE:
+    def precompute_again(self, place: Array) -> None:
+        """Precompute at coordinates ``(d,)`` if the last step was mostly slow."""
+        before, self._slow = self._slow, self.target.likelihood.slow_evaluations
+        if self._slow - before > _SLOW_EVALUATIONS:
             start = gauss_newton(self.target, place, self._prior_places)
-            self.target = _prepared(self.target, start, self._rng)
-            self._outside = self.target.likelihood.outside
+            self.target = _precomputed(self.target, start, self._rng)
+            self._slow = self.target.likelihood.slow_evaluations
 
 
 def _simulated_mode(target: Target, candidates: Array) -> tuple[Target, Array]:
-    """Climb with few simulations, and linearise the simulation anew at what is found."""
-    mode = climb(target, candidates, climbs=1, max_steps=_MOST_SIMULATED)
-    for _ in range(_ROUNDS):
-        target = target.about(target.to_parameters(mode[None])[0][0])
-        mode = climb(target, mode[None], climbs=1, max_steps=_MOST_SIMULATED)
+    """Climb with few simulations, and linearise again at the mode."""
+    mode = climb(target, candidates, climbs=1, max_steps=_SIMULATED_STEPS)
+    for _ in range(_LINEARISATIONS):
+        target = target.relinearised_at(target.to_parameters(mode[None])[0][0])
+        mode = climb(target, mode[None], climbs=1, max_steps=_SIMULATED_STEPS)
     return target, mode
 
 
-def _prepared(target: Target, start: Start, rng: np.random.Generator) -> Target:
-    """Make a target cheap where a normal lies; the draws decide the cost, not the value."""
+def _precomputed(target: Target, start: Start, rng: np.random.Generator) -> Target:
+    """Precompute a target near a normal; draws decide the speed, not the value."""
     root = np.linalg.cholesky(start.covariance)
-    return target.prepared(start.mode + rng.standard_normal((_DRAWS, start.mode.size)) @ root.T)
+    return target.precomputed(
+        start.mode + rng.standard_normal((_PRECOMPUTE_DRAWS, start.mode.size)) @ root.T
+    )
 
 
 def _place_and_widths(target: Target, start: Start) -> tuple[Array, Array]:
-    """Carry a normal in coordinates over to parameters: its centre and sds, ``(d,)`` each."""
+    """Convert a normal in coordinates to parameters: centre and standard deviations, ``(d,)``."""
     spread = np.sqrt(np.diag(start.covariance))
     sds = np.minimum(spread, 1.0 + np.abs(start.mode))
     centre, _ = target.to_parameters(start.mode[None])
     shifted, _ = target.to_parameters(start.mode + np.concatenate([np.diag(sds), -np.diag(sds)]))
     d = start.mode.size
-    # of every parameter with every coordinate: a gearbox' are not one for one
+    # a gearbox' coordinates mix parameters
     change = (shifted[:d] - shifted[d:]) / 2.0
-    together = start.covariance / np.outer(spread, spread)
-    widths = np.sqrt(np.einsum("ij,ik,kj->j", change, together, change).clip(0.0))
+    correlation = start.covariance / np.outer(spread, spread)
+    widths = np.sqrt(np.einsum("ij,ik,kj->j", change, correlation, change).clip(0.0))
     widths = np.where(np.isfinite(widths), widths, np.abs(centre[0]))
     return centre[0], np.maximum(widths, 1e-12 * np.abs(centre[0]) + 1e-300)
 
 
-def _points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, float]]:
-    """Parameters to start from, by name: estimates, and base parameters split in several ways.
+def _starting_points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, float]]:
+    """Return starting points by name: estimates, and splits of base parameters.
 
-    Least squares gives the quantities seen at the motor; coefficients of load-dependent friction
-    and the leg's share of each are tried on a grid.
+    Least squares estimates quantities at the motor; load-dependent friction and the load's share
+    are tried on a grid.
     """
     points = [dict(e.point) for e in estimates if e.point]
-    # a simulation costs more than an inverse model, and starts from a simulation's estimate
+    # a simulation is expensive, and starts from a simulation's estimate
     if target.likelihood.method == "input-error" or not points:
         points += [
             starting_values(target.likelihood.chain, e, mu, share)
@@ -414,8 +321,8 @@ def _points(target: Target, estimates: Sequence[Estimate]) -> list[dict[str, flo
     return points
 
 
-def _on_turn(target: Target, parameters: Array) -> Array:
-    """Bring angles of parameters ``(n, d)`` or ``(n, free)`` to the turn of their priors."""
+def _unwrapped(target: Target, parameters: Array) -> Array:
+    """Unwrap angles of parameters ``(n, d)`` or ``(n, free)`` to their priors' turn."""
     columns = zip(target.priors, parameters.T, strict=False)
     return np.stack([prior.turned(column) for prior, column in columns], axis=1)
 
@@ -426,28 +333,27 @@ def _candidates(
     points: Sequence[Mapping[str, float]],
     prior_draws: Array,
 ) -> Array:
-    """Places to start from, ``(n, d)`` in coordinates: points, and draws from the priors.
+    """Return starting coordinates ``(n, d)`` from points and prior draws.
 
-    Each with several noise scales. What lies on a bound is put inside of it, where coordinates are
-    finite.
+    Each is combined with several noise scales; values on a bound are moved inside.
     """
     likelihood = target.likelihood
     k = len(target.free)
-    rows = _on_turn(target, np.array([[p[name] for name in target.free] for p in points]))
-    # a start at a bound would have no finite coordinates
+    rows = _unwrapped(target, np.array([[p[name] for name in target.free] for p in points]))
+    # a start on a bound has no finite coordinates
     inner = np.quantile(prior_draws, [0.002, 0.998], axis=0)
     for j, prior in enumerate(target.priors[:k]):
         outside = (rows[:, j] <= prior.lower) | (rows[:, j] >= prior.upper)
         rows[outside, j] = np.clip(rows[outside, j], *inner[:, j])
     if likelihood.method == "input-error":
         rms = max(e.residual_rms for e in estimates if e.method == "least-squares")
-        # whatever drawn parameters leave unexplained is about as large as the torque itself
+        # prior draws leave a residual about as large as the torque
         measured = np.concatenate([o.measured for o in likelihood.outputs])
         unexplained = float(np.sqrt(np.mean(measured**2)))
         candidates = np.concatenate(
             [
-                np.column_stack([some, np.tile(scales, (len(some), 1))])
-                for some, size in ((rows, rms), (prior_draws[:100, :k], unexplained))
+                np.column_stack([block, np.tile(scales, (len(block), 1))])
+                for block, size in ((rows, rms), (prior_draws[:100, :k], unexplained))
                 for scales in _noise_starts(target, size)
             ]
         )
@@ -461,7 +367,7 @@ def _candidates(
 
 
 def _noise_starts(target: Target, size: float) -> Array:
-    """Noise scales for residuals of this size, the same for all recordings, ``(m, scales)``."""
+    """Noise scales ``(m, scales)`` for residuals of a size, the same for all recordings."""
     likelihood = target.likelihood
     assert isinstance(likelihood, TorqueLikelihood)
     columns = [likelihood.noise.quantities.index(kind) for kind in target.noise.quantities]
@@ -469,10 +375,10 @@ def _noise_starts(target: Target, size: float) -> Array:
 
 
 def _noise_grid(target: Target, inner: Array) -> Array:
-    """Noise scales over their priors' ranges, the same for all recordings, ``(n, scales)``."""
+    """Grid ``(n, scales)`` of noise scales over their priors, the same for all recordings."""
     kinds = target.noise.quantities
-    own = list(dict.fromkeys(kinds))
-    ends = [inner[:, kinds.index(kind)] for kind in own]
+    unique = list(dict.fromkeys(kinds))
+    ends = [inner[:, kinds.index(kind)] for kind in unique]
     axes = [np.geomspace(low, high, 9) for low, high in ends]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(own))
-    return grid[:, [own.index(kind) for kind in kinds]]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(unique))
+    return grid[:, [unique.index(kind) for kind in kinds]]

@@ -1,8 +1,7 @@
-"""Whether a simulation's linearisation holds all over the posterior, asked before it is sampled.
+"""Check of the output-error likelihood's linearisation over the posterior, before sampling.
 
-The output-error likelihood takes the derivatives of the motion by torque and initial states at the
-mode. A joint that sticks has none that last: whether and when it sticks differs from one
-plausible parameter vector to the next, and so does the likelihood, if it is linearised there.
+The derivatives of the motion are taken at the mode. For a joint that sticks they differ between
+plausible parameters, and so does the likelihood.
 """
 
 from __future__ import annotations
@@ -15,80 +14,58 @@ from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 
-# Standard deviation of the log-likelihood's change beyond which a posterior is refused. Measured on
-# 57 simulated recordings: below 2 (45 of them) the truth lay within 3.2 posterior sds in all
-# parameters of all but one, whether the joint stuck for 0 or 38 % of the time; above up to 90 off.
-_MOST = 2.0
-# Places to linearise at, of how many drawn; what is less probable than all but this share of a
-# normal is none.
-_PLACES, _DRAWN, _IMPROBABLE = 12, 100, 1e-3
-# Share of the expected spread that is drawn over at least.
-_NARROWEST = 1e-3
+# Standard deviation of the log-likelihood's change beyond which a posterior is refused. Of 57
+# simulated recordings, 45 were below 2, with the truth within 3.2 posterior standard deviations in
+# all parameters of all but one, whether the joint stuck for 0 or 38 % of the time; above, errors
+# were up to 90.
+_MAX_CHANGE = 2.0
+# Linearisation points, draws among which they are selected, and the tail probability of a normal
+# beyond which a draw is excluded.
+_POINTS, _DRAWS, _IMPROBABLE = 12, 100, 1e-3
+# Least share of the expected spread.
+_LEAST_SPREAD = 1e-3
 
 
 def linearisation_change(target: Target, start: Start, rng: np.random.Generator) -> float:
-    """Tell by how much the log-likelihood changes where the simulation is linearised anew.
+    """Return the standard deviation of the log-likelihood's change by relinearisation.
 
-    At some places where the posterior is expected to be, the log-likelihood linearised there is
-    compared with the one linearised at the mode. A constant difference does not matter to a
-    posterior, so the standard deviation over the places is what counts.
-
-    Parameters
-    ----------
-    target
-        An output-error posterior, linearised at its mode.
-    start
-        A normal about where the posterior lies, in the target's coordinates.
-    rng
-        Draws the places.
-
-    Returns
-    -------
-    float
-        Standard deviation of the change, in units of the log-likelihood; far below 1 it is
-        harmless.
-
-    Raises
-    ------
-    BadInput
-        If it is above 2, or no number: intervals would mean nothing.
+    Plausible parameters are compared by the log-likelihood linearised there and at the mode; a
+    constant difference does not matter to a posterior. BadInput if it is too large.
     """
-    apart: list[float] = []
-    # the sum of squares about the mean only grows: once it is too large, so is the final one
-    limit = _MOST**2 * (_PLACES - 1)
-    for place in _places(target, start, rng):
-        anew = target.about(place)
-        change = anew.log_likelihood(place[None]) - target.log_likelihood(place[None])
-        apart.append(float(change[0]))
-        if not np.var(apart) * len(apart) <= limit:  # nor where it is no number
-            sd = float(np.std(apart, ddof=1)) if np.isfinite(apart).all() else np.inf
+    changes: list[float] = []
+    # the sum of squares about the mean only grows: stop once it is too large
+    limit = _MAX_CHANGE**2 * (_POINTS - 1)
+    for place in _plausible_parameters(target, start, rng):
+        relinearised = target.relinearised_at(place)
+        change = relinearised.log_likelihood(place[None]) - target.log_likelihood(place[None])
+        changes.append(float(change[0]))
+        if not np.var(changes) * len(changes) <= limit:  # or not finite
+            sd = float(np.std(changes, ddof=1)) if np.isfinite(changes).all() else np.inf
             raise BadInput(
                 'likelihood.method = "output-error"',
-                "what noise of the torque does to the motion cannot be linearised: done at another "
-                f"place in the posterior it changes the log-likelihood by {sd:.2g} (sd; at most "
-                f"{_MOST:g} can be trusted), as where the joint sticks or reverses",
-                'take likelihood.method = "input-error", or a motion that seldom rests, or exclude '
-                "such spans",
+                f"cannot be linearised: at another point the log-likelihood changes by {sd:.2g} "
+                f"(sd; at most {_MAX_CHANGE:g}), as if the joint sticks or reverses",
+                'set likelihood.method = "input-error", or exclude standstills',
             )
-    return float(np.std(apart, ddof=1))
+    return float(np.std(changes, ddof=1))
 
 
-def _places(target: Target, start: Start, rng: np.random.Generator) -> Array:
-    """Draw up to a dozen parameter vectors ``(n, d)`` about as probable as the posterior's are.
+def _plausible_parameters(target: Target, start: Start, rng: np.random.Generator) -> Array:
+    """Draw up to a dozen parameter vectors ``(n, d)`` as probable as the posterior's.
 
-    From the start's normal, narrowed until enough draws lie within the fall of log density that
-    99.9 % of a ``d``-dimensional normal stay within.
+    The start's normal is narrowed until enough draws are within the fall of log density of 99.9 %
+    of a ``d``-dimensional normal.
     """
     d = start.mode.size
     root = np.linalg.cholesky(start.covariance)
     fall = stats.chi2.isf(_IMPROBABLE, d) / 2.0
     spread = 1.0
     while True:
-        u = start.mode + spread * rng.standard_normal((_DRAWN, d)) @ root.T
+        u = start.mode + spread * rng.standard_normal((_DRAWS, d)) @ root.T
         density = target(u)
         probable = u[density > max(density.max(), target(start.mode[None])[0]) - fall]
-        if len(probable) >= _PLACES or spread < _NARROWEST:
-            places = probable[:_PLACES] if len(probable) > 1 else u[:_PLACES]
+        if len(probable) >= _POINTS or spread < _LEAST_SPREAD:
+            places = probable[:_POINTS] if len(probable) > 1 else u[:_POINTS]
             return np.asarray(target.to_parameters(places)[0])
-        # bounds and bends make a posterior narrower than its normal
+        # bounds and curvature make a posterior narrower than its normal
         spread /= 2.0

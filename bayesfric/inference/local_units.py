@@ -1,9 +1,4 @@
-"""Units in which a change of every parameter counts alike.
-
-An inertia of 1e-4 kg m² and a viscous coefficient of 10 N m s cannot be compared as they are. In
-these units a step of 0.01 is one per cent of either, and directions of the parameter space that
-the torque does not determine read as ratios.
-"""
+"""Units in which changes of all parameters are comparable, mostly relative ones."""
 
 from __future__ import annotations
 
@@ -16,76 +11,39 @@ from bayesfric.estimates.assemble import alpha_sign
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array, Flags
 
-# Values below this share of their prior sd are next to zero: those that are zero or
-# positive, and those of either sign.
+# Share of the prior standard deviation below which a value counts as zero: of non-negative
+# parameters, and of those of either sign.
 _SMALL = 1e-3
 _SMALL_SIGNED = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class LocalUnits:
-    """What counts as a change of one, in logarithms wherever there is one.
+    """Unit change of each parameter, in logarithms where possible."""
 
-    Attributes
-    ----------
-    names
-        Free parameters of the mechanism.
-    labels
-        What is changed by one: the parameter, or the alpha of a load-dependent friction.
-    ways
-        ``(d,)`` 1 and -1 for coefficients with alpha_1 and alpha_2, 0 for all others.
-    units
-        ``(d,)`` change of each parameter, SI units, that counts as one: its own value, so that ones
-        are changes of logarithms; the prior's sd where the value is next to zero.
-    shifted
-        ``(d,)`` where it is the prior's sd.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # free parameters
+    # the parameter, or the alpha of a load-dependent friction
     labels: tuple[str, ...]
+    # (d,) 1 and -1 for coefficients with alpha_1 and alpha_2, else 0
     ways: NDArray[np.int_]
+    # (d,) unit change, SI units: the value itself (logarithms), or the prior's standard deviation
+    # if it is nearly zero
     units: Array
-    shifted: Flags
+    shifted: Flags  # (d,) whether it is the prior's standard deviation
 
     def moved(self, values: Array, step: Array) -> Array:
-        """Move parameters by a step in these units, along logarithms.
-
-        Parameters
-        ----------
-        values
-            ``(d,)`` free parameters, SI units.
-        step
-            ``(d,)``; parts beyond 50 either way are cut in what grows by a logarithm.
-
-        Returns
-        -------
-        ndarray
-            ``(d,)``: ``value exp(step)``; ``value + step unit`` where shifted; and of a
-            load-dependent friction mu what multiplies its ``alpha = 1/(1 + way mu)`` by
-            ``exp(step)``.
-        """
-        grown = np.exp(np.clip(step, -50.0, 50.0))
-        out = np.where(self.shifted, values + step * self.units, values * grown)
+        """Move parameters ``(d,)`` by a step ``(d,)`` in these units."""
+        factor = np.exp(np.clip(step, -50.0, 50.0))
+        out = np.where(self.shifted, values + step * self.units, values * factor)
         ways = self.ways
-        return np.where(ways, ways * ((1.0 + ways * values) / grown - 1.0), out)
+        return np.where(ways, ways * ((1.0 + ways * values) / factor - 1.0), out)
 
 
 def units_of(target: Target, parameters: Array) -> LocalUnits:
-    """Say what counts as one at sampled parameters.
+    """Return the units at sampled parameters ``(d,)``.
 
-    Parameters
-    ----------
-    target
-        Whose free parameters and priors are meant.
-    parameters
-        ``(d,)`` sampled ones, SI units; noise scales behind the free ones are not looked at.
-
-    Notes
-    -----
-    Logarithms of all but load-dependent friction; of that the logarithm of alpha,
-    ``alpha_1 = 1/(1 + mu_1)`` or ``alpha_2 = 1/(1 - mu_2)``, in which the paper's scaling (section
-    4.2) is one straight line. A value next to zero, as on a bound, has no logarithm worth the
-    name: there the prior's sd counts as one.
+    For load-dependent friction the logarithm of ``alpha_1 = 1/(1 + mu_1)`` or ``alpha_2 = 1/(1 -
+    mu_2)``, in which the paper's scaling (section 4.2) is a straight line.
     """
     chain, values = target.likelihood.chain, parameters[: len(target.free)]
     free = [chain.parameters[chain.names.index(name)] for name in target.free]
@@ -94,7 +52,7 @@ def units_of(target: Target, parameters: Array) -> LocalUnits:
         f"{p.owner}.{p.quantity.replace('load', 'alpha')}" if way else p.name
         for p, way in zip(free, ways, strict=True)
     )
-    # alpha_1 = 1/(1 + mu_1) and alpha_2 = 1/(1 - mu_2), endless where the gearbox is irreversible
+    # alpha_2 is infinite if the gearbox is irreversible
     alpha = -ways * (1.0 + ways * values)
     alpha = np.where((ways < 0) & (np.abs(alpha) <= 1e-3), 1e-3, alpha)
     sds = np.array([p.sd() for p in target.priors[: len(free)]])

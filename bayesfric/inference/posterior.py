@@ -1,7 +1,6 @@
-"""What sampling leaves: draws of the posterior, and whether they can be trusted.
+"""Draws of the posterior and their convergence diagnostics.
 
-The sampler runs several ensembles of walkers. Walkers of one ensemble propose from each other
-and are not independent chains; ensembles are, and convergence is judged by comparing them.
+Walkers of one ensemble are not independent chains; ensembles are, and are compared.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.recordings.arrays import Array
 
-# Independent draws that the ends of a 90 % interval take: they are then right to a tenth of a sd.
+# Independent draws from which ends of a 90 % interval are right to a tenth of a standard deviation.
 _SOUND_ESS = 400.0
 
 Status = Literal["reliable", "tentative", "unusable"]
@@ -24,70 +23,33 @@ Status = Literal["reliable", "tentative", "unusable"]
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Whether the sampling can be trusted; arrays are of every sampled parameter, ``(d,)``.
+    """Convergence diagnostics; arrays are ``(d,)`` over the sampled parameters."""
 
-    Attributes
-    ----------
-    status
-        ``reliable`` where every criterion is met, ``tentative`` where sampling ended before, but
-        the ensembles roughly agree, ``unusable`` otherwise.
-    problems
-        One sentence for each criterion that is not met, with a hint; empty when reliable.
-    rhat
-        ``(d,)`` nested R-hat: between-ensemble against within-ensemble variance, 1 where they
-        agree.
-    tau
-        ``(d,)`` integrated autocorrelation time in steps.
-    ess
-        ``(d,)`` effective sample size, walkers times steps over ``tau``.
-    acceptance
-        ``(ensembles, walkers)`` accepted share of each walker's proposals.
-    warmup, steps, thin
-        Steps of warm-up, steps after it, and how many of these one kept draw stands for.
-    not_finite, not_finite_share
-        How often the likelihood was no number, warm-up included; and the share of the proposals
-        after warm-up.
-    seconds
-        Wall-clock time.
-    warnings
-        Sentences on a sample that may have converged all the same, such as walkers that never
-        moved.
-    max_rhat
-        Largest ``rhat`` that the settings accepted.
-    """
-
+    # reliable: all criteria met; tentative: not all, but the ensembles roughly agree
     status: Status
+    # a sentence with a hint for each criterion that is not met
     problems: tuple[str, ...]
+    # nested R-hat
     rhat: Array
-    tau: Array
-    ess: Array
-    acceptance: Array
+    tau: Array  # integrated autocorrelation time, steps
+    ess: Array  # effective sample size
+    acceptance: Array  # (ensembles, walkers) acceptance fraction
     ensembles: int
     walkers: int
+    # steps of warm-up, steps after it, and thinning
     warmup: int
     steps: int
     thin: int
+    # non-finite likelihood evaluations with warm-up, and their share of the proposals after it
     not_finite: int
-    seconds: float
+    seconds: float  # wall-clock time
     not_finite_share: float = 0.0
+    # doubts of a converged sample, such as walkers that never moved
     warnings: tuple[str, ...] = ()
-    max_rhat: float = 1.01
+    max_rhat: float = 1.01  # criterion of the settings
 
     def sound(self, rhat: Array, ess: Array) -> NDArray[np.bool_]:
-        """Tell which numbers may be reported, whatever the diagnostics of others are.
-
-        Parameters
-        ----------
-        rhat, ess
-            Nested R-hat and effective sample size of each number, sampled or derived, of one shape.
-
-        Returns
-        -------
-        ndarray of bool
-            All true for a reliable sample; else where ``rhat`` is accepted and ``ess`` at least
-            400, with which the ends of a 90 % interval are right to a tenth of a standard
-            deviation.
-        """
+        """Flag numbers that may be reported even if others did not converge."""
         if self.status == "reliable":
             return np.ones(rhat.shape, dtype=np.bool_)
         return np.asarray((rhat <= self.max_rhat) & (ess >= _SOUND_ESS))
@@ -95,46 +57,19 @@ class Diagnostics:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of the sampled parameters, noise scales last.
+    """Draws of the sampled parameters, noise scales last."""
 
-    Attributes
-    ----------
-    names, priors
-        Of the ``d`` sampled parameters: the free ones of the mechanism, then those of the noise.
-    draws
-        ``(ensembles, walkers, steps, d)`` in SI units, thinned.
-    log_density
-        ``(ensembles, walkers, steps)`` log posterior density in the sampler's coordinates, that is
-        with the Jacobian; up to a constant.
-    diagnostics
-        Of the whole sample, before thinning.
-    seed
-        That everything random came from; later steps derive their own streams from it.
-    """
-
+    # of the d sampled parameters: the mechanism's free ones, then the noise scales
     names: tuple[str, ...]
     priors: tuple[Prior, ...]
-    draws: Array
+    draws: Array  # (ensembles, walkers, steps, d) in SI units, thinned
+    # (ensembles, walkers, steps) log posterior density in the sampler's coordinates
     log_density: Array
-    diagnostics: Diagnostics
-    seed: int
+    diagnostics: Diagnostics  # before thinning
+    seed: int  # later steps derive their streams from it
 
     def flat(self, most: int | None = None) -> Array:
-        """Lay all draws side by side, for quantiles, never for convergence checks.
-
-        Walkers that never moved are left out, unless none did: what they repeat is where they were
-        put.
-
-        Parameters
-        ----------
-        most
-            At most so many draws, evenly spread; all if left out.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)``, SI units.
-        """
+        """Return at most ``most`` draws ``(n, d)``, without walkers that never moved."""
         moved = self.diagnostics.acceptance > 0.0
         draws = self.draws if moved.all() or not moved.any() else self.draws[moved]
         flat = draws.reshape(-1, self.draws.shape[-1])
@@ -143,13 +78,13 @@ class Posterior:
         return np.asarray(flat[np.linspace(0, len(flat) - 1, most).astype(int)])
 
     def prior_draws(self, number: int, key: int) -> Array:
-        """Draw from the priors, ``(number, d)``; ``key`` is that of the random numbers."""
+        """Draw from the priors, ``(number, d)``, with a random stream ``key``."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(key,)))
         return np.stack([prior.draw(number, rng) for prior in self.priors], axis=1)
 
     @cached_property
     def median(self) -> Array:
-        """Median of every parameter by itself, ``(d,)``, SI units."""
+        """Median of every parameter, ``(d,)``, SI units."""
         return np.asarray(np.median(self.flat(), axis=0))
 
     def __getitem__(self, name: str) -> Array:

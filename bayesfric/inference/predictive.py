@@ -1,8 +1,6 @@
-"""What a posterior predicts of measurements that its likelihood did not see.
+"""Posterior prediction of recordings, or ends of recordings, that the likelihood did not use.
 
-A fit may follow the recordings it was made from and still predict others badly. So the torque of
-a held-out recording, or of a recording's end, is predicted from its motion by posterior draws,
-noise included, to be compared with what was measured.
+The torque is predicted from the motion alone, noise included, and compared with the measured one.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.held_out import HeldOut
 
-# Draws of the posterior that are used, and numbers held at once.
+# Draws of the posterior, and numbers in memory at once.
 _DRAWS = 400
 _BUDGET = 20_000_000
 _BLOCK = 1_000_000
@@ -29,33 +27,21 @@ _BLOCK = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Posterior predictive of a held-out part, each output by itself.
+    """Posterior predictive of a held-out part, output by output.
 
-    It is a mixture with one component a draw: that draw's modelled torque, and about it
-    one residual of that draw's noise. The noise's correlation with neighbouring outputs is not
-    used: the prediction is made from the motion alone.
-
-    Attributes
-    ----------
-    held_out
-        What is predicted, with its measured torque.
-    torque
-        ``(n, M)`` modelled by each of ``n`` draws, filtered like the measured one, N m or N.
-    noise
-        SciPy's distribution of a residual in each draw, of shape ``(n, 1)``.
-    borrowed
-        What the recording would have of its own but no fit has seen, ``noise scale`` or ``offset``:
-        each draw takes them from one fitted recording, picked at random.
+    A mixture with a component for each draw: its modelled torque plus a residual of its noise. The
+    noise's correlation with previous outputs is not used.
     """
 
     held_out: HeldOut
-    torque: Array
-    noise: Any
+    torque: Array  # (n, M) filtered torque of each draw, N m or N
+    noise: Any  # SciPy's distribution of a residual, of shape (n, 1)
+    # noise scale or offset unknown for this recording: each draw uses those of a random fitted one
     borrowed: tuple[str, ...]
 
     @property
     def measured(self) -> Array:
-        """Measured torque of the outputs, ``(M,)``, N m or N."""
+        """Measured torque ``(M,)``, N m or N."""
         return self.held_out.observation.measured
 
     @property
@@ -65,58 +51,31 @@ class Prediction:
 
     @property
     def variance(self) -> Array:
-        """Predictive variance, ``(M,)``: of the torque over draws, plus the noise's mean one.
-
-        Infinite where the noise has none.
-        """
+        """Predictive variance ``(M,)``; infinite if the noise has none."""
         return np.asarray(self.torque.var(axis=0) + np.mean(self.noise.var()))
 
     @cached_property
     def pit(self) -> Array:
-        """Probability integral transform, ``(M,)``: the predicted one of less than was measured.
+        """Probability integral transform ``(M,)``, uniform for right predictions.
 
-        Uniform between 0 and 1 where predictions are right [1]_.
-
-        References
-        ----------
-        .. [1] A. P. Dawid, "Statistical theory: the prequential approach", Journal of the Royal
-           Statistical Society A 147 (1984) 278-292.
+        A. P. Dawid, "Statistical theory: the prequential approach", Journal of the Royal
+        Statistical Society A 147 (1984) 278-292.
         """
-        found, at_once = np.empty(self.measured.size), max(1, _BLOCK // len(self.torque))
-        for begin in range(0, found.size, at_once):
+        pit_, at_once = np.empty(self.measured.size), max(1, _BLOCK // len(self.torque))
+        for begin in range(0, pit_.size, at_once):
             part = slice(begin, begin + at_once)
             below = self.noise.cdf(self.measured[part] - self.torque[:, part])
-            found[part] = below.mean(axis=0)
-        return found
+            pit_[part] = below.mean(axis=0)
+        return pit_
 
 
 def predict_held_out(
     target: Target, posterior: Posterior, held_out: Sequence[HeldOut]
 ) -> tuple[Prediction, ...]:
-    """Predict what was held out, with the posterior of a finished fit of the torque.
+    """Predict held-out torque with the posterior of a fit.
 
-    Parameters
-    ----------
-    target, posterior
-        Of the fit.
-    held_out
-        Recordings or ends of recordings.
-
-    Returns
-    -------
-    tuple of Prediction
-        One for each, from up to 400 draws, fewer of very long recordings.
-
-    Raises
-    ------
-    TypeError
-        If the likelihood is of positions.
-
-    Notes
-    -----
-    The end of a fitted recording is predicted with that recording's own noise scale and
-    offset. Those of a recording that was held out as a whole are not known; where recordings
-    have their own, the predictive is a mixture over those of the fitted ones.
+    The end of a fitted recording has that recording's noise scale and offset. For a recording of
+    its own they are unknown, and the predictive is a mixture over those of the fitted ones.
     """
     likelihood = target.likelihood
     if not isinstance(likelihood, TorqueLikelihood):
@@ -124,25 +83,24 @@ def predict_held_out(
     chain, noise = likelihood.chain, likelihood.noise
     names = [o.name for o in likelihood.observations]
     rng = np.random.default_rng(np.random.SeedSequence(posterior.seed, spawn_key=(6,)))
-    found = []
-    for one in held_out:
-        outputs = one.observation.measured.size
+    predictions = []
+    for part in held_out:
+        outputs = part.observation.measured.size
         draws = posterior.flat(min(_DRAWS, max(50, _BUDGET // outputs)))
         n = len(draws)
         values = target.chain_values(draws)
         scales = target.noise.scales(draws[:, len(target.free) :])
-        like, borrowed = np.full(n, names.index(one.name) if one.name in names else 0), []
-        if one.name not in names:
-            like = rng.integers(len(names), size=n)
+        source, borrowed = np.full(n, names.index(part.name) if part.name in names else 0), []
+        if part.name not in names:
+            source = rng.integers(len(names), size=n)
             borrowed += ["noise scale"] if np.ptp(target.noise.places, axis=0).any() else []
             borrowed += ["offset"] if chain.own_offsets else []
         torque = np.empty((n, outputs))
-        for r in np.unique(like):
-            # a recording's offset goes by its name
-            inputs = replace(one.observation.inputs, recording=names[r])
-            alike = replace(one.observation, inputs=inputs)
-            torque[like == r] = filtered_torque(chain, alike, values[like == r])
-        found.append(
-            Prediction(one, torque, noise.marginal(scales[np.arange(n), like]), tuple(borrowed))
+        for r in np.unique(source):
+            inputs = replace(part.observation.inputs, recording=names[r])
+            observation = replace(part.observation, inputs=inputs)
+            torque[source == r] = filtered_torque(chain, observation, values[source == r])
+        predictions.append(
+            Prediction(part, torque, noise.marginal(scales[np.arange(n), source]), tuple(borrowed))
         )
-    return tuple(found)
+    return tuple(predictions)

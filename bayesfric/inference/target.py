@@ -1,7 +1,7 @@
-r"""The log-posterior as the sampler sees it: coordinates in, one number a walker out.
+r"""The log-posterior as the sampler sees it.
 
-Priors are stated in physical parameters :math:`\theta`, walkers move in unconstrained coordinates
-:math:`u`, so the density that is sampled is
+Priors are given in physical parameters :math:`\theta`, walkers move in unconstrained coordinates
+:math:`u`, so the sampled density is
 
 .. math:: \log p(u) = \log p(\theta) + \log p(y \mid \theta) + \log|\partial\theta/\partial u|
 """
@@ -26,47 +26,28 @@ Array = NDArray[np.float64]
 
 
 class LogPosterior(ABC):
-    """A log-posterior in coordinates, made of prior, likelihood and a change of variables.
+    """A log-posterior in coordinates: prior, likelihood and change of variables."""
 
-    Attributes
-    ----------
-    not_finite
-        How often the likelihood came out as no number so far; see :class:`Target`.
-    """
-
-    not_finite: int
+    not_finite: int  # How often the likelihood came out as no number so far; see :class:`Target`
 
     @abstractmethod
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        """Map coordinates to physical parameters.
-
-        Parameters
-        ----------
-        u
-            ``(n, d)``, any real numbers.
-
-        Returns
-        -------
-        parameters
-            ``(n, d)``, SI units.
-        jacobian
-            ``(n,)`` log absolute determinant of their derivative by ``u``; not finite where a row
-            has no counterpart.
-        """
+        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
 
     @abstractmethod
     def log_prior(self, parameters: Array) -> Array:
-        """Log prior density ``(n,)`` of parameters ``(n, d)``; ``-inf`` outside a support."""
+        """Log prior density ``(n,)`` of parameters ``(n, d)``; ``-inf`` outside the support."""
 
     @abstractmethod
     def log_likelihood(self, parameters: Array) -> Array:
         """Log-likelihood ``(n,)`` of physical parameters ``(n, d)``."""
 
     def __call__(self, u: Array) -> Array:
-        """Log posterior density in coordinates, ``(n, d)`` to ``(n,)``.
+        """Log posterior density ``(n,)`` of coordinates ``(n, d)``.
 
-        The likelihood, which is dear, is only asked where prior and Jacobian leave a probability.
-        Where it is no number the density is ``-inf``, and :attr:`not_finite` counts it.
+        The expensive likelihood is only evaluated where prior and Jacobian are finite. A non-finite
+        value counts as ``-inf``; at the edge of a prior that is infinite there a walker would be
+        stuck.
         """
         parameters, jacobian = self.to_parameters(u)
         out = np.where(np.isfinite(jacobian), jacobian, -np.inf)
@@ -77,39 +58,17 @@ class LogPosterior(ABC):
         out[~possible] = -np.inf
         if possible.any():
             density = self.log_likelihood(parameters[possible])
-            number = np.isfinite(density)
-            self.not_finite += int(np.count_nonzero(~number))
-            out[possible] += np.where(number, density, -np.inf)
+            is_finite = np.isfinite(density)
+            self.not_finite += int(np.count_nonzero(~is_finite))
+            out[possible] += np.where(is_finite, density, -np.inf)
         return out
 
 
 class Target(LogPosterior):
-    """Posterior of the free parameters and the noise scales, the mechanism's first.
+    """Posterior of the mechanism's free parameters and the noise scales, in this order.
 
-    Parameters
-    ----------
-    likelihood
-        Of torque or position; holds the mechanism and its recordings.
-    priors
-        By name, of every parameter of the mechanism, fixed ones included.
-    noise
-        Which noise scales there are, with priors of their own.
-    widths
-        ``(d,)`` about the posterior's standard deviations, SI units. They shape the coordinates,
-        not the posterior; simpler coordinates are used where they are not known yet.
-
-    Attributes
-    ----------
-    free
-        Names of the mechanism's parameters that are sampled.
-    names, priors
-        Of all ``d`` sampled parameters, ``free`` and then those of the noise.
-    coordinates
-        Of the free parameters.
-    not_finite
-        How often the likelihood came out as no number; such points are impossible. So is the edge
-        of a prior that is infinitely dense there: a walker that rounding put on it would never
-        leave.
+    ``priors`` include fixed parameters. ``widths`` ``(d,)`` are approximate posterior standard
+    deviations, which only shape the coordinates.
     """
 
     def __init__(
@@ -131,10 +90,12 @@ class Target(LogPosterior):
             [priors[name].value if priors[name].fixed else 0.0 for name in chain.names]
         )
         self._all_priors = priors
-        own, of_noise = (None, None) if widths is None else np.split(widths, [len(self.free)])
-        self.coordinates = choose_coordinates(chain, priors, own)
+        model_widths, noise_widths = (
+            (None, None) if widths is None else np.split(widths, [len(self.free)])
+        )
+        self.coordinates = choose_coordinates(chain, priors, model_widths)
         low, high = [p.lower for p in noise.priors], [p.upper for p in noise.priors]
-        self._noise_coordinates = BoundedCoordinates(low, high, of_noise)
+        self._noise_coordinates = BoundedCoordinates(low, high, noise_widths)
 
     @cached_property
     def dimension(self) -> int:
@@ -142,69 +103,40 @@ class Target(LogPosterior):
         return len(self.names)
 
     def with_widths(self, widths: Array) -> Target:
-        """Make the same target in coordinates that suit posteriors of these sds, ``(d,)``."""
+        """Return the same target in coordinates for posterior standard deviations ``(d,)``."""
         return Target(self.likelihood, self._all_priors, self.noise, widths)
 
-    def uncut_at(self, values: Mapping[str, float]) -> Target:
-        """Make the same target, the circle of unknown angles cut opposite of likely values.
+    def with_circular_cut_at(self, values: Mapping[str, float]) -> Target:
+        """Wrap circular angles so that the cut lies opposite the estimated values, by name.
 
-        The ends of a prior over a whole turn mean nothing, so they are put where the posterior is
-        least likely to be, and do not tear it apart.
-
-        Parameters
-        ----------
-        values
-            Likely values by parameter's name, rad for angles; others are ignored.
-
-        Returns
-        -------
-        Target
-            Itself where no prior is a whole turn; else a new one, in coordinates without widths.
+        The ends of a prior over a whole turn have no meaning, and must not split the posterior.
         """
         cut = {name: self._all_priors[name].cut_opposite(value) for name, value in values.items()}
         if all(prior is self._all_priors[name] for name, prior in cut.items()):
             return self
         return Target(self.likelihood, {**self._all_priors, **cut}, self.noise)
 
-    def about(self, parameters: Array) -> Target:
-        """Make the same target, the likelihood's approximations made at another place.
-
-        Parameters
-        ----------
-        parameters
-            ``(d,)`` sampled parameters, SI units.
-
-        Returns
-        -------
-        Target
-            In coordinates without widths.
-        """
-        likelihood = self.likelihood.about(self.chain_values(parameters[None])[0])
+    def relinearised_at(self, parameters: Array) -> Target:
+        """Return the same target with the likelihood linearised at parameters ``(d,)``."""
+        likelihood = self.likelihood.relinearised_at(self.chain_values(parameters[None])[0])
         return Target(likelihood, self._all_priors, self.noise)
 
-    def prepared(self, u: Array) -> Target:
-        """Make the same target, cheaper to evaluate near some places.
-
-        Parameters
-        ----------
-        u
-            ``(n, d)`` coordinates, about as spread as the posterior. They decide how fast the
-            result is, not what it is.
-        """
+    def precomputed(self, u: Array) -> Target:
+        """Return the same target, fast near coordinates ``(n, d)``; its values do not change."""
         parameters, jacobian = self.to_parameters(u)
         draws = self.chain_values(parameters[np.isfinite(jacobian)])
         out = copy(self)
-        out.likelihood = self.likelihood.prepared(draws)
+        out.likelihood = self.likelihood.precomputed(draws)
         return out
 
-    def excerpt(self) -> Target:
-        """Make the target of excerpts of long recordings."""
+    def subsample(self) -> Target:
+        """Return the target of subsamples of long recordings."""
         out = copy(self)
-        out.likelihood = self.likelihood.excerpt()
+        out.likelihood = self.likelihood.subsample()
         return out
 
     def chain_values(self, parameters: Array) -> Array:
-        """Fill the fixed parameters in: ``(n, d)`` to ``(n, chain parameters)``."""
+        """Insert fixed parameters: ``(n, d)`` to ``(n, n_parameters)``."""
         values = np.tile(self._template, (parameters.shape[0], 1))
         values[:, self._columns] = parameters[:, : len(self.free)]
         return values
@@ -224,72 +156,45 @@ class Target(LogPosterior):
         return np.concatenate([model, noise], axis=1)
 
     def to_linear(self, u: Array) -> tuple[Array, Array]:
-        """Map coordinates to straight ones, in which the torque is closer to linear.
-
-        Parameters
-        ----------
-        u
-            ``(n, d)``.
-
-        Returns
-        -------
-        v, slope
-            ``(n, d)``, and ``(n,)`` the log Jacobian ``log|dv/du|``. Noise scales stay as they are.
-        """
+        """Map coordinates ``(n, d)`` to linear ones, with ``log|dv/du|`` ``(n,)``."""
         k = len(self.free)
         v, slope = self.coordinates.to_linear(u[:, :k])
         return np.concatenate([v, u[:, k:]], axis=1), slope
 
     def from_linear(self, v: Array) -> Array:
-        """Undo :meth:`to_linear`; not finite where there is nothing to go back to."""
+        """Map linear coordinates back; impossible rows are not finite."""
         k = len(self.free)
         return np.concatenate([self.coordinates.from_linear(v[:, :k]), v[:, k:]], axis=1)
 
     def unbounded(self, parameters: Array) -> Array:
-        """Map parameters ``(n, d)`` to straight coordinates, which bounds cut and do not bend.
-
-        There a posterior that leans on a bound is a normal one that is cut, and can be moved
-        beyond.
-        """
+        """Map parameters ``(n, d)`` to linear coordinates, in which bounds truncate a normal."""
         return self.to_linear(self.from_parameters(parameters))[0]
 
     def from_unbounded(self, v: Array) -> Array:
-        """Undo :meth:`unbounded`.
-
-        Parameters
-        ----------
-        v
-            ``(n, d)``, anywhere.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)`` parameters, SI units; a row that is beyond a bound, or that the prior rules
-            out, is not finite as a whole.
-        """
+        """Invert :meth:`unbounded`; rows beyond a bound or outside the prior are not finite."""
         u, out = self.from_linear(v), np.full(v.shape, np.nan)
         possible = np.isfinite(u).all(axis=1)
         parameters, slope = self.to_parameters(u[possible])
         parameters[~np.isfinite(slope)] = np.nan
-        told = np.flatnonzero(np.isfinite(parameters).all(axis=1))
-        # not every coordinate ends where a prior does
-        outside = told[~np.isfinite(self.log_prior(parameters[told]))]
+        finite = np.flatnonzero(np.isfinite(parameters).all(axis=1))
+        # coordinates may extend beyond a prior
+        outside = finite[~np.isfinite(self.log_prior(parameters[finite]))]
         parameters[outside] = np.nan
         out[possible] = parameters
         return out
 
     @cached_property
     def friction(self) -> NDArray[np.bool_]:
-        """Which unbounded coordinates ``(k,)`` are of the friction law, not physical constants."""
+        """Flags ``(k,)`` of unbounded coordinates that are friction, not physical constants."""
         measurands = {p.name: p.row.measurand for p in self.likelihood.chain.parameters}
-        own = self.coordinates.represents
-        return np.array([measurands[self.free[i]] == "law" for i in own], dtype=bool)
+        represented = self.coordinates.represents
+        return np.array([measurands[self.free[i]] == "law" for i in represented], dtype=bool)
 
     def log_prior(self, parameters: Array) -> Array:
-        """Log prior density of physical parameters ``(n, d)``."""
+        """Log prior density ``(n,)`` of parameters ``(n, d)``."""
         return self._joint_prior.log_density(parameters)
 
     def log_likelihood(self, parameters: Array) -> Array:
-        """Log-likelihood of physical parameters ``(n, d)``."""
+        """Log-likelihood ``(n,)`` of parameters ``(n, d)``."""
         scales = self.noise.scales(parameters[:, len(self.free) :])
         return self.likelihood.log_density(self.chain_values(parameters), scales)

@@ -85,7 +85,7 @@ class JointTarget(LogPosterior):
         )
         self.to_linear, self.from_linear = self.coordinates.to_linear, self.coordinates.from_linear
         self.likelihood = SimpleNamespace(
-            cheap=all(t.likelihood.cheap for t in targets), method="input-error"
+            fast=all(t.likelihood.fast for t in targets), method="input-error"
         )
         self.not_finite = 0
         u = self.coordinates.from_parameters(draws)
@@ -116,13 +116,13 @@ class JointTarget(LogPosterior):
         """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
         return self.coordinates.to_parameters(u)
 
-    def prepared(self, u: Array) -> JointTarget:
+    def precomputed(self, u: Array) -> JointTarget:
         """Make the same target with likelihoods that are fast near coordinates ``(n, d)``."""
         parameters, slope = self.to_parameters(u)
         parameters = parameters[np.isfinite(slope)]
         out = copy(self)
         out.targets = [
-            target.prepared(target.from_parameters(run_parameters))
+            target.precomputed(target.from_parameters(run_parameters))
             for target, run_parameters in zip(self.targets, self._of_runs(parameters), strict=True)
         ]
         return out

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.base.safe_read import read_json, read_text
-from bayesfric.diagnostics.self_check import SelfCheckOptions
+from bayesfric.diagnostics.calibration_check import CalibrationCheckOptions
 from bayesfric.estimates.knowledge import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
@@ -28,10 +28,10 @@ from bayesfric.recordings.held_out import Validation
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.source import Processing, Source
 
-# What a configuration is called in a run directory.
+# Name of the configuration in a run directory.
 RUN_CONFIG = "config.toml"
 
-Checked = TypeVar("Checked", bound=BaseModel)
+OptionsModel = TypeVar("OptionsModel", bound=BaseModel)
 
 
 class NoiseOptions(Options):
@@ -68,7 +68,7 @@ class PoolingOptions(Options):
 
 
 class Tables(Options):
-    """Everything a configuration may hold; ``init`` writes the tables of options by this list."""
+    """All tables of a configuration, in the order of ``init``."""
 
     mechanism: MechanismOptions = Field(description="What the joint is: a preset, or elements.")
     recordings: tuple[Source, ...] = Field(
@@ -79,7 +79,7 @@ class Tables(Options):
     )
     priors: dict[str, Any] = Field(
         default_factory=dict,
-        description="What is known of parameters, by name: a number fixes, [low, high] is uniform, "
+        description="Priors of parameters, by name: a number fixes, [low, high] is uniform, "
         '{ distribution = "norm", loc = ..., scale = ... } one of SciPy; in SI units.',
     )
     references: dict[str, Any] = Field(
@@ -90,16 +90,16 @@ class Tables(Options):
     likelihood: LikelihoodOptions = Field(
         LikelihoodOptions(), description="Which measured quantity the posterior explains"
     )
-    noise: NoiseOptions = Field(NoiseOptions(), description="What the noise is taken for")
+    noise: NoiseOptions = Field(NoiseOptions(), description="Noise model")
     sampling: Sampling = Field(Sampling(), description="How the posterior is sampled")
     validation: Validation = Field(
         Validation(),
         description="What the fit does not see, so that 'bayesfric fit' can say how well it "
         "predicts",
     )
-    self_check: SelfCheckOptions = Field(
-        SelfCheckOptions(),
-        description="How every fit is tried on simulated recordings like its own",
+    self_check: CalibrationCheckOptions = Field(
+        CalibrationCheckOptions(),
+        description="Calibration check of every fit on simulated replicates",
     )
     pooling: PoolingOptions = Field(
         PoolingOptions(),
@@ -111,8 +111,8 @@ class Tables(Options):
     simulation: Simulation | None = Field(None, description="Only for 'bayesfric simulate'")
 
 
-class Kept(BaseModel):
-    """The file of a recording as it was when it was fitted."""
+class FittedFile(BaseModel):
+    """The file of a recording at the time of the fit."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -121,46 +121,44 @@ class Kept(BaseModel):
 
 
 class Origin(BaseModel):
-    """Where a run's configuration and recordings were; ``source`` in its ``summary.json``."""
+    """Original places of a run's configuration and recordings, ``source`` in ``summary.json``."""
 
     model_config = ConfigDict(frozen=True)
 
     folder: Path
-    recordings: dict[str, Kept]
+    recordings: dict[str, FittedFile]
 
 
 class Config(BaseModel):
-    """A configuration with where it came from."""
+    """A configuration and its file."""
 
     model_config = ConfigDict(frozen=True)
 
     path: Path
-    text: str  # contents of the file, kept with every result
-    tables: Tables  # the checked options
-    origin: Origin | None = None  # where it lay before, if it is that of a run
+    text: str  # of the file
+    tables: Tables  # validated options
+    origin: Origin | None = None  # of a run's configuration
 
     @property
     def folder(self) -> Path:
-        """Folder that file names in the configuration are relative to.
+        """Folder that file names are relative to: for a run's configuration its original one.
 
-        That of a run's configuration is where it lay before, or where it is if not all that was
-        fitted is there any more.
+        If fitted files are missing there, it is the run's.
         """
         origin = self.origin
-        if origin and all(one.file.exists() for one in origin.recordings.values()):
+        if origin and all(recording.file.exists() for recording in origin.recordings.values()):
             return origin.folder
         return self.path.parent
 
     @staticmethod
     def origin_of(recordings: Sequence[Measurement], folder: Path) -> Origin:
-        """Tell where all that was fitted is, so that it can be fitted again from elsewhere.
-
-        ``folder`` is what file names in the configuration are relative to.
-        """
+        """Record where the fitted files are; their names are relative to ``folder``."""
         return Origin(
             folder=folder.absolute(),
             recordings={
-                r.name: Kept(file=r.path.absolute(), sha256=r.sha256) for r in recordings if r.path
+                r.name: FittedFile(file=r.path.absolute(), sha256=r.sha256)
+                for r in recordings
+                if r.path
             },
         )
 
@@ -171,20 +169,20 @@ class Config(BaseModel):
 
     @property
     def references(self) -> dict[str, Reference]:
-        """References by name of what they are of, nested tables flattened."""
-        found = {}
+        """References by name, nested tables flattened."""
+        checked = {}
         for name, entry in _flatten(self.tables.references, "value"):
-            given = entry if isinstance(entry, Mapping) else {"value": entry}
+            table = entry if isinstance(entry, Mapping) else {"value": entry}
             where = f"{self.path}: references.{name}"
             try:
-                found[name] = Reference.model_validate(given, strict=True)
+                checked[name] = Reference.model_validate(table, strict=True)
             except ValidationError as error:
-                raise configuration_error(f"{where}.", "value", error, given, Reference) from None
-        return found
+                raise configuration_error(f"{where}.", "value", error, table, Reference) from None
+        return checked
 
     @contextmanager
     def named(self, place: str = "") -> Iterator[None]:
-        """Put the configuration's name, and a place such as ``recordings.2``, before keys."""
+        """Prefix keys in messages by the configuration's name and a ``place``."""
         try:
             yield
         except BadInput as error:
@@ -193,29 +191,29 @@ class Config(BaseModel):
 
 
 def read_config(path: Path) -> Config:
-    """Read and check a configuration; what cannot be used is bad input, with key and mend."""
+    """Read and validate a configuration."""
     text = read_toml(path)
     return parse_config(text, path).model_copy(update={"origin": _origin(path)})
 
 
 def read_toml(path: Path) -> str:
-    """Read the text of a TOML file; bad input where there is none."""
+    """Read the text of a TOML file."""
     return read_text(path, "name the .toml file")
 
 
 def _origin(path: Path) -> Origin | None:
-    """Read where a run's configuration lay; ``None`` where it is not in a run."""
-    beside = path.with_name("summary.json")
-    if path.name != RUN_CONFIG or not beside.is_file():
+    """Read the origin of a run's configuration; ``None`` outside a run."""
+    summary = path.with_name("summary.json")
+    if path.name != RUN_CONFIG or not summary.is_file():
         return None
     try:
-        return Origin.model_validate(read_json(beside)["source"])
+        return Origin.model_validate(read_json(summary)["source"])
     except (BadInput, ValueError, LookupError, TypeError):
         return None
 
 
 def parse_config(text: str, path: Path) -> Config:
-    """Check a configuration's text; see :func:`read_config`."""
+    """Validate a configuration's text; see :func:`read_config`."""
     tables = checked_toml(text, path, Tables, "configuration")
     # a name may come twice, dotted and in a table
     for name, count in Counter(n for n, _ in _flatten(tables.priors, "distribution")).items():
@@ -225,21 +223,20 @@ def parse_config(text: str, path: Path) -> Config:
 
 
 def read_document(text: str, path: Path) -> dict[str, Any]:
-    """Read TOML; ``path`` names it in messages."""
+    """Parse TOML; ``path`` is for messages."""
     try:
         return tomllib.loads(text)
     except ValueError as error:
-        what = f"is no TOML ({str(error).partition(';')[0]})"
+        what = f"is not TOML ({str(error).partition(';')[0]})"
         mend = 'write key = value, each key once, with text in "quotes"'
         raise BadInput(str(path), what, mend) from None
 
 
-def checked_toml(text: str, path: Path, model: type[Checked], kind: str) -> Checked:
-    """Read TOML as what a model describes; bad input names the key, and ``kind`` the whole."""
+def checked_toml(text: str, path: Path, model: type[OptionsModel], kind: str) -> OptionsModel:
+    """Parse and validate TOML by a model; ``kind`` is for messages."""
     document = read_document(text, path)
     try:
-        # As JSON, of which pydantic takes lists for tuples, and still does not take true for 1 or
-        # "yes" for true.
+        # JSON, as pydantic then converts lists to tuples, but not true to 1 or "yes" to true
         return model.model_validate_json(json.dumps(document, default=str), strict=True)
     except ValidationError as error:
         raise configuration_error(f"{path}: ", kind, error, document, model) from None

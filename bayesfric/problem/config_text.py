@@ -1,4 +1,4 @@
-"""Python objects as the text of a configuration, which is what a model is made from."""
+"""Python objects as the text of a configuration, from which a model is made."""
 
 from __future__ import annotations
 
@@ -21,28 +21,22 @@ from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Source
 
-# What complaints about a model made in Python begin with.
+# Name of a model made in Python, in messages.
 _MODEL = Path("Model")
 
 
 def config_of(document: Mapping[str, Any]) -> Config:
-    """Write tables as a configuration, and check it as if it had been read.
-
-    Raises
-    ------
-    BadInput
-        With the key and the mend, for anything that cannot be used.
-    """
+    """Write tables as a configuration, and validate it."""
     return parse_config(document_text(document), _MODEL)
 
 
 def document_text(document: Mapping[str, Any], path: Path = _MODEL) -> str:
-    """Write tables as the text of a configuration; ``path`` names them in messages."""
+    """Write tables as the text of a configuration; ``path`` is for messages."""
     return tomlkit.dumps(_plain(document, f"{path}: "))
 
 
 def _plain(value: Any, where: str) -> Any:
-    """Turn models, arrays and paths into what TOML holds; keys that are ``None`` are left out."""
+    """Convert models, arrays and paths to TOML types; keys that are ``None`` are dropped."""
     value = value.tolist() if hasattr(value, "tolist") else value  # NumPy's
     if isinstance(value, BaseModel):
         value = value.model_dump(mode="json", exclude_unset=True)
@@ -68,21 +62,21 @@ def toml_value(value: Any) -> str:
 
 
 def with_terms(config: Config, names: Sequence[str]) -> Config:
-    """Give a configuration whose mechanism names terms of one's own."""
+    """Return a configuration whose mechanism names custom terms."""
     return with_settings(config, [f"mechanism.terms = {toml_value(list(names))}"], extend=False)
 
 
 def with_settings(config: Config, settings: Sequence[str], *, extend: bool = True) -> Config:
-    """Give a configuration with settings, lines of dotted keys, put in; comments stay.
+    """Return a configuration with settings, lines of dotted keys, added; comments are preserved.
 
-    Of a list, such as cycles a turn, what is there stays where it is to be ``extend``-ed.
+    Lists are extended if ``extend``, else replaced.
     """
     text = config.text
     for line in settings:
         setting = tomllib.loads(line)
         try:
             document = tomlkit.parse(text)
-        except TOMLKitError:  # it takes a header below dotted keys for a second table of that name
+        except TOMLKitError:  # it mistakes a header below dotted keys for a second table
             document = tomlkit.parse(tomlkit.dumps(tomllib.loads(text)))
         has_table = _put(document, setting, extend)
         text = tomlkit.dumps(document)
@@ -92,7 +86,7 @@ def with_settings(config: Config, settings: Sequence[str], *, extend: bool = Tru
 
 
 def _put(table: Any, setting: Mapping[str, Any], extend: bool) -> bool:
-    """Set one key, ahead of the comments that end its table; False where that table is missing."""
+    """Set one key before the comments that end its table; False if that table is missing."""
     ((key, value),) = setting.items()
     current = table.get(key)
     if isinstance(current, Mapping):
@@ -111,9 +105,9 @@ def _put(table: Any, setting: Mapping[str, Any], extend: bool) -> bool:
 
 
 def mechanism_table(joint: Joint) -> dict[str, Any]:
-    """Write a joint as the ``[mechanism]`` table that makes it."""
+    """Write a joint as a ``[mechanism]`` table."""
     offset = "per-recording" if joint.own_offsets else joint.offset
-    terms = [term.name for term in joint.terms] or None  # what is none is left out
+    terms = [term.name for term in joint.terms] or None
     table = {"offset": offset, "gain": joint.gain, "terms": terms, "delay": joint.delay}
     if joint.made_from in PRESETS:
         base = PRESETS[joint.made_from].chain()
@@ -124,7 +118,7 @@ def mechanism_table(joint: Joint) -> dict[str, Any]:
 
 
 def recording_table(recording: Recording, number: int) -> dict[str, Any]:
-    """Write a recording as the ``[[recordings]]`` table that reads it, once a run has saved it."""
+    """Write a recording as a ``[[recordings]]`` table, as a run saves it."""
     source = recording.source
     if not isinstance(source, Source):
         source = recording.filed(saved_name(number))
@@ -137,15 +131,15 @@ def recording_table(recording: Recording, number: int) -> dict[str, Any]:
 
 
 def saved_name(number: int) -> str:
-    """Name the file in a run directory of a recording that was given as a table in memory."""
+    """Name the file of a table in memory in a run directory."""
     return f"recordings/recording-{number}.csv"
 
 
 def _chosen(item: Any, options: type[BaseModel]) -> dict[str, Any]:
-    given = {**vars(item), **item.choices}
+    values = {**vars(item), **item.choices}
     return {
         key: v
-        for key, v in given.items()
+        for key, v in values.items()
         if key in options.model_fields and v != options.model_fields[key].default
     }
 

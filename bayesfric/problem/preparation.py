@@ -1,4 +1,4 @@
-"""From a configuration to what was measured, prepared, and what is believed of it beforehand."""
+"""Read and preprocess the recordings of a configuration, and read its priors."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.noise.autoregressive import MOST, Autoregressive
-from bayesfric.inference.prior.as_knowledge import as_knowledge
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.noise.autoregressive import MAX_ORDER, Autoregressive
+from bayesfric.inference.prior.priors import Prior, as_knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
@@ -28,8 +27,8 @@ from bayesfric.recordings.read import read_recordings
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.timing import longest_delay, timed
 
-# Times an inertia by which a band that was asked for is worth a doubt.
-_HARM = 1.05
+# Warn if the requested bandwidth changes the inertia by more than this factor.
+_LARGER_INERTIA = 1.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +46,9 @@ class Prepared:
 def prepare(
     config: Config, recordings: Sequence[Recording] | None = None, terms: Sequence[Term] = ()
 ) -> Prepared:
-    """Read every recording of a configuration, or those given where not all are in files.
+    """Read and preprocess every recording of a configuration, or those given.
 
-    ``terms`` are those of one's own that its table ``mechanism`` names.
+    ``terms`` are the functions of custom terms that its table ``mechanism`` names.
     """
     tables = config.tables
     with config.named():
@@ -60,16 +59,16 @@ def prepare(
         raise BadInput(
             f"{config.path}: mechanism", "has no parameter", "give an element inertia or friction"
         )
-    found = _recorded(config, chain, recordings)
-    by_target = all(r.feedback is not None for r in found)
+    measurements = _read_all(config, chain, recordings)
+    by_target = all(r.feedback is not None for r in measurements)
     if by_target and chain.delay is None and tables.likelihood.method == "input-error":
-        # no drive acts on its target at once, and what it is late by looks like viscous friction
+        # drives react late to their target, which looks like viscous friction
         chain = replace(chain, delay=True)
     chain = replace(chain, by_target=by_target)
     with config.named():
-        found, divided, doubted = _banded(found, chain, tables)
-        # the torque's rate sizes a prior, whatever the delay is
-        observations = (_timed(divided, 0.0) if chain.delay else divided).observations
+        measurements, divided, doubted = _with_band(measurements, chain, tables)
+        # the torque's rate scales a prior, for any delay
+        observations = (_with_delay(divided, 0.0) if chain.delay else divided).observations
     if tables.mechanism.offset == "per-recording":
         chain = replace(chain, own_offsets=tuple(o.name for o in observations))
     with config.named():
@@ -79,114 +78,120 @@ def prepare(
         if chain.delay:
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
-            given = EstimationInputs(chain, observations, known, tables.estimation, lambda: ())
-            late = prior.value if prior.fixed else estimate_delay(given, divided.recordings)
-            if not prior.fixed and abs(late) > min(
+            evidence = EstimationInputs(chain, observations, known, tables.estimation, lambda: ())
+            delay = prior.value if prior.fixed else estimate_delay(evidence, divided.recordings)
+            if not prior.fixed and abs(delay) > min(
                 longest_delay(o, r.period)
                 for r, o in zip(divided.recordings, divided.observations, strict=True)
             ):
-                # as much off the ends as no torque is known for, and a little for what it may be
-                found = [replace(r, late=late + math.copysign(r.period, late)) for r in found]
-                divided = divide(found, tables.processing, tables.validation)
-                divided = _doubted(divided, doubted)
-            divided = _timed(divided, late)
+                # trim the ends, where the torque is unknown, and a margin
+                measurements = [
+                    replace(r, late=delay + math.copysign(r.period, delay)) for r in measurements
+                ]
+                divided = divide(measurements, tables.processing, tables.validation)
+                divided = _note_attenuation(divided, doubted)
+            divided = _with_delay(divided, delay)
         encoder = divided.observations
-        divided = _refined(divided, chain, as_knowledge(chain, priors), tables.estimation)
+        divided = _with_refined_motion(
+            divided, chain, as_knowledge(chain, priors), tables.estimation
+        )
     observations = divided.observations
     return Prepared(chain, divided.recordings, observations, encoder, priors, divided.held_out)
 
 
-def _recorded(
+def _read_all(
     config: Config, chain: Joint, recordings: Sequence[Recording] | None
 ) -> list[Measurement]:
-    """Read them, and note which have changed since a run."""
-    found: list[Measurement] = []
+    """Read all recordings, with a warning for those that changed since a run."""
+    measurements: list[Measurement] = []
     if recordings is None:
         recordings = [Recording(source, config.folder) for source in config.tables.recordings]
     for number, recording in enumerate(recordings, start=1):
-        found += _read(config, chain, recording, number)
-    kept = config.origin.recordings if config.origin else {}
-    for k, r in enumerate(found):
-        if r.name in kept and kept[r.name].sha256 != r.sha256:
-            text = f"changed since the run was made: its SHA-256 was {kept[r.name].sha256}"
-            found[k] = replace(r, warnings=(*r.warnings, text))
-    _check_recordings(config, chain, found)
-    return found
+        measurements += _read(config, chain, recording, number)
+    fitted = config.origin.recordings if config.origin else {}
+    for k, r in enumerate(measurements):
+        if r.name in fitted and fitted[r.name].sha256 != r.sha256:
+            text = f"changed since the run was made: its SHA-256 was {fitted[r.name].sha256}"
+            measurements[k] = replace(r, warnings=(*r.warnings, text))
+    _check_recordings(config, chain, measurements)
+    return measurements
 
 
-def _banded(
-    found: list[Measurement], chain: Joint, tables: Tables
+def _with_band(
+    recordings: list[Measurement], chain: Joint, tables: Tables
 ) -> tuple[list[Measurement], Divided, Sequence[Attenuated]]:
-    """Filter to a band that keeps the inertia's size, or doubt the one that was asked for."""
-    divided = divide(found, tables.processing, tables.validation)
+    """Filter to a band that preserves the inertia, or note that the requested one does not."""
+    divided = divide(recordings, tables.processing, tables.validation)
     _check_signals(chain, divided.observations)
-    recorded = divided.recordings, divided.observations
-    attenuated = attenuations(chain, *recorded, tables.processing)
+    pair = divided.recordings, divided.observations
+    attenuated = attenuations(chain, *pair, tables.processing)
     if not attenuated:
-        return found, divided, ()
+        return recordings, divided, ()
     if not tables.processing.chooses_band:
-        return found, _doubted(divided, attenuated), attenuated
-    narrower = {one.recording: one.narrower for one in attenuated}
-    found = [replace(r, widest_band=narrower.get(r.name)) for r in found]
-    return found, divide(found, tables.processing, tables.validation), ()
+        return recordings, _note_attenuation(divided, attenuated), attenuated
+    narrower = {a.recording: a.narrower for a in attenuated}
+    recordings = [replace(r, widest_band=narrower.get(r.name)) for r in recordings]
+    return recordings, divide(recordings, tables.processing, tables.validation), ()
 
 
-def _doubted(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
-    """Note with observations that a narrower band contradicts the one that was asked for.
+def _note_attenuation(divided: Divided, attenuated: Sequence[Attenuated]) -> Divided:
+    """Note that a narrower band contradicts the requested one.
 
-    Where that moves the inertia by little, the one who asked for it has the better reason.
+    If the inertia hardly changes, keep the user's bandwidth.
     """
-    noted = {
-        one.recording: {
-            "band_doubted": one.band,
-            "band_narrower": one.narrower,
-            "inertia_narrower": one.larger / one.inertia,
+    notes = {
+        a.recording: {
+            "band_doubted": a.band,
+            "band_narrower": a.narrower,
+            "inertia_narrower": a.larger / a.inertia,
         }
-        for one in attenuated
-        if one.larger > _HARM * one.inertia
+        for a in attenuated
+        if a.larger > _LARGER_INERTIA * a.inertia
     }
     observations = [
-        replace(o, settings={**o.settings, **noted.get(o.name, {})}) for o in divided.observations
+        replace(o, settings={**o.settings, **notes.get(o.name, {})}) for o in divided.observations
     ]
     return replace(divided, observations=observations)
 
 
-def _timed(divided: Divided, delay: float) -> Divided:
-    """Take the torque of ``delay`` seconds earlier."""
+def _with_delay(divided: Divided, delay: float) -> Divided:
+    """Compare with the torque ``delay`` seconds earlier."""
     pairs = zip(divided.recordings, divided.observations, strict=True)
     return replace(
         divided,
         observations=[timed(o, r, delay) for r, o in pairs],
         held_out=tuple(
-            replace(one, observation=timed(one.observation, one.recording, delay))
-            for one in divided.held_out
+            replace(part, observation=timed(part.observation, part.recording, delay))
+            for part in divided.held_out
         ),
     )
 
 
-def _refined(divided: Divided, chain: Joint, knowledge: Knowledge, options: Estimation) -> Divided:
-    """Take motions as fine as the model tells them; the model is fitted to what is not held out."""
-    fitted = divided.recordings, divided.observations
-    values, observations = with_fine_motion(chain, *fitted, knowledge, options)
+def _with_refined_motion(
+    divided: Divided, chain: Joint, knowledge: Knowledge, options: Estimation
+) -> Divided:
+    """Refine motions by the model fitted to what is not held out."""
+    pair = divided.recordings, divided.observations
+    values, observations = with_fine_motion(chain, *pair, knowledge, options)
     if values is None:
         return divided
     held_out = tuple(
-        replace(one, observation=fine_motion(chain, values, one.recording, one.observation))
-        for one in divided.held_out
+        replace(part, observation=fine_motion(chain, values, part.recording, part.observation))
+        for part in divided.held_out
     )
     return replace(divided, observations=observations, held_out=held_out)
 
 
-def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]) -> None:
-    """Refuse names that cannot be, and what cannot be held out."""
-    for name, count in Counter(r.name for r in found).items():
+def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measurement]) -> None:
+    """Refuse duplicate and reserved names, and held-out data for simulations."""
+    for name, count in Counter(r.name for r in recordings).items():
         if count > 1:
             raise BadInput(
                 f"{config.path}: recordings",
                 f"{count} are called {name!r}",
                 "give each a name of its own with name = ...",
             )
-        # posterior.nc names arrays after recordings, beside those named after parameters
+        # posterior.nc names arrays after recordings and parameters
         if "/" in name or name in {*chain.names, "chain", "draw", "lp", "ensemble"}:
             raise BadInput(
                 f"{config.path}: recordings",
@@ -204,17 +209,17 @@ def _check_recordings(config: Config, chain: Joint, found: Sequence[Measurement]
 
 
 def _check_signals(chain: Joint, observations: Sequence[Observation]) -> None:
-    """Refuse terms by a signal that a recording does not have."""
+    """Refuse terms that depend on a missing signal."""
     rows = {c.row for c in chain.carried if c.row.column and c.row.signal}
     for row in rows:
         for o in observations:
-            listed = row.option == "signals"
-            if row.signal not in o.inputs.others if listed else not o.inputs.signal(row.signal):
+            is_listed = row.option == "signals"
+            if row.signal not in o.inputs.others if is_listed else not o.inputs.signal(row.signal):
                 raise BadInput(
                     f"recording {o.name!r}",
                     f"has no {row.signal}, and the mechanism has terms that depend on it",
                     f'name its column: others = ["{row.signal}"]'
-                    if listed
+                    if is_listed
                     else f"name its column with {row.signal} = {{ column = ... }}",
                 )
 
@@ -231,7 +236,7 @@ def _check_size(chain: Joint, observations: Sequence[Observation]) -> None:
 
 
 def _check_priors(config: Config, chain: Joint) -> None:
-    """Refuse a table that stands for a prior but names no distribution."""
+    """Refuse a table in place of a prior without a distribution."""
     for name in config.priors:
         parameter = name.rpartition(".")[0]
         if parameter in chain.names or parameter.startswith("noise."):
@@ -247,7 +252,7 @@ def _noise_quantities(config: Config) -> tuple[str, ...]:
     tables = config.tables
     if tables.likelihood.method == "output-error":
         return PositionLikelihood.noise.quantities
-    return Autoregressive(MOST if tables.noise.model == "auto" else 0).quantities
+    return Autoregressive(MAX_ORDER if tables.noise.model == "auto" else 0).quantities
 
 
 def _read(config: Config, chain: Joint, recording: Recording, number: int) -> list[Measurement]:
@@ -266,7 +271,7 @@ def _read(config: Config, chain: Joint, recording: Recording, number: int) -> li
             number=number,
         )
     except BadInput as error:
-        # what is not about a file is about a key: of the recording, or of [processing]
+        # errors not about a file are about a key: of the recording, or of [processing]
         named = {"file": place, "name": place, "processing": ""}
         key = error.where.partition(" = ")[0].partition(",")[0]
         if key not in named:

@@ -1,4 +1,4 @@
-"""A joint, what was measured of it and what is believed beforehand: all that is asked about."""
+"""A joint, its recordings and priors, and the questions that can be asked of them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
-from bayesfric.diagnostics.explanation import Explanation, explain, unasked
+from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.diagnostics.policy import MOST
+from bayesfric.diagnostics.policy import MAX_EFFECTS
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.larger_model import FittedModel, predicts_better
@@ -25,12 +25,11 @@ from bayesfric.estimates.methods import ESTIMATORS, EstimationInputs, estimate_b
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.noise_choice import Choice, choice_at
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice, choose_noise
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.prior.as_knowledge import as_knowledge
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.prior.priors import Prior, as_knowledge
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.own_term import Term
@@ -40,12 +39,12 @@ from bayesfric.problem.preparation import prepare
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 
-# Seconds after which the simulation of the output-error likelihood starts anew.
+# Seconds after which the simulation of the output-error likelihood restarts.
 _SEGMENT = 0.5
 
 
 class Problem:
-    """What a configuration asks of recordings; :class:`bayesfric.Model` has its attributes."""
+    """Joint, recordings and priors of a configuration; see :class:`bayesfric.Model`."""
 
     @classmethod
     def from_config(
@@ -55,10 +54,10 @@ class Problem:
         terms: Sequence[Term] = (),
         recordings: Sequence[Recording] | None = None,
     ) -> Self:
-        """Read what a configuration names; a finished run's ``config.toml`` is one.
+        """Read a configuration and its recordings; a finished run's ``config.toml`` is one.
 
-        Terms of one's own are functions, which no file holds: where it names some, give them.
-        ``recordings`` stand for those that it names, where not all are in files.
+        ``terms`` are the functions of custom terms that it names. ``recordings`` replace those
+        that it names, if not all are in files.
         """
         problem = cls.__new__(cls)
         read = config if isinstance(config, Config) else read_config(Path(config))
@@ -66,18 +65,16 @@ class Problem:
         return problem
 
     def with_term(self, term: Term) -> Self:
-        """Give the same with one more term of one's own; nothing is read from its result.
-
-        It goes through estimates, identification, sampling and report like any other.
+        """Return the same problem with another custom term, which is treated like any other.
 
         Raises
         ------
         BadInput
             If the joint has no such element.
         """
-        kept = [one for one in self.chain.terms if one.name != term.name]
-        terms = [*kept, term]
-        named = with_terms(self.config, [one.name for one in terms])
+        others = [term for term in self.chain.terms if term.name != term.name]
+        terms = [*others, term]
+        named = with_terms(self.config, [term.name for term in terms])
         return type(self).from_config(named, terms=terms, recordings=self.given or None)
 
     def _read(
@@ -87,27 +84,27 @@ class Problem:
         terms: Sequence[Term] = (),
     ) -> None:
         self.config, self.given = config, recordings or ()
-        self._estimates: dict[Method, Estimate] = {}  # those that were made
-        found = prepare(config, recordings, terms)
-        self.chain, self.priors, self.held_out = found.chain, found.priors, found.held_out
-        self.recordings, self.observations = found.recordings, found.observations
-        self.encoder = found.encoder
-        self.references()  # refuses what they cannot be of
+        self._estimates: dict[Method, Estimate] = {}  # cache
+        prepared = prepare(config, recordings, terms)
+        self.chain, self.priors, self.held_out = prepared.chain, prepared.priors, prepared.held_out
+        self.recordings, self.observations = prepared.recordings, prepared.observations
+        self.encoder = prepared.encoder
+        self.references()  # validates them
 
     def alone(self, k: int) -> Self:
-        """Give the same with its recording ``k`` alone."""
-        one = copy(self)
-        one.recordings, one.observations = [self.recordings[k]], [self.observations[k]]
-        one._estimates = {}
-        return one
+        """Return the same problem with recording ``k`` alone."""
+        single = copy(self)
+        single.recordings, single.observations = [self.recordings[k]], [self.observations[k]]
+        single._estimates = {}
+        return single
 
     def references(self) -> dict[str, dict[str, Any]]:
-        """Values to compare with, by name of what they are of.
+        """Values to compare with, by name.
 
         Raises
         ------
         BadInput
-            If one is of something that no result of this mechanism is.
+            If no result of this mechanism has such a name.
         """
         units = {p.name: p.unit for p in self.chain.parameters}
         middle = np.ones((1, len(self.chain.names)))
@@ -115,29 +112,29 @@ class Problem:
         projection = TotalsProjection(self.chain, self.observations)
         for name, label in zip(projection.names, projection.labels, strict=True):
             units[label] = projection.describe(name)[0]
-        found, aliases = {}, projection.aliases()
-        for told, reference in self.config.references.items():
-            name = told if told in units else aliases.get(told, told)
-            if name not in units or (name != told and name in self.config.references):
+        converted, aliases = {}, projection.aliases()
+        for key, reference in self.config.references.items():
+            name = key if key in units else aliases.get(key, key)
+            if name not in units or (name != key and name in self.config.references):
                 raise BadInput(
-                    f"{self.config.path}: references.{told}",
+                    f"{self.config.path}: references.{key}",
                     "no result of this mechanism has that name",
-                    nearest(told, units),
+                    nearest(key, units),
                 )
-            found[name] = {**reference.model_dump(), "unit": units[name]}
-        return found
+            converted[name] = {**reference.model_dump(), "unit": units[name]}
+        return converted
 
     def estimates(
         self, methods: Sequence[Method] = METHODS, *, progress: ProgressCallback = no_progress
     ) -> list[Estimate]:
-        """Estimate the parameters by one or more of the paper's methods.
+        """Estimate the parameters by one or more methods.
 
         Parameters
         ----------
         methods
             Which; the output error starts from the input error's result.
         progress
-            Called before each method begins.
+            Progress callback.
 
         Raises
         ------
@@ -146,18 +143,18 @@ class Problem:
         """
         with self.config.named():
             shown = by_method(progress)
-            found = estimate_by(methods, self.evidence, self._estimates, progress=shown)
-        self._estimates |= found
-        return list(found.values())
+            new = estimate_by(methods, self.evidence, self._estimates, progress=shown)
+        self._estimates |= new
+        return list(new.values())
 
     @cached_property
     def _knowledge(self) -> Knowledge:
-        """What priors say to a point estimate; the moments of some take seconds."""
+        """Priors for point estimates; the moments of some take seconds."""
         return as_knowledge(self.chain, self.priors)
 
     @property
     def evidence(self) -> EstimationInputs:
-        """What point estimates are made from."""
+        """Inputs of point estimates."""
         return EstimationInputs(
             self.chain,
             self.observations,
@@ -167,7 +164,7 @@ class Problem:
         )
 
     def trajectories(self, segment: float = np.inf) -> list[Trajectory]:
-        """Fitted recordings as a simulation follows them, starting anew every ``segment`` s."""
+        """Trajectories of fitted recordings, restarting every ``segment`` s."""
         pairs = zip(self.recordings, self.observations, strict=True)
         return [trajectory(recording, observation, segment) for recording, observation in pairs]
 
@@ -178,17 +175,17 @@ class Problem:
         seed: int | None = None,
         progress: ProgressCallback = no_progress,
     ) -> Explanation:
-        """Ask what else explains the torque, judged by simulated twins of these recordings.
+        """Find what else explains the torque, tested against simulated replicates.
 
-        It begins at the first of the ``estimates`` that has all parameters, or at one of the input
-        error; ``seed`` replaces that of the table ``sampling``.
+        It starts from the first of the ``estimates`` with all parameters, or from the input error;
+        ``seed`` replaces that of the table ``sampling``.
 
         Raises
         ------
         BadInput
             If nothing can be estimated from these recordings.
         """
-        if reason := unasked(self.chain, self.observations):
+        if reason := too_few_outputs(self.chain, self.observations):
             return Explanation(reason=reason)
         point = self._point(estimates, progress)
         progress(Progress("what else explains the torque"))
@@ -203,12 +200,12 @@ class Problem:
         )
 
     def _point(self, estimates: Sequence[Estimate], progress: ProgressCallback) -> dict[str, float]:
-        """Give the first of the estimates that has all parameters, or one of the input error."""
-        found = next((dict(one.point) for one in estimates if one.point), None)
-        return found or dict(self.estimates(["input-error"], progress=progress)[0].point)
+        """Return the first estimate with all parameters, or that of the input error."""
+        point = next((dict(estimate.point) for estimate in estimates if estimate.point), None)
+        return point or dict(self.estimates(["input-error"], progress=progress)[0].point)
 
     def contradicted(self, start: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-        """Compare priors with an estimate without them, which begins at a point.
+        """Compare priors with an estimate without them, started at a point.
 
         See :func:`bayesfric.estimates.input_error.contradicted`.
         """
@@ -218,53 +215,52 @@ class Problem:
     def completed(
         self, *, progress: ProgressCallback = no_progress
     ) -> tuple[Self, tuple[Finding, ...], Explanation]:
-        """Put in what else explains the torque, one term after the other, until nothing is left.
+        """Add effects that explain the torque, one after the other, until none is left.
 
-        A term stays where the model with it tells more of what it has not seen, see
-        :func:`bayesfric.estimates.larger_model.predicts_better`; else there is room for it. A delay
-        changes other parameters by much, and goes in only where no other kind explains as much.
-
-        That is what a fit does where ``terms = "auto"`` under ``[mechanism]``.
+        A term is kept if the model with it predicts held-out data better, see
+        :func:`bayesfric.estimates.larger_model.predicts_better`; else it is part of the model
+        discrepancy. A delay, which moves other parameters by much, is added only without rivals. A
+        fit does so with ``terms = "auto"`` under ``[mechanism]``.
 
         Returns
         -------
         model
-            With all that was put in; its ``config`` says so.
-        taken
-            What was put in, in the order of the ranking.
-        left
-            What else explains the torque of that model, and no key puts in.
+            With all terms added, also in its ``config``.
+        included
+            Their findings, in the order of selection.
+        remaining
+            What else explains the torque of that model.
 
         Raises
         ------
         BadInput
             If nothing can be estimated from these recordings.
         """
-        model, taken = self, list[Finding]()
-        if unasked(self.chain, self.observations):
+        model, included = self, list[Finding]()
+        if too_few_outputs(self.chain, self.observations):
             return self, (), self.explain()
-        found = self._candidate(progress)
+        current = self._candidate(progress)
         while True:
-            left = model.explain([found.estimate], progress=progress)
-            tried = {one.hint for one in taken}
-            wanted = [one for one in left.put_in if one.hint not in tried]
-            for one in wanted[: MOST - len(taken)]:
-                if (trial := model._with(one)) is None:
+            remaining = model.explain([current.estimate], progress=progress)
+            tried = {finding.hint for finding in included}
+            candidates = [finding for finding in remaining.applicable if finding.hint not in tried]
+            for finding in candidates[: MAX_EFFECTS - len(included)]:
+                if (trial := model._with_finding(finding)) is None:
                     continue
-                if predicts_better(made := trial._candidate(progress), found):
-                    model, found = trial, made
-                    taken.append(one)
+                if predicts_better(candidate := trial._candidate(progress), current):
+                    model, current = trial, candidate
+                    included.append(finding)
                     break
             else:
-                return model, tuple(taken), left
+                return model, tuple(included), remaining
 
     def _candidate(self, progress: ProgressCallback) -> FittedModel:
         return FittedModel(self.evidence, self.estimates(["input-error"], progress=progress)[0])
 
-    def _with(self, one: Finding) -> Self | None:
-        """Put in a finding; nothing where the configuration names what it would replace."""
-        lines = [one.hint]
-        if self.config.tables.mechanism.auto:  # what was found is written now
+    def _with_finding(self, finding: Finding) -> Self | None:
+        """Add a finding's setting; ``None`` if it conflicts with the configuration."""
+        lines = [finding.hint]
+        if self.config.tables.mechanism.auto:  # terms are written explicitly
             lines.append('mechanism.terms = "as written"')
         with suppress(BadInput):
             config, given = with_settings(self.config, lines), self.given or None
@@ -272,60 +268,62 @@ class Problem:
         return None
 
     def target(
-        self, point: Mapping[str, float] | None = None, choice: Choice | None = None
+        self, point: Mapping[str, float] | None = None, choice: NoiseChoice | None = None
     ) -> Target:
         """Log-posterior, in the coordinates that the sampler sees.
 
         Parameters
         ----------
         point
-            Values near the mode, where the output-error likelihood takes its derivatives,
-            and whose residuals say which noise there is.
+            Values near the mode, where the output-error likelihood is linearised, and whose
+            residuals determine the noise.
         choice
-            What :meth:`noise_choice` gives at the point, where it was asked already.
+            Result of :meth:`noise_choice` at the point, if available.
 
         Raises
         ------
         ValueError
-            Where there is something to take or to choose at the point, and none is given.
+            If the point is needed and not given.
         """
         tables, priors = self.config.tables, self.priors
         if tables.likelihood.method == "input-error":
             if point is None and choice is None and self._chooses_noise:
                 raise ValueError(
-                    "which noise there is, the residuals of a point estimate say: give one, or "
-                    "take white_target() for white noise"
+                    "the noise is chosen from the residuals of a point estimate: give one, or use "
+                    "white_target() for white noise"
                 )
             choice = choice or self.noise_choice(point)
-            noise, priors = self.remembering(choice)
+            noise, priors = self.with_noise(choice)
             likelihood: Likelihood = TorqueLikelihood(self.chain, self.observations, noise)
         elif point is None:
             raise ValueError("the output-error likelihood needs a point estimate")
         else:
-            whole = self.trajectories(_SEGMENT)
+            trajectories = self.trajectories(_SEGMENT)
             with self.config.named():
                 likelihood = PositionLikelihood(
-                    self.chain, whole, self.observations, self.chain.vector(point)
+                    self.chain, trajectories, self.observations, self.chain.vector(point)
                 )
-        return target_of(likelihood, priors, tables.noise.scale).uncut_at(point or {})
+        return target_of(likelihood, priors, tables.noise.scale).with_circular_cut_at(point or {})
 
-    def remembering(self, choice: Choice | None) -> tuple[Autoregressive, dict[str, Prior]]:
-        """Give the torque's noise of a choice, and priors in which it remembers as that says."""
+    def with_noise(self, choice: NoiseChoice | None) -> tuple[Autoregressive, dict[str, Prior]]:
+        """Return the noise of a choice, and priors restricted to its autocorrelation."""
         if choice is None:
             return Autoregressive(), self.priors
         return Autoregressive(choice.order), choice.priors(self.priors)
 
     def white_target(self) -> Target:
-        """Log-posterior of the torque with white noise, whatever the configuration asks for."""
+        """Log-posterior of the torque with white noise, independent of the configuration."""
         scale = self.config.tables.noise.scale
         return make_target(self.chain, self.observations, self.priors, scale)
 
-    def noise_choice(self, point: Mapping[str, float] | None) -> Choice | None:
-        """Choose the noise that the torque residuals of a point ask for, if it is not told."""
+    def noise_choice(self, point: Mapping[str, float] | None) -> NoiseChoice | None:
+        """Choose the noise from the torque residuals of a point, if it is not configured."""
         if point is None or not self._chooses_noise:
             return None
-        apart = self.config.tables.noise.scale == "per-recording"
-        return choice_at(self.chain, self.observations, self.priors, point, per_recording=apart)
+        per_recording = self.config.tables.noise.scale == "per-recording"
+        return choose_noise(
+            self.chain, self.observations, self.priors, point, per_recording=per_recording
+        )
 
     @property
     def _chooses_noise(self) -> bool:
@@ -335,17 +333,17 @@ class Problem:
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """What sampling starts from."""
+    """Estimates, noise and log-posterior to start sampling from."""
 
     estimates: list[Estimate]  # least squares first
-    missing: list[str]  # a sentence for each that was wanted and cannot be had
-    choice: Choice | None  # how the order of the noise was chosen, where it was
+    missing: list[str]  # a sentence for each that failed
+    choice: NoiseChoice | None  # None if the noise is configured
     target: Target  # the log-posterior
 
     @property
     def searched(self) -> Estimate:
-        """The first estimate that tells every parameter; there always is one."""
-        return next(one for one in self.estimates if one.point)
+        """The first estimate with all parameters; there always is one."""
+        return next(estimate for estimate in self.estimates if estimate.point)
 
 
 def starting_point(
@@ -353,14 +351,13 @@ def starting_point(
 ) -> StartingPoint:
     """Estimate, choose the noise, and make the log-posterior that is sampled.
 
-    The output error simulates. It is asked for, or its likelihood needs a place to start
-    from: then however long it takes, as sampling that goes on later must start from the
-    same place. A mechanism that cannot be simulated still has a posterior of the torque.
+    The output error is estimated on request, or without a time limit to start its likelihood, for
+    reproducibility. A mechanism that cannot be simulated still has a posterior of the torque.
     """
     tables, given = problem.config.tables, problem.evidence
-    simulating = [one.name for one in ESTIMATORS.values() if one.simulates]
-    plain = [name for name in ESTIMATORS if name not in simulating]
-    made = {e.method: e for e in problem.estimates(plain, progress=progress)}
+    simulating = [estimator.name for estimator in ESTIMATORS.values() if estimator.simulates]
+    direct = [name for name in ESTIMATORS if name not in simulating]
+    estimates = {e.method: e for e in problem.estimates(direct, progress=progress)}
     if tables.likelihood.method in simulating:
         given = replace(given, options=given.options.model_copy(update={"max_seconds": np.inf}))
     elif not (output_error or tables.estimation.output_error):
@@ -369,22 +366,19 @@ def starting_point(
     for name in simulating:
         try:
             with problem.config.named():
-                made |= estimate_by([name], given, made, progress=by_method(progress))
+                estimates |= estimate_by([name], given, estimates, progress=by_method(progress))
         except BadInput as error:
             missing.append(f"no {name} estimate: {error.what}")
-    found = list(made.values())
-    points = [dict(e.point) for e in found if e.point]
+    ordered = list(estimates.values())
+    points = [dict(e.point) for e in ordered if e.point]
     choice = problem.noise_choice(points[0])
-    return StartingPoint(found, missing, choice, _first_target(problem, points, choice))
+    return StartingPoint(ordered, missing, choice, _first_target(problem, points, choice))
 
 
 def _first_target(
-    problem: Problem, points: Sequence[Mapping[str, float]], choice: Choice | None
+    problem: Problem, points: Sequence[Mapping[str, float]], choice: NoiseChoice | None
 ) -> Target:
-    """Make the log-posterior; where it simulates, near the first point that can be simulated.
-
-    The simulation is linearised there first, and anew at every mode this leads to.
-    """
+    """Make the log-posterior, linearised at the first point that can be simulated."""
     for point in points[:-1]:
         with suppress(BadInput):
             return problem.target(point, choice)

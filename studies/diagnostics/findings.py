@@ -62,7 +62,11 @@ def run_case(task: tuple[str, int]) -> dict[str, Any]:
         for finding in missing.findings
     ]
     seconds = {"seconds": time.process_time() - start, "own": missing.cpu_seconds}
-    statistics = {"largest": missing.largest, "limit": missing.limit, "twins": len(missing.twins)}
+    statistics = {
+        "largest": missing.largest,
+        "limit": missing.limit,
+        "twins": len(missing.replicates),
+    }
     return outcome | {"steps": steps, "reason": missing.reason} | statistics | seconds
 
 

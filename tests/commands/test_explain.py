@@ -122,8 +122,8 @@ def test_a_name_that_it_would_take_away_keeps_a_term_out(swing):
 def test_it_is_written_beside_the_configuration_and_over_nothing(swing):
     (swing.folder / "there.toml").write_text("mine")
     for name, what in (
-        ("there.toml", "is there already"),
-        ("/tmp/better.toml", "is not beside"),
+        ("there.toml", "exists"),
+        ("/tmp/better.toml", "is not in the configuration"),
         ("better.pdf", "is not named .toml"),
     ):
         ended = swing.run("explain", "c.toml", "-o", name)

@@ -101,7 +101,7 @@ def test_what_is_left_open_is_refused_until_it_was_written(bench):
     )
     text, out = written(bench, bench.folder / "log.csv")
     has(text, 'file = "log.csv"', 'unit = "deg" }', 'unit = "?"', 'torque_constant = "? N m/A"')
-    has(out, "motor-axis is taken", "time.unit", "current.unit", "current.torque_constant")
+    has(out, "motor-axis is used", "time.unit", "current.unit", "current.torque_constant")
     path = bench.folder / "made.toml"
     keys = [
         f"recordings.1.{key}" for key in ("time.unit", "current.unit", "current.torque_constant")

@@ -13,7 +13,7 @@ import typer
 from bayesfric.base.errors import BadInput
 from bayesfric.commands import cli
 from bayesfric.commands.simulate import simulate
-from bayesfric.fit.conclusion import may_be_simulated
+from bayesfric.fit.fit import may_be_simulated
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import parse_config, read_config
 

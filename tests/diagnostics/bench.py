@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag, toeplitz
 
 import bayesfric as bf
-from bayesfric.diagnostics.memory import Layout
+from bayesfric.diagnostics.autocorrelation import Layout
 from bayesfric.fit.model import Model
 from bayesfric.inference.likelihood import autoregression as ar
 from tests.axis import recording_of
@@ -85,12 +85,12 @@ def autoregressive(partial, at):
     return toeplitz(known)[np.ix_(at, at)]
 
 
-def dense_covariance(memory, layout):
+def dense_covariance(autocorrelation, layout):
     """Covariance ``(n, n)`` of noise in variances of its innovations, recording by recording."""
-    blocks = [autoregressive(memory.partial, at) for at in layout.at]
+    blocks = [autoregressive(autocorrelation.partial, at) for at in layout.at]
     for block, t in zip(blocks, layout.stamps, strict=True):
         span = t[-1] - t[0]
         for k in range(1, 1 + int(min(max(2.0 * span, 4.0), t.size / 8, 60))):
             wave = np.cos(np.pi * k * (t - t[0]) / span) / np.sqrt(k)
-            block += memory.slow**2 * np.outer(wave, wave)
+            block += autocorrelation.drift**2 * np.outer(wave, wave)
     return block_diag(*blocks)

@@ -8,10 +8,10 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.diagnostics.before_a_fit import (
+    alternatives,
     best_share,
     doubts_before,
     few_outputs,
-    instead,
     little_explained,
     other_units,
     strange_velocity,
@@ -81,15 +81,15 @@ def test_presets_of_the_ratio_that_have_gravity_are_named_where_there_is_none(
     }
     for ratio in (1.0, 50.0):
         bare = bf.Joint([bf.Element("motor", inertia=True, ratio=ratio)], bf.Load())
-        told = instead(bare, seen, 0.5)["presets"]
+        told = alternatives(bare, seen, 0.5)["presets"]
         assert told == [name for name, chain in weighing.items() if chain.ratio == ratio]
         assert told
         # not the one that is in use
         mine = replace(bare, made_from=told[0])
-        assert told[0] not in instead(mine, seen, 0.5)["presets"]
-    assert instead(AXIS, seen, 0.5)["presets"] == []  # which has gravity
+        assert told[0] not in alternatives(mine, seen, 0.5)["presets"]
+    assert alternatives(AXIS, seen, 0.5)["presets"] == []  # which has gravity
     screw = bf.Joint([bf.Element("motor", inertia=True, motion="linear")], bf.Load(motion="linear"))
-    assert instead(screw, seen, 0.5) == {"units": [], "presets": []}  # which needs none
+    assert alternatives(screw, seen, 0.5) == {"units": [], "presets": []}  # which needs none
 
 
 @pytest.mark.parametrize("right", ["rad", "deg", "turn"])

@@ -9,7 +9,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.along import Along, scales_of
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
-from bayesfric.diagnostics.scans import TARGET_DELAY, late
+from bayesfric.diagnostics.disturbances import TARGET_DELAY, delay_columns
 from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
 from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import Inputs, Signal
@@ -95,7 +95,7 @@ def test_scales_are_those_of_all_recordings_together():
         light = a.chain.vector({**TRUTH, "load.first_moment": moment, "load.spring": 0.0})
         assert scales_of(a.chain, light, [a.o]).weighs == weighs
     assert along(settings=FILTERS | {"band": 0.0}).scales.band == pytest.approx(0.3 / (5 * PERIOD))
-    assert one.push == 0.25
+    assert one.transient_width == 0.25
     # steps of an encoder turn nothing about: three of the coarser one
     coarse = along(steps=(0.05, 0.1)).scales
     away = [since_reversal(x[0], 0.3) for x in both]
@@ -112,7 +112,7 @@ def test_a_push_is_wider_in_long_recordings():
         "long", time, (q, qd, qdd), torque, taken, 0.02, Inputs(), settings=FILTERS
     )
     chain = joint()
-    assert scales_of(chain, chain.vector(TRUTH), [o]).push == pytest.approx(99.98 / 120)
+    assert scales_of(chain, chain.vector(TRUTH), [o]).transient_width == pytest.approx(99.98 / 120)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 10.0])
@@ -293,7 +293,7 @@ def test_columns_are_their_formulas(k):
         assert list(found) == list(columns[kind.name]), kind.name
         for shape, exact_ones in columns[kind.name].items():
             compare(found[shape], exact_ones, f"{kind.name} {shape}")
-        compare(kind.beside(a), beside.get(kind.name, []), kind.name)
+        compare(kind.nuisance(a), beside.get(kind.name, []), kind.name)
 
 
 def compare(found, exact_ones, what):
@@ -314,7 +314,7 @@ def test_friction_is_what_rests_with_the_joint_and_must_be_positive_where_it_can
     either = "coulomb", "viscous", "coulomb_warming", "viscous_warming", "temperature"
     for kind in (kind for kind in KINDS if kind.name != TARGET_DELAY):
         some = np.array([x for columns in kind.columns(a).values() for x in columns])
-        every = np.array([*some, *kind.beside(a)])
+        every = np.array([*some, *kind.nuisance(a)])
         assert np.isfinite(every).all(), kind.name
         rests = kind.name in by_size or not every[:, resting].any()
         assert kind.loss == rests, kind.name
@@ -346,7 +346,7 @@ def test_a_shape_between_those_of_a_grid_is_what_stands_there(kind):
     a = along()
     s = np.sign(a.o.qd)
     model = [s, a.o.qd, a.o.qdd, np.sin(a.o.q), a.o.q, np.ones_like(s)]
-    sets, beside = [*BY_NAME[kind].columns(a).values()], [*BY_NAME[kind].beside(a)]
+    sets, beside = [*BY_NAME[kind].columns(a).values()], [*BY_NAME[kind].nuisance(a)]
 
     def left(y, *columns):
         x = np.column_stack([*model, *columns])
@@ -392,7 +392,7 @@ def test_of_a_load_without_weight_one_share_of_the_inertia_stands_for_all():
     assert {name.split(",")[0] for name in BY_NAME["backlash"].columns(a)} == {
         "100% of the inertia behind it"
     }
-    # whatever the weight of a twin, which has the shares of the recordings
+    # whatever the weight of a replicate, which has the shares of the recordings
     weighing = replace(a, scales=replace(a.scales, weighs=True))
     assert [share for _, share, _ in weighing.behind()] == [0.0, 1 / 3, 2 / 3, 1.0]
     massless = replace(a, scales=replace(a.scales, need=0.0))
@@ -402,7 +402,7 @@ def test_of_a_load_without_weight_one_share_of_the_inertia_stands_for_all():
 def test_a_far_delay_is_what_the_torque_changed_by_since():
     """Exactly, of a torque that is known between samples; zero where then was not recorded."""
     a = along()
-    found = late(a)
+    found = delay_columns(a)
     assert list(found) == [x for d in FAR_DELAYS for x in (d, -d)]
     t, h = a.o.stamps, 1e-5
     *_, now = exact(t)
@@ -425,7 +425,7 @@ def test_a_far_delay_is_what_the_torque_changed_by_since():
                     change[part][edges], (now - then)[part][edges], atol=1e-9
                 )
             assert (change[part][edges] != 0.0).all()
-    assert not late(replace(a, chain=joint(delay=True)))
+    assert not delay_columns(replace(a, chain=joint(delay=True)))
 
 
 @pytest.mark.parametrize("hertz", [1.5, 3.0, 6.0, 0.0])

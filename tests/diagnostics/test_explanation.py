@@ -33,8 +33,8 @@ def of_table(change, **more):
 
 def test_a_right_model_lacks_nothing(right):
     found = right.explain()
-    assert found.asked
-    assert len(found.twins) >= 20
+    assert found.answered
+    assert len(found.replicates) >= 20
     assert not found.findings
 
 
@@ -79,7 +79,7 @@ def test_a_prompt_target_lacks_nothing():
     explained = Model(PROMPT, servo(100.0, 40.0, 0.0)).explain()
     assert not explained.findings
     assert "target_delay" in explained.kinds
-    assert "delay" not in (*explained.kinds, *explained.untold)
+    assert "delay" not in (*explained.kinds, *explained.indistinguishable)
 
 
 @pytest.mark.slow
@@ -107,12 +107,12 @@ def test_the_same_seed_gives_the_same_answer(right):
     values = right.chain.vector(dict(right.estimates(["input-error"])[0].point))
     seen = right.recordings, right.observations, right.config.tables.processing
 
-    def asked(seed):
+    def score_candidates(seed):
         (step,) = Regression(right.chain, *seen, values, seed=seed, number=12).steps(1)
         return step.kind, step.shape, step.z
 
-    assert asked(5) == asked(5)
-    assert asked(5) != asked(6)
+    assert score_candidates(5) == score_candidates(5)
+    assert score_candidates(5) != score_candidates(6)
 
 
 def test_a_joint_without_inertia_lacks_it():

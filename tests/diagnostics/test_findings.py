@@ -11,7 +11,7 @@ import bayesfric as bf
 from bayesfric.base.templates import placed
 from bayesfric.diagnostics.along import Along, scales_of
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
-from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, unasked
+from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, too_few_outputs
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
 from bayesfric.diagnostics.regression import Step
 from bayesfric.mechanism.inverse import inverse_torque
@@ -22,9 +22,9 @@ from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import axis
 
 STEP = Step(
-    "quadratic", "0.5", own=[0], sure=True, z=6.0, p=0.04, largest=7.0, limit=4.0,
+    "quadratic", "0.5", columns=[0], significant=True, z=6.0, p=0.04, largest=7.0, limit=4.0,
     worth=np.zeros(1), share=0.1, recording="in one", span=(1.0, 2.0),
-    coefficients=np.array([1.0]), alike=("power",),
+    coefficients=np.array([1.0]), collinear=("power",),
     moves={"a": 0.5, "b": -MOVES - 0.01, "c": MOVES + 5.0, "d": MOVES - 0.01},
 )  # fmt: skip
 
@@ -61,7 +61,7 @@ def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
     ],
 )
 def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, named, hint):
-    found = finding(axis(), replace(STEP, kind=kind, coefficients=np.array(sizes), alike=alike))
+    found = finding(axis(), replace(STEP, kind=kind, coefficients=np.array(sizes), collinear=alike))
     assert found.kind == named
     assert found.hint == (
         f"mechanism.{'' if hint.startswith('load.') else 'elements.'}{hint}" if hint else ""
@@ -77,8 +77,8 @@ def test_a_fault_of_the_recording_is_a_doubt_whatever_it_moves_and_however_wide_
     assert (fault.severity, term.severity) == ("doubt", "note")
     room = SimpleNamespace(kinds={kind: (), "quadratic": ()})
     found = Explanation((fault, replace(term, severity="doubt")), missing=room)
-    assert [x.severity for x in found.noted(widened=True)] == ["doubt", "note"]
-    assert [x.severity for x in found.noted(widened=False)] == ["doubt", "doubt"]
+    assert [x.severity for x in found.with_severity(widened=True)] == ["doubt", "note"]
+    assert [x.severity for x in found.with_severity(widened=False)] == ["doubt", "doubt"]
 
 
 # A line of a configuration adds the column of its candidate
@@ -243,7 +243,7 @@ def test_recordings_are_asked_of_enough_outputs():
     chain = SimpleNamespace(names=("a", "b", "c"))
 
     def sized(*outputs):
-        return unasked(chain, [SimpleNamespace(measured=np.zeros(n)) for n in outputs])
+        return too_few_outputs(chain, [SimpleNamespace(measured=np.zeros(n)) for n in outputs])
 
     assert sized(10, LEAST_OUTPUTS - 8) == "few"
     assert sized(10, LEAST_OUTPUTS - 7) is None
@@ -252,10 +252,10 @@ def test_recordings_are_asked_of_enough_outputs():
 def test_an_explanation_is_told_as_json_and_as_a_table():
     found = finding(axis(), STEP)
     one = Explanation((found,), ("a",), ("b",), (None,) * 3, 5.0, 4.0, 2.0)
-    assert one.asked
+    assert one.answered
     assert one.as_json() == {
         "findings": [found.as_dict()], "kinds": ["a"], "untold": ["b"], "twins": 3,
         "largest": 5.0, "limit": 4.0, "cpu_seconds": 2.0, "reason": None, "share": 1.0,
     }  # fmt: skip
     assert one.frame["kind"].tolist() == ["quadratic"]
-    assert not Explanation(reason="few").asked
+    assert not Explanation(reason="few").answered

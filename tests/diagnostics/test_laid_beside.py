@@ -1,4 +1,4 @@
-"""What is laid beside each other of recordings and twins, before anything is asked of it."""
+"""What is laid beside each other of recordings and replicates, before anything is asked of it."""
 
 from dataclasses import replace
 
@@ -8,10 +8,10 @@ import pytest
 import bayesfric.diagnostics.regression as regression
 from bayesfric.diagnostics.along import Along
 from bayesfric.diagnostics.candidates import KINDS, filtered_columns
+from bayesfric.diagnostics.disturbances import delay_columns
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.diagnostics.regression import Regression
-from bayesfric.diagnostics.scans import late
-from bayesfric.diagnostics.twins import NoTwin
+from bayesfric.diagnostics.replicates import ReplicateError
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
@@ -42,14 +42,18 @@ def pair():
     return seen("one", 1200), seen("two", 800, 1.1)
 
 
-def made(pair, monkeypatch, twins=None, number=6, known=("motor.viscous",), values=AT):
-    """A regression whose twins are recordings of the same motion, without a simulation."""
+def made(pair, monkeypatch, replicates=None, number=6, known=("motor.viscous",), values=AT):
+    """A regression whose replicates are recordings of the same motion, without a simulation."""
 
     def simulated(chain, vectors, r, o, processing, seeds):  # noqa: ARG001
         for k, _ in enumerate(seeds):
-            yield replace(o, measured=o.measured + 0.01 * k) if twins is None else twins(k, o)
+            yield (
+                replace(o, measured=o.measured + 0.01 * k)
+                if replicates is None
+                else replicates(k, o)
+            )
 
-    monkeypatch.setattr(regression, "twins", simulated)
+    monkeypatch.setattr(regression, "replicates", simulated)
     observations, recordings = zip(*pair, strict=True)
     return Regression(AXIS, recordings, observations, Processing(), values, known, 3, number)
 
@@ -61,13 +65,13 @@ def test_the_models_columns_are_derivatives_of_its_filtered_torque(pair, monkeyp
     for o, _ in pair:
         part = slice(begin, begin := begin + o.measured.size)
         now = inverse_torque(AXIS, off, o.q, o.qd, o.qdd)
-        np.testing.assert_allclose(d.left[part], o.measured - o.filter.apply(now), atol=1e-12)
+        np.testing.assert_allclose(d.residual[part], o.measured - o.filter.apply(now), atol=1e-12)
         columns = [o.qdd, 0.0 * o.q, np.sign(o.qd), 9.80665 * np.sin(o.q), np.ones_like(o.q)]
         exact = np.stack([o.filter.apply(x) for x in columns], axis=1)
         np.testing.assert_allclose(d.base[part][:, [0, 2, 4]], exact[:, [0, 2, 4]], atol=1e-5)
         np.testing.assert_allclose(d.base[part][:, 3], exact[:, 3], rtol=1e-2, atol=1e-3)
         assert not d.base[part][:, 1].any()  # which is known
-    assert begin == d.left.size
+    assert begin == d.residual.size
 
 
 def test_candidates_pass_the_filter_of_the_torque(pair, monkeypatch):
@@ -80,11 +84,11 @@ def test_candidates_pass_the_filter_of_the_torque(pair, monkeypatch):
         for kind in KINDS:
             for shape, columns in kind.columns(a).items():
                 exact += [(kind.name, shape, k, False, 0.0, x) for k, x in enumerate(columns)]
-            exact += [(kind.name, "", k, True, 0.0, x) for k, x in enumerate(kind.beside(a))]
-        for delay, columns in late(a).items():
+            exact += [(kind.name, "", k, True, 0.0, x) for k, x in enumerate(kind.nuisance(a))]
+        for delay, columns in delay_columns(a).items():
             label = f"by about {delay:.2g} s"
             exact += [("delay", label, k, False, delay, x) for k, x in enumerate(columns)]
-        told = [(k.kind, k.shape, k.number, k.beside, k.delay) for k in d.keys]
+        told = [(k.kind, k.shape, k.number, k.nuisance, k.delay) for k in d.keys]
         assert told == [x[:-1] for x in exact]
         all_keys.append(told)
         filtered = np.stack([o.filter.apply(x[-1]) for x in exact], axis=1)
@@ -108,11 +112,11 @@ def test_twins_are_of_parameters_that_the_recordings_hold_possible(pair, monkeyp
     values = AT * [1.0, 1.0, 1.0, 1.0, 1e-3]
     r = made(pair, monkeypatch, values=values)
     r.number = 4000
-    found = r._near(np.random.default_rng(1))
+    found = r._draw_parameters(np.random.default_rng(1))
     assert found.shape == (4000, 5)
     np.testing.assert_array_equal(found[:, 1], values[1])  # which is known
     x, free = r.data.base, [0, 2, 3, 4]
-    left = r.data.left - x @ np.linalg.lstsq(x, r.data.left)[0]
+    left = r.data.residual - x @ np.linalg.lstsq(x, r.data.residual)[0]
     variance = left @ left / (left.size - 5)
     rows = x[:, free] * np.abs(values[free])
     power, vectors = np.linalg.eigh(rows.T @ rows)
@@ -128,8 +132,8 @@ def test_twins_are_of_parameters_that_the_recordings_hold_possible(pair, monkeyp
     # none below zero of what cannot be
     low = np.array([p.lower for p in AXIS.parameters])
     r.values = np.where(np.isfinite(low), 1e-9, values)
-    r.data = replace(r.data, left=1e3 * r.data.left)
-    assert (r._near(np.random.default_rng(1)) >= low).all()
+    r.data = replace(r.data, residual=1e3 * r.data.residual)
+    assert (r._draw_parameters(np.random.default_rng(1)) >= low).all()
 
 
 def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch):
@@ -141,7 +145,7 @@ def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch
     least = 5 + LEAST_OUTPUTS
 
     def losing(lost):
-        def twin(k, o):
+        def replicate(k, o):
             first = o.name == "one"
             if k < lost and first:
                 return None
@@ -149,14 +153,14 @@ def test_twins_that_cannot_be_or_leave_too_little_are_left_out(pair, monkeypatch
                 return few(o, least - 10 if first else 9 + (k - lost))
             return replace(o, measured=o.measured + 0.01 * k)
 
-        return made(pair, monkeypatch, twin, number=8)
+        return made(pair, monkeypatch, replicate, number=8)
 
     r = losing(1)
     assert [t.layout.outputs for t in r.simulated][:1] == [least]
-    assert len(r.simulated) == len(r.twins) == 6
+    assert len(r.simulated) == len(r.replicates) == 6
     for t, clean in zip(r.simulated, r._clean, strict=True):
-        np.testing.assert_array_equal(t.left, clean)
+        np.testing.assert_array_equal(t.residual, clean)
     # at least half must have come out
-    assert len(losing(3).twins) == 4
-    with pytest.raises(NoTwin):
+    assert len(losing(3).replicates) == 4
+    with pytest.raises(ReplicateError):
         losing(4)

@@ -1,4 +1,4 @@
-"""How a twin is made: its motion, its torque, and how its sensors read it."""
+"""How a replicate is made: its motion, its torque, and how its sensors read it."""
 
 from dataclasses import replace
 
@@ -7,8 +7,14 @@ import pytest
 from scipy import stats
 
 import bayesfric as bf
-from bayesfric.diagnostics import twins as made_by
-from bayesfric.diagnostics.twins import _seen, _sensed, played, settled_as, twins
+from bayesfric.diagnostics import replicates as made_by
+from bayesfric.diagnostics.replicates import (
+    _measure,
+    _quantise,
+    fixed_processing,
+    replicate_motion,
+    replicates,
+)
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows
 from bayesfric.recordings.measurement import Inputs, Signal
@@ -51,7 +57,7 @@ def test_a_twin_moves_as_recorded_by_the_torque_that_this_needs(late, phase):
     """At other instants; exactly, by derivatives of the motion; recorded earlier by a delay."""
     chain, values, recording, o = bench(joint(delay=late is not None), late=late or 0.0)
     then = o.stamps - phase * PERIOD
-    q, qd, torque = played(chain, values, recording, o, phase)
+    q, qd, torque = replicate_motion(chain, values, recording, o, phase)
     for found, exact in zip((q, qd), swing(then, LINES), strict=False):
         np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
     inner = np.r_[30:870, 930 : N - 30]
@@ -67,7 +73,7 @@ def exact_torque(time):
 @pytest.mark.parametrize("few", [1, 2, 3, 4, 7])
 def test_a_short_segment_is_one_polynomial(few):
     chain, values, recording, o = bench(segments=((0, 900), (900, 900 + few), (900 + few, N)))
-    q, *_ = played(chain, values, recording, o, 0.0)
+    q, *_ = replicate_motion(chain, values, recording, o, 0.0)
     np.testing.assert_allclose(q, o.q, atol=1e-9)
 
 
@@ -80,17 +86,17 @@ def test_instants_of_twins_lie_anywhere_between_those_of_the_recording(monkeypat
         phases.append(given[-1])
         return (np.full(N, np.nan),) * 3
 
-    monkeypatch.setattr(made_by, "played", noted)
+    monkeypatch.setattr(made_by, "replicate_motion", noted)
     many = values * np.linspace(0.5, 1.5, 301)[:, None]
     seeds = np.random.SeedSequence(1).spawn(301)
     processing = Processing(lowpass="10 Hz")
-    assert set(twins(chain, many, recording, o, processing, seeds)) == {None}
+    assert set(replicates(chain, many, recording, o, processing, seeds)) == {None}
     assert stats.kstest(phases, "uniform", (-0.5, 1.0)).pvalue > 1e-3
 
 
 def test_twins_are_filtered_as_the_recording_was():
     *_, o = bench()
-    found = settled_as(Processing(lowpass="10 Hz", order=2), o)
+    found = fixed_processing(Processing(lowpass="10 Hz", order=2), o)
     assert (found.lowpass, found.decimate, found.dead_zone, found.trim) == (40.0, 5, 0.1, 0.02)
     assert found.order == 2
 
@@ -108,7 +114,7 @@ def test_what_is_read_lies_on_steps_and_has_the_noise_that_was_seen(step, noise)
     true = np.sin(np.linspace(0.0, 40.0, n))
     offsets = []
     for seed in range(4):
-        found = _sensed(recorded, true, noise, np.random.default_rng(seed))
+        found = _quantise(recorded, true, noise, np.random.default_rng(seed))
         error = found - true
         variance = max(noise**2, step**2 / 12.0)
         # the sd of a variance of n is sqrt(2/n) or less
@@ -124,14 +130,14 @@ def test_what_is_read_lies_on_steps_and_has_the_noise_that_was_seen(step, noise)
 
 @pytest.mark.parametrize("measured", [False, True])
 def test_a_measured_speed_has_the_noise_and_the_position_none(measured):
-    """Nothing is left of what a maker did to torque or speed: that of a twin is exact."""
+    """Nothing is left of what a maker did to torque or speed: that of a replicate is exact."""
     *_, recording, o = bench()
     rng = np.random.default_rng(2)
     smooth = np.pi * np.cumsum(rng.uniform(size=N))  # of no steps
     recording = replace(recording, position=smooth, velocity=smooth if measured else None)
     motion = o.q, o.qd, o.torque
     settings = o.settings | {"noise_seen": 0.05}
-    found = _seen(replace(recording, held=True), replace(o, settings=settings), motion, rng)
+    found = _measure(replace(recording, held=True), replace(o, settings=settings), motion, rng)
     noisy, exact = (found.velocity, found.position) if measured else (found.position, None)
     assert np.std(noisy - (o.qd if measured else o.q)) == pytest.approx(0.05, rel=0.1)
     if measured:
@@ -141,4 +147,4 @@ def test_a_measured_speed_has_the_noise_and_the_position_none(measured):
     np.testing.assert_array_equal(found.torque, o.torque)
     assert (found.held, found.torque_lag, found.velocity_lag) == (None, None, None)
     # of a motion that cannot be there is nothing to read
-    assert _seen(recording, o, (o.q, o.qd, np.full(N, np.nan)), rng) is None
+    assert _measure(recording, o, (o.q, o.qd, np.full(N, np.nan)), rng) is None

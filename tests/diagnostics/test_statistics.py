@@ -7,18 +7,25 @@ import pytest
 from scipy import stats
 from scipy.linalg import toeplitz
 
-from bayesfric.diagnostics.memory import WHITE, Memory
-from bayesfric.diagnostics.scans import DELAY, PUSH, TONE, Scan, push, tone
+from bayesfric.diagnostics.autocorrelation import WHITE, Autocorrelation
+from bayesfric.diagnostics.disturbances import (
+    DELAY,
+    SINUSOID,
+    TRANSIENT,
+    Scan,
+    sinusoidal_disturbance,
+    transient_disturbance,
+)
 from bayesfric.diagnostics.statistics import (
-    Asked,
+    CandidateScores,
     Columns,
     Key,
-    asked,
     basis_of,
     mean_square,
-    scored,
-    solved,
-    without,
+    project_out,
+    score_candidates,
+    standard_normal_scores,
+    truncated_least_squares,
 )
 from bayesfric.diagnostics.statistics import (
     testable as candidates,
@@ -28,7 +35,7 @@ from tests.diagnostics.bench import dense_covariance, laid_out
 SEVERAL = {"single": 1, "pair": 2, "three": 3, "alone": 1}
 
 
-def columns(memory=WHITE, seed=1, n=(90, 70), base=3, groups=SEVERAL, delays=()):
+def columns(autocorrelation=WHITE, seed=1, n=(90, 70), base=3, groups=SEVERAL, delays=()):
     """Random columns of two recordings with gaps, and a residual that some of them make."""
     rng = np.random.default_rng(seed)
     where = laid_out(*n, gaps=(20, 21, 50))
@@ -38,12 +45,12 @@ def columns(memory=WHITE, seed=1, n=(90, 70), base=3, groups=SEVERAL, delays=())
         0.1, 10.0, base + len(keys)
     )
     left = rng.standard_normal(where.outputs) + 0.3 * x[:, base] / x[:, base].std()
-    return Columns(x[:, :base], x[:, base:], left, where, tuple(keys), memory)
+    return Columns(x[:, :base], x[:, base:], left, where, tuple(keys), autocorrelation)
 
 
 def root(d):
     """Inverse root of the noise's dense covariance: generalised least squares without whitening."""
-    return np.linalg.inv(np.linalg.cholesky(dense_covariance(d.memory, d.layout)))
+    return np.linalg.inv(np.linalg.cholesky(dense_covariance(d.autocorrelation, d.layout)))
 
 
 def fitted(x, y):
@@ -52,27 +59,31 @@ def fitted(x, y):
     return b, np.linalg.inv(x.T @ x), float(((y - x @ b) ** 2).sum())
 
 
-MEMORIES = [WHITE, Memory(np.array([0.6, -0.4])), Memory(np.array([0.5]), slow=0.8)]
+MEMORIES = [
+    WHITE,
+    Autocorrelation(np.array([0.6, -0.4])),
+    Autocorrelation(np.array([0.5]), drift=0.8),
+]
 
 
-@pytest.mark.parametrize("memory", MEMORIES, ids=["white", "autoregressive", "wandering"])
+@pytest.mark.parametrize("autocorrelation", MEMORIES, ids=["white", "autoregressive", "wandering"])
 @pytest.mark.parametrize("extra", [[], [0], [0, 2]])
-def test_t_and_gain_are_those_of_generalised_least_squares(memory, extra):
-    d = columns(memory)
+def test_t_and_gain_are_those_of_generalised_least_squares(autocorrelation, extra):
+    d = columns(autocorrelation)
     groups = candidates(d)
     assert groups == [(d.keys[own[0]], own) for own in ([0], [1, 2], [3, 4, 5], [6])]
-    found = asked(d, groups, extra, 0.2)
+    found = score_candidates(d, groups, extra, 0.2)
     white = root(d)
     start = np.column_stack([d.base, d.others[:, extra]])
-    *_, before = fitted(white @ start, white @ d.left)
+    *_, before = fitted(white @ start, white @ d.residual)
     for (_, own), t, gain in zip(groups, found.t, found.gains, strict=True):
         if set(own) & set(extra):
             assert np.isnan(t).all()
             assert gain == 0.0
             continue
         both = white @ np.column_stack([start, d.others[:, own]])
-        b, covariance, after = fitted(both, white @ d.left)
-        variance = after / (d.left.size - both.shape[1])
+        b, covariance, after = fitted(both, white @ d.residual)
+        variance = after / (d.residual.size - both.shape[1])
         sds = np.sqrt(variance * np.diag(covariance))
         np.testing.assert_allclose(t, (b / sds)[start.shape[1] :], rtol=1e-4)
         assert gain == pytest.approx((before - after) / variance, rel=1e-4)
@@ -81,45 +92,45 @@ def test_t_and_gain_are_those_of_generalised_least_squares(memory, extra):
 def test_scans_are_of_the_whitened_residual_beside_the_models_columns():
     d = columns(MEMORIES[1])
     white = root(d)
-    x, y = white @ d.base, white @ d.left
+    x, y = white @ d.base, white @ d.residual
     rest = y - x @ np.linalg.lstsq(x, y)[0]
     for mine, scan in zip(
-        asked(d, candidates(d), [], 0.2).scans[:2],
-        (tone(rest, d.layout), push(rest, d.layout, 0.2)),
+        score_candidates(d, candidates(d), [], 0.2).scans[:2],
+        (sinusoidal_disturbance(rest, d.layout), transient_disturbance(rest, d.layout, 0.2)),
         strict=True,
     ):
         assert mine.kind == scan.kind
         assert (mine.peak, mine.place) == pytest.approx((scan.peak, scan.place), rel=1e-6)
 
 
-@pytest.mark.parametrize("memory", MEMORIES[:2], ids=["white", "autoregressive"])
-def test_a_far_delay_is_the_best_of_dense_fits_with_a_coefficient_of_one(memory):
+@pytest.mark.parametrize("autocorrelation", MEMORIES[:2], ids=["white", "autoregressive"])
+def test_a_far_delay_is_the_best_of_dense_fits_with_a_coefficient_of_one(autocorrelation):
     delays = (0.03, -0.03, 0.2)
     for best in (None, 1):
-        d = columns(memory, delays=delays)
+        d = columns(autocorrelation, delays=delays)
         first = [i for i, key in enumerate(d.keys) if key.delay and key.number == 0]
         if best is not None:
             made = d.others[:, first[best]] - 0.4 * d.others[:, first[best] + 1]
-            d = replace(d, left=d.left + made)
+            d = replace(d, residual=d.residual + made)
         white = root(d)
         x = white @ d.base
-        *_, before = fitted(x, white @ d.left)
+        *_, before = fitted(x, white @ d.residual)
         gains = []
         for i in first:
             rated = np.column_stack([x, white @ d.others[:, i + 1]])
-            *_, after = fitted(rated, white @ (d.left - d.others[:, i]))
+            *_, after = fitted(rated, white @ (d.residual - d.others[:, i]))
             # two more than the model's: how fast it changed, and which delay
-            gains.append((before - after) / after * (d.left.size - 3 - 2))
-        scan = asked(d, candidates(d), [], 0.2).scans[2]
+            gains.append((before - after) / after * (d.residual.size - 3 - 2))
+        scan = score_candidates(d, candidates(d), [], 0.2).scans[2]
         assert scan.kind == DELAY
         assert scan.peak == pytest.approx(max(*gains, 0.0), rel=1e-6, abs=1e-9)
         if best is not None:
             assert scan.place == delays[best] == delays[int(np.argmax(gains))]
             # of one that was taken in there is no other
-            taken = asked(d, candidates(d), [first[best], first[best] + 1], 0.2).scans[2]
+            taken = score_candidates(d, candidates(d), [first[best], first[best] + 1], 0.2).scans[2]
             assert (taken.peak, taken.place) == (0.0, 0.0)
     # nor of none
-    none = asked(columns(), candidates(columns()), [], 0.2).scans[2]
+    none = score_candidates(columns(), candidates(columns()), [], 0.2).scans[2]
     assert (none.kind, none.peak, none.place) == (DELAY, 0.0, 0.0)
 
 
@@ -128,8 +139,8 @@ def test_a_delay_longer_than_all_parts_is_none():
     d = columns(delays=(0.03, 0.2))
     others = d.others.copy()
     others[:, -2:] = 0.0
-    scan = asked(replace(d, others=others), candidates(d), [], 0.2).scans[2]
-    alone = asked(columns(delays=(0.03,)), candidates(d), [], 0.2).scans[2]
+    scan = score_candidates(replace(d, others=others), candidates(d), [], 0.2).scans[2]
+    alone = score_candidates(columns(delays=(0.03,)), candidates(d), [], 0.2).scans[2]
     assert scan.peak == pytest.approx(alone.peak, abs=1e-9)
     assert scan.place == (0.03 if alone.peak else 0.2)
 
@@ -137,7 +148,7 @@ def test_a_delay_longer_than_all_parts_is_none():
 def test_columns_beside_and_far_delays_are_no_candidates():
     d = columns(delays=(0.03,))
     keys = list(d.keys)
-    keys[0] = replace(keys[0], beside=True)
+    keys[0] = replace(keys[0], nuisance=True)
     assert [own for _, own in candidates(replace(d, keys=tuple(keys)))] == [[1, 2], [3, 4, 5], [6]]
 
 
@@ -146,7 +157,7 @@ def test_a_candidate_is_asked_where_enough_of_it_is_outside_the_models_own(share
     """Of its norm 1.5 %, whichever the size of the columns."""
     d = columns()
     inside = d.base @ [1.0, -2.0, 0.5]
-    outside = without(basis_of(d.base), d.others[:, 0])
+    outside = project_out(basis_of(d.base), d.others[:, 0])
     inside, outside = (x / np.linalg.norm(x) for x in (inside, outside))
     sine = share * 0.015
     others = d.others.copy()
@@ -156,7 +167,7 @@ def test_a_candidate_is_asked_where_enough_of_it_is_outside_the_models_own(share
         assert ("single" in [key.kind for key, _ in told]) == (share > 1.0)
         # one that was asked is not asked any longer where such a column was taken in
         (t, *_), (gain, *_) = (
-            getattr(asked(replace(d, others=others), [(d.keys[0], [0])], [], 0.2), name)
+            getattr(score_candidates(replace(d, others=others), [(d.keys[0], [0])], [], 0.2), name)
             for name in ("t", "gains")
         )
         assert np.isnan(t).all() == (share < 1.0) == (gain == 0.0)
@@ -182,17 +193,17 @@ def test_of_several_columns_those_are_asked_that_those_before_them_cannot_do():
     # and a pair whose columns have become one cannot be asked jointly
     others[:, 2] = d.others[:, 1] + 1e-3 * d.others[:, 2] / d.others[:, 2].std()
     others[:, 1] = d.others[:, 1]
-    pair = asked(replace(d, others=others), [(d.keys[1], [1, 2])], [], 0.2)
+    pair = score_candidates(replace(d, others=others), [(d.keys[1], [1, 2])], [], 0.2)
     assert np.isnan(pair.t[0]).all()
     assert pair.gains[0] == 0.0
 
 
 def test_what_nothing_explains_and_what_everything_explains_are_finite():
     d = columns()
-    exact = asked(replace(d, left=d.others[:, 0]), candidates(d), [], 0.2)
+    exact = score_candidates(replace(d, residual=d.others[:, 0]), candidates(d), [], 0.2)
     assert all(np.isfinite(t).all() for t in exact.t)
     # the rest of an exact fit is rounding, of which a millionth in size counts
-    assert exact.gains[0] == pytest.approx(1e12 * (d.left.size - 4), rel=1e-3)
+    assert exact.gains[0] == pytest.approx(1e12 * (d.residual.size - 4), rel=1e-3)
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
@@ -205,10 +216,12 @@ def test_a_basis_is_orthonormal_and_spans_what_its_columns_do(scale):
     assert basis.shape == (40, 2)
     np.testing.assert_allclose(basis.T @ basis, np.eye(2), atol=1e-12)
     np.testing.assert_allclose(
-        without(basis, x / (np.linalg.norm(x, axis=0) + 1e-300)), 0.0, atol=1e-9
+        project_out(basis, x / (np.linalg.norm(x, axis=0) + 1e-300)), 0.0, atol=1e-9
     )
     y, both = rng.standard_normal(40), x[:, :2] / [1.0, scale]
-    np.testing.assert_allclose(without(basis, y), y - both @ np.linalg.lstsq(both, y)[0], atol=1e-9)
+    np.testing.assert_allclose(
+        project_out(basis, y), y - both @ np.linalg.lstsq(both, y)[0], atol=1e-9
+    )
     # columns that differ by a share of 1e-3 are two, by 1e-6 one
     for share, many in ((1e-3, 2), (1e-6, 1)):
         near = np.column_stack([x[:, 0], x[:, 0] + share * x[:, 1] / scale])
@@ -226,7 +239,7 @@ def test_solved_is_least_squares_along_what_is_determined(size):
     rng = np.random.default_rng(1)
     x = rng.standard_normal((200, 4)) * [1.0, 1e-3, 10.0, 0.0]
     y = x @ [1.0, -2.0, 0.5, 0.0] + 0.1 * rng.standard_normal(200)
-    found, covariance, told = solved(x, y, size)
+    found, covariance, told = truncated_least_squares(x, y, size)
     exact = np.linalg.lstsq(x[:, :3], y)[0]
     np.testing.assert_allclose(found, [*exact, 0.0], rtol=1e-8)
     left = y - x[:, :3] @ exact
@@ -237,7 +250,7 @@ def test_solved_is_least_squares_along_what_is_determined(size):
     assert np.abs(told[3]).max() < 1e-12
     # the sum of two equal columns' coefficients is told, their difference is not
     same = np.column_stack([x[:, :3], x[:, 0]])
-    found, _, told = solved(same, y, np.ones(4))
+    found, _, told = truncated_least_squares(same, y, np.ones(4))
     assert told.shape == (4, 3)
     assert found[0] + found[3] == pytest.approx(exact[0])
     assert found[0] == pytest.approx(found[3])
@@ -247,9 +260,11 @@ def test_solved_is_least_squares_along_what_is_determined(size):
 # Scores
 
 
-def sample(t, peaks=(), kind=TONE):
+def sample(t, peaks=(), kind=SINUSOID):
     """Statistics of one candidate, and of a scan."""
-    return Asked([np.atleast_1d(t)], np.zeros(1), tuple(Scan(kind, p, 1.0) for p in peaks))
+    return CandidateScores(
+        [np.atleast_1d(t)], np.zeros(1), tuple(Scan(kind, p, 1.0) for p in peaks)
+    )
 
 
 def unlikely(x, others, spread=0.0):
@@ -268,11 +283,11 @@ def unlikely(x, others, spread=0.0):
 @pytest.mark.parametrize("k", [1, 2, 3])
 @pytest.mark.parametrize("n", [12, 24])
 def test_a_score_is_hotellings_among_the_others(k, n):
-    """Of the recording half of what twins show on average is spread; of a twin it is known."""
+    """For the recording half of the replicates' mean is spread; for a replicate it is known."""
     rng = np.random.default_rng(4)
     t = rng.multivariate_normal([3.0] * k, 0.5 * np.eye(k) + 0.5, n)
     x = np.arange(1.0, k + 1.0)
-    z, null = scored(sample(x), [sample(one) for one in t])
+    z, null = standard_normal_scores(sample(x), [sample(one) for one in t])
     assert z[0] == pytest.approx(unlikely(x, t, 0.25), rel=1e-6)
     exact = [unlikely(t[i], np.delete(t, i, axis=0)) for i in range(n)]
     np.testing.assert_allclose(null[:, 0], exact, rtol=1e-6)
@@ -281,7 +296,10 @@ def test_a_score_is_hotellings_among_the_others(k, n):
 def test_scores_reach_beyond_what_rounding_of_a_probability_holds():
     rng = np.random.default_rng(6)
     t = rng.standard_normal((24, 1))
-    far = [scored(sample(x), [sample(one) for one in t])[0][0] for x in (0.0, 5.0, 50.0, 500.0)]
+    far = [
+        standard_normal_scores(sample(x), [sample(one) for one in t])[0][0]
+        for x in (0.0, 5.0, 50.0, 500.0)
+    ]
     assert np.isfinite(far).all()
     assert (np.diff(far) > 0.5).all()
     assert far[0] < 1.0
@@ -289,7 +307,7 @@ def test_scores_reach_beyond_what_rounding_of_a_probability_holds():
 
 @pytest.mark.parametrize("spread", [0.3, 4.0])
 def test_a_scans_score_is_gumbels_of_the_twins_mean_and_spread(spread):
-    """Of a spread of at least one: where twins show nothing, that is a unit of chi squared."""
+    """Of a spread of at least one: where replicates show nothing, that is a unit of chi squared."""
     rng = np.random.default_rng(7)
     peaks = 10.0 + spread * rng.standard_normal(24)
     mine = 14.0
@@ -300,7 +318,7 @@ def test_a_scans_score_is_gumbels_of_the_twins_mean_and_spread(spread):
         law = stats.gumbel_r(others.mean() - np.euler_gamma * scale, scale)
         return stats.norm.isf(law.sf(x) / 2.0)
 
-    z, null = scored(
+    z, null = standard_normal_scores(
         sample(0.0, (mine,)),
         [sample(t, (p,)) for t, p in zip(rng.standard_normal(24), peaks, strict=True)],
     )
@@ -311,14 +329,14 @@ def test_a_scans_score_is_gumbels_of_the_twins_mean_and_spread(spread):
 
 def test_far_peaks_score_by_the_tail_of_gumbels():
     """There the logarithm of the probability is minus the standardised distance."""
-    twins = [
+    replicates = [
         sample(t, (p,))
         for t, p in zip(np.linspace(-1, 1, 24), np.tile([9.0, 11.0], 12), strict=True)
     ]
     sd = np.tile([9.0, 11.0], 12).std(ddof=1)
     for g in (15.0, 19.9, 20.1, 25.0, 300.0):
         peak = 10.0 + sd * (g - np.euler_gamma) * np.sqrt(6.0) / np.pi
-        z = scored(sample(0.0, (peak,)), twins)[0][1]
+        z = standard_normal_scores(sample(0.0, (peak,)), replicates)[0][1]
         assert stats.norm.logsf(z) == pytest.approx(-g - np.log(2.0), rel=1e-6)
 
 
@@ -331,27 +349,27 @@ def test_what_could_not_be_asked_of_one_scores_nothing(where):
         mine = np.nan
     else:
         t[3] = np.nan
-    z, null = scored(sample(mine), [sample(one) for one in t])
+    z, null = standard_normal_scores(sample(mine), [sample(one) for one in t])
     assert z[0] == 0.0
     assert (null == 0.0).all()
 
 
 def test_scores_of_twins_like_the_recording_are_standard_normal():
-    """Probabilities of many recordings drawn like their twins are even, by Kolmogorov's test."""
+    """Scores of recordings drawn like their replicates are uniform, by Kolmogorov's test."""
     rng = np.random.default_rng(3)
     mix = np.array([[1.0, 0.3], [0.0, 0.8]])
-    scores, twins = [], []
+    scores, replicates = [], []
     for _ in range(300):
         t = rng.standard_normal((25, 2)) @ mix
         peaks = rng.gumbel(5.0, 1.0, 25)
         made = [
-            Asked([x[:1], x], np.zeros(2), (Scan(PUSH, p, 1.0),))
+            CandidateScores([x[:1], x], np.zeros(2), (Scan(TRANSIENT, p, 1.0),))
             for x, p in zip(t, peaks, strict=True)
         ]
-        z, null = scored(made[0], made[1:])
+        z, null = standard_normal_scores(made[0], made[1:])
         scores.append(z)
-        twins.append(null[0])
-    for found in (np.array(scores), np.array(twins)):
+        replicates.append(null[0])
+    for found in (np.array(scores), np.array(replicates)):
         p = 2.0 * stats.norm.sf(found)
         for column in p[:, :2].T:
             assert stats.kstest(column, "uniform").pvalue > 1e-3
@@ -362,7 +380,7 @@ def test_scores_of_twins_like_the_recording_are_standard_normal():
 def test_a_covariance_of_recordings_is_that_of_each():
     """The bench's own dense covariance is that of an autoregression of order one, in blocks."""
     where = laid_out(6, 5, gaps=(2,))
-    dense = dense_covariance(Memory(np.array([0.5])), where)
+    dense = dense_covariance(Autocorrelation(np.array([0.5])), where)
     whole = toeplitz(0.5 ** np.arange(6)) / 0.75
     np.testing.assert_allclose(dense[:5, :5], np.delete(np.delete(whole, 2, 0), 2, 1))
     assert not dense[:5, 5:].any()

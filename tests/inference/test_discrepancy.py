@@ -64,7 +64,7 @@ def test_a_wrong_model_gets_room_that_holds_the_truth(wrong):
 
 def test_where_nobody_could_ask_nothing_is_missing(right):
     none = discrepancy(right.fit.target, right.fit.posterior, None)
-    assert not none.shown
+    assert not none.is_plausible
     draws = right.fit.posterior.flat(50)
     rng = np.random.default_rng(0)
     np.testing.assert_array_equal(none.widened(right.fit.target, draws, rng), draws)

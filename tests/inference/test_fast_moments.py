@@ -9,9 +9,9 @@ from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
+from bayesfric.inference.moments.moment_matrices import SignRegion
 from bayesfric.inference.moments.residual_moments import PlainMoments
 from bayesfric.inference.moments.shape_nodes import ACCURACY
-from bayesfric.inference.moments.sign_region import SignRegion
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
@@ -275,9 +275,9 @@ def test_equal_wherever(cases, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_draws_near_the_posterior_are_not_computed_sample_by_sample(cases, name):
     case = cases[name]
-    before = case.fast.outside
+    before = case.fast.slow_evaluations
     case.check(case.draws)
-    share = (case.fast.outside - before) / len(case.draws)
+    share = (case.fast.slow_evaluations - before) / len(case.draws)
     assert share == 0.0 if name != "narrow" else 0.0 < share < 1.0
 
 
@@ -335,8 +335,8 @@ def test_chains_without_the_form_stay_as_they_are(make_observation):
     names = dict.fromkeys(twice.names, 0.1)
     o = make_observation(twice, names, n=200)
     likelihood = TorqueLikelihood(twice, [o])
-    assert likelihood.prepared(twice.vector(names)[None]) is likelihood
-    assert not likelihood.cheap
+    assert likelihood.precomputed(twice.vector(names)[None]) is likelihood
+    assert not likelihood.fast
 
 
 def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):
@@ -354,7 +354,7 @@ def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, mo
     expected = PlainMoments(chain, [o]).at(wide).lagged
     np.testing.assert_allclose(few.at(wide).lagged, expected, rtol=1e-9)
     np.testing.assert_allclose(whole.at(wide).lagged, expected, rtol=1e-9)
-    assert few.outside > 0
+    assert few.slow_evaluations > 0
 
 
 @pytest.mark.parametrize("factor", [1, 4])

@@ -20,7 +20,7 @@ def regression(size, n=400, m=1, seed=0):
         kinds={f"kind {k}": ((k,),) for k in range(m)},
         gram=columns.T @ columns,
         scores=columns.T @ left,
-        rough=np.zeros(m),
+        column_errors=np.zeros(m),
         power=float(left @ left),
         spread=np.ones(m),
         free=n,
@@ -81,7 +81,7 @@ def test_columns_cancel_no_better_than_their_shapes_are_known():
         kinds={"one": ((0,),), "other": ((1,),)},
         gram=rest.T @ rest,
         scores=rest.T @ left,
-        rough=np.zeros(2),
+        column_errors=np.zeros(2),
         power=float(left @ left),
         spread=np.ones(2),
         free=398,
@@ -93,6 +93,6 @@ def test_columns_cancel_no_better_than_their_shapes_are_known():
 
     # less by what the scale of 0.5 takes off, under a twentieth
     np.testing.assert_allclose(np.abs(sizes(exact).mean(axis=0)), 5.0, rtol=0.05)
-    rough = replace(exact, rough=np.mean(columns**2, axis=0))
+    rough = replace(exact, column_errors=np.mean(columns**2, axis=0))
     expected = np.linalg.solve(exact.gram + 0.04 * np.eye(2), exact.scores)
     np.testing.assert_allclose(sizes(rough).mean(axis=0), expected, rtol=0.08)

@@ -8,10 +8,10 @@ from scipy import stats
 from bayesfric.inference.sampling.convergence import autocorrelation_time
 from bayesfric.inference.sampling.moves import (
     DifferentialEvolutionMove,
-    ElsewhereMove,
     IndependenceMove,
+    TransformedMove,
 )
-from bayesfric.inference.sampling.proposal import Proposal, ProposalInBoth
+from bayesfric.inference.sampling.proposal import MixedProposal, Proposal
 
 
 def run(log_density, starts, moves, steps, seed=0):
@@ -94,13 +94,13 @@ def test_moves_keep_a_skewed_posterior_with_a_wall(name):
         # a wrong Jacobian, there or back, would tilt both; half of what is proposed has no way back
         proposal = Proposal.normal(np.array([1.0, 10.0]), np.diag([20.0, 900.0]))
         inner = [(IndependenceMove(proposal), 0.3), (DifferentialEvolutionMove(), 0.3)]
-        moves = [(ElsewhereMove(move, cubed, uncubed), share) for move, share in inner]
+        moves = [(TransformedMove(move, cubed, uncubed), share) for move, share in inner]
         moves += [(DifferentialEvolutionMove(), 0.4)]
     if name == "both":
         # most of what the straight one proposes has no way back, and is drawn anew
         own = Proposal.normal(np.array([1.0, 3.0]), np.diag([1.0, 3.0]))
         straight = Proposal.normal(np.array([1.0, 10.0]), np.diag([20.0, 900.0]))
-        both = ProposalInBoth(own, straight, 0.6, cubed, uncubed)
+        both = MixedProposal(own, straight, 0.6, cubed, uncubed)
         moves = [(IndependenceMove(both), 0.6), (DifferentialEvolutionMove(), 0.4)]
     chain = run(log_density, starts, moves, 6000)[:, :, 500:]
     n = chain[..., 0].size / autocorrelation_time(chain)

@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.autoregression import burg, ljung_box, simulated, whitened
-from bayesfric.inference.likelihood.noise_choice import choice_at, choose_order
+from bayesfric.inference.likelihood.noise_choice import choose_noise, choose_order
 from bayesfric.inference.prior.priors import read_prior
 from tests.axis import AXIS, VALUES
 from tests.inference.test_autoregression import covariance
@@ -23,16 +23,16 @@ def test_the_order_is_found_again(partial, own):
     residuals = [0.1 * simulated(np.array(partial), FOLLOWS, 1, rng)[0] for _ in range(2)]
     found = choose_order(residuals, [FOLLOWS, FOLLOWS], own)
     assert found.order == max(len(partial), 1)
-    assert found.tried[found.order].p_value > 0.05
-    assert (found.tried[found.order].bic < -6.0) == bool(partial)
+    assert found.evidence[found.order].p_value > 0.05
+    assert (found.evidence[found.order].bic < -6.0) == bool(partial)
     # p orders take the variance of the series down to that of its innovations
     expected = np.sqrt(np.prod(1.0 - np.array(partial) ** 2))
-    assert found.tried[found.order].innovation_share == pytest.approx(expected, rel=0.03)
+    assert found.evidence[found.order].innovation_share == pytest.approx(expected, rel=0.03)
     # what is open to the first where none is shown begins with none
-    assert partial or found.memory == (found.room,)
-    assert found.tried[0].bic == 0.0
+    assert partial or found.partial == (found.half_range,)
+    assert found.evidence[0].bic == 0.0
     if partial:
-        assert found.tried[0].p_value < 1e-6
+        assert found.evidence[0].p_value < 1e-6
 
 
 def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_another():
@@ -41,14 +41,14 @@ def test_a_fit_keeps_to_the_memory_of_these_residuals_unless_the_user_says_anoth
     truth = np.array([0.8, -0.5])
     n = FOLLOWS.size + 1
     found = choose_order([simulated(truth, FOLLOWS, 1, rng)[0]], [FOLLOWS], True)
-    assert np.abs(np.array(found.memory) - truth).max() < 3.3 / np.sqrt(n)
+    assert np.abs(np.array(found.partial) - truth).max() < 3.3 / np.sqrt(n)
     free = read_prior("noise.pacf_1", [-0.95, 0.95], lower=-1.0, upper=1.0, default=True)
     own = read_prior("noise.pacf_2", [-0.1, 0.1], lower=-1.0, upper=1.0, default=False)
     told = found.priors({"noise.pacf_1": free, "noise.pacf_2": own})
     assert told["noise.pacf_2"] is own
     assert told["noise.pacf_1"].default  # another estimate may say another
     low, high = told["noise.pacf_1"].limits
-    assert low < found.memory[0] < high
+    assert low < found.partial[0] < high
     assert high - low == pytest.approx(2.0 / np.sqrt(n))
 
 
@@ -83,9 +83,9 @@ def test_a_memory_that_moves_the_estimate_is_refused():
     bound = choose_order([residual], [follows], True, effects=[5.0 * seen[:, None]])
     assert free.order == 4
     assert bound.order == 0
-    assert all(one.shift > 3.0 for one in bound.tried[1:])
+    assert all(one.shift > 3.0 for one in bound.evidence[1:])
     # residuals rise with it, as much as the estimate moves
-    assert bound.tried[4].rise > 1.1
+    assert bound.evidence[4].rise > 1.1
 
 
 def test_a_right_memory_is_kept_and_said_to_do_no_harm():
@@ -97,8 +97,8 @@ def test_a_right_memory_is_kept_and_said_to_do_no_harm():
     found = choose_order([residual], [follows], True, effects=[50.0 * column[:, None]])
     assert found.order == 1
     # a shift of one sd and more comes one time in three; of three, in four hundred
-    assert found.tried[1].shift < 3.0
-    assert found.tried[1].rise == pytest.approx(1.0, abs=0.01)
+    assert found.evidence[1].shift < 3.0
+    assert found.evidence[1].rise == pytest.approx(1.0, abs=0.01)
 
 
 def test_of_a_memory_without_evidence_the_first_is_open():
@@ -109,12 +109,12 @@ def test_of_a_memory_without_evidence_the_first_is_open():
     for _ in range(200):
         series = rng.standard_normal(200)
         found = choose_order([series], [follows], True)
-        gains.append(min(one.bic for one in found.tried))
+        gains.append(min(one.bic for one in found.evidence))
         if gains[-1] >= -6.0:
             shown = burg([series], [follows], 1)[0]
             assert found.order == 1
-            assert found.memory[0] - found.room == 0.0
-            assert found.memory[0] + found.room == pytest.approx(shown + 4.0 / np.sqrt(200))
+            assert found.partial[0] - found.half_range == 0.0
+            assert found.partial[0] + found.half_range == pytest.approx(shown + 4.0 / np.sqrt(200))
     assert min(gains) < 0.0  # some would have been taken for a memory that is known
 
 
@@ -128,7 +128,7 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
         residual = 0.6 * np.sin(np.arange(n) / 12.0) + rng.standard_normal(n)
         residual -= seen * (seen @ residual) / (seen @ seen)
         found = choose_order([residual], [follows], True, effects=[50.0 * seen[:, None]])
-        if found.tried[found.order].bic < -6.0:
+        if found.evidence[found.order].bic < -6.0:
             continue
         x, y = seen / np.linalg.norm(seen), residual / np.sqrt(np.mean(residual**2))
         sd = np.sqrt(max(long_run_variance(x * y, np.arange(n)), 1.0))
@@ -137,7 +137,7 @@ def test_a_memory_that_is_not_shown_is_open_as_far_as_it_moves_nothing():
             inverse = np.linalg.inv(covariance(np.array([min(end, 0.95)]), n))
             return abs(x @ inverse @ y / (x @ inverse @ x)) / sd
 
-        end, most = 2.0 * found.room, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
+        end, most = 2.0 * found.half_range, burg([y], [follows], 1)[0] + 4.0 / np.sqrt(n)
         assert moved(end) <= 1.0 + 1e-6
         held.append(end < 0.99 * most)
         assert held[-1] == (moved(most) > 1.0)
@@ -153,7 +153,7 @@ def test_the_criterion_is_that_of_the_exact_density(own):
     follows = np.ones(sum(lengths) - 1, dtype=bool)
     follows[lengths[0] - 1] = False
     residuals = [s * simulated(np.array([0.6, -0.3]), follows, 1, rng)[0] for s in factors]
-    tried = choose_order(residuals, [follows, follows], own).tried
+    tried = choose_order(residuals, [follows, follows], own).evidence
     n = 2 * sum(lengths)
 
     def deviance(order):
@@ -205,7 +205,7 @@ def test_shift_and_rise_are_those_of_generalised_least_squares(own):
         for score in told.T * scaled
     ]
     pieces = [whole[p] / size[p] for p in parts]
-    for one in found.tried[1:]:
+    for one in found.evidence[1:]:
         partial = burg(pieces, joined, one.order)
         inverse = np.linalg.inv(
             block_diag(*(covariance(partial, k) for pair in lengths for k in pair))
@@ -220,7 +220,7 @@ def test_the_share_of_innovations_and_their_test_are_those_of_what_predecessors_
     rng = np.random.default_rng(12)
     residuals = [s * simulated(np.array([0.6]), FOLLOWS, 1, rng)[0] for s in (1.0, 3.0)]
     scaled = [r / np.sqrt(np.mean(r**2)) for r in residuals]
-    for one in choose_order(residuals, [FOLLOWS, FOLLOWS], True).tried:
+    for one in choose_order(residuals, [FOLLOWS, FOLLOWS], True).evidence:
         partial = burg(scaled, [FOLLOWS, FOLLOWS], one.order)
         left = [whitened(r, partial, FOLLOWS) for r in residuals]
         share = sum(np.sum(z**2) for z in left) / sum(np.sum(r**2) for r in residuals)
@@ -251,10 +251,10 @@ def test_the_choice_at_an_estimate_is_that_of_its_residuals_and_of_prior_effects
     effects = [np.stack([by[k] * priors[k].sd() for k in AXIS.names], axis=1) for by in columns]
     joined = [np.ones(r.size - 1, dtype=bool) for r in residuals]
     for own in (False, True):
-        found = choice_at(AXIS, observations, priors, point, per_recording=own)
+        found = choose_noise(AXIS, observations, priors, point, per_recording=own)
         expected = choose_order(residuals, joined, own, effects)
         assert found.order == expected.order
-        for one, other in zip(found.tried, expected.tried, strict=True):
+        for one, other in zip(found.evidence, expected.evidence, strict=True):
             assert vars(one) == pytest.approx(vars(other), rel=1e-3, abs=1e-6)
     fixed = AXIS.names.index("load.first_moment")
     assert priors["load.first_moment"].sd() == 0.0
@@ -267,4 +267,4 @@ def test_a_recording_without_residuals_changes_nothing():
     alone = choose_order([series], [FOLLOWS], True)
     beside = choose_order([series, np.zeros(3000)], [FOLLOWS, FOLLOWS], True)
     assert beside.order == alone.order == 1
-    assert beside.memory == pytest.approx(alone.memory)
+    assert beside.partial == pytest.approx(alone.partial)

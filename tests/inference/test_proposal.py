@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.inference.sampling.proposal import Proposal, ProposalInBoth
+from bayesfric.inference.sampling.proposal import MixedProposal, Proposal
 
 WIDE = 0.1  # share of the t, 5 degrees of freedom
 
@@ -91,7 +91,7 @@ def test_the_coordinates_in_which_draws_are_normal_have_nearly_all(straight):
     rng = np.random.default_rng(5)
     normal = np.array([3.0, 3.0]) + rng.normal(size=(20_000, 2)) * (1.0 if straight else 0.5)
     draws = np.exp(normal) if straight else normal
-    made = ProposalInBoth.fitted(draws, there, np.exp)
+    made = MixedProposal.fitted(draws, there, np.exp)
     assert (made.share > 0.9) == straight
     z = made.draw(20_000, np.random.RandomState(7))
     log = stats.norm(3.0, 1.0 if straight else 0.5).logpdf

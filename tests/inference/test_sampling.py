@@ -170,5 +170,5 @@ def test_what_a_finished_run_holds_is_used_whole_though_a_walker_never_moved(axi
     diagnostics = replace(axis_fit.posterior.diagnostics, acceptance=acceptance)
     stuck = replace(axis_fit.posterior, diagnostics=diagnostics)
     told = axis_fit.posterior.flat(50)
-    read = replace(axis_fit, posterior=stuck, told=told)
+    read = replace(axis_fit, posterior=stuck, widened_draws=told)
     np.testing.assert_array_equal(read.wide.posterior.flat(), told)

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from bayesfric.inference.sampling.convergence import (
-    few,
     hopeless,
+    negligible,
     nested_rhat,
     steps_needed,
     without_stuck,
@@ -29,7 +29,7 @@ class Normal:
 
     names = ("x", "y")
     priors = ()
-    likelihood = SimpleNamespace(cheap=False, method="input-error")
+    likelihood = SimpleNamespace(fast=False, method="input-error")
     coordinates = SimpleNamespace(is_nonlinear=False)
 
     def __init__(self):
@@ -39,7 +39,7 @@ class Normal:
     def dimension(self):
         return len(self.names)
 
-    def prepared(self, u):  # noqa: ARG002
+    def precomputed(self, u):  # noqa: ARG002
         return self
 
     def to_parameters(self, u):
@@ -142,7 +142,7 @@ def test_all_zero_acceptance_is_told_and_unusable():
     assert not d.acceptance.any()
     assert d.status == "unusable"
     assert (d.ess == 0.0).all()
-    assert d.problems[0].startswith("no walker ever moved")
+    assert d.problems[0].startswith("no proposal was accepted")
     assert "units" in d.problems[0]
     assert d.steps + d.warmup >= SHORT.max_steps
 
@@ -238,12 +238,12 @@ def test_one_stuck_walker_of_many_is_a_warning():
 def test_many_stuck_or_all_in_one_ensemble_are_no_few():
     moved = np.ones((4, 128))
     moved[0, :5] = 0.0
-    assert few(moved == 0.0)
+    assert negligible(moved == 0.0)
     moved[1, 0] = 0.0
-    assert not few(moved == 0.0)  # more than one in a hundred
+    assert not negligible(moved == 0.0)  # more than one in a hundred
     uneven = np.ones((64, 8))
     uneven[3, 0] = 0.0
-    assert not few(uneven == 0.0)  # that ensemble has lost one of eight
+    assert not negligible(uneven == 0.0)  # that ensemble has lost one of eight
     assert without_stuck(uneven, uneven) is uneven
 
 

@@ -83,7 +83,7 @@ def test_likelihoods_agree_and_coordinates_round_trip(case, make_observation):
     back, jacobian = target.to_parameters(u)
     np.testing.assert_allclose(back, rows, rtol=1e-8)
     assert np.isfinite(jacobian).all()
-    prepared = target.prepared(u)
+    prepared = target.precomputed(u)
     np.testing.assert_allclose(prepared(u), target(u), rtol=1e-7)
     # numbers of the coordinates are those of the same joint under gravity's usual sign
     usual = choose_coordinates(upside_down(turned), priors)

@@ -183,7 +183,7 @@ def test_moments_prepared_and_fused(case):
     close(plain.sum_of_squares(draws)[:, 0], np.array(expected))
     close(plain.log_density(draws, scales), density)
     # forms that the chain does not have are not prepared, and stay the plain ones
-    close(plain.prepared(np.tile(values, (300, 1))).log_density(draws, scales), density)
+    close(plain.precomputed(np.tile(values, (300, 1))).log_density(draws, scales), density)
 
 
 def test_variable_projection(case):

@@ -143,7 +143,7 @@ def test_the_same_seed_gives_the_same_numbers():
         ({"vary": ("motor.viscos",)}, "motor.viscous"),
         ({"vary": ("offset",), "priors": {"offset": 0.0}}, "is fixed"),
         ({"vary": AXIS.names}, "nothing is shared"),
-        ({"count": 1}, "one alone is no population"),
+        ({"count": 1}, "one recording is not a population"),
         ({"likelihood": {"method": "output-error"}}, "input-error"),
     ],
 )

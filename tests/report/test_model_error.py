@@ -27,7 +27,7 @@ def test_widened_draws_that_a_run_holds_are_not_made_again(wrong):
     """In the coordinates of another session they came out twice as wide."""
     wide = wrong.fit.wide.posterior.flat()
     held = wide[::7]
-    again = replace(wrong.fit, told=held)
+    again = replace(wrong.fit, widened_draws=held)
     np.testing.assert_array_equal(again.wide.posterior.flat(), held)
 
 
@@ -38,7 +38,7 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
     j = wrong.fit.posterior.names.index(NAME)
     held[:, j] = np.abs(np.random.default_rng(3).normal(size=len(held))) * held[:, j].mean()
     row = add_model_error(
-        wrong.summary, replace(wrong.fit, told=held), groups(wrong.fit)
+        wrong.summary, replace(wrong.fit, widened_draws=held), groups(wrong.fit)
     ).parameters[NAME]
     assert (row.at_bound, row.bound, row.bound_physical) == ("lower", 0.0, True)
     assert result_rows(wrong.summary)[NAME].status == "determined"

@@ -20,7 +20,7 @@ from bayesfric.commands.fit import fit
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.run_directory import write_run
@@ -160,7 +160,7 @@ def ensembles(archive, names):
 
 def test_pointwise_log_likelihood_adds_up(archive, problem):
     """Each stored row is one kept draw of its ensemble; its sum is the likelihood there."""
-    target = problem.target(choice=Choice(1, ()))
+    target = problem.target(choice=NoiseChoice(1, ()))
     kept = ensembles(archive, target.names)
     sums = sum(archive["log_likelihood"][name].values.sum(axis=-1) for name in NAMES)
     assert sums.shape[0] == kept.shape[0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bayesfric.diagnostics.self_check import Checked, QuickFit
+from bayesfric.diagnostics.calibration_check import CalibrationCheck, ReplicateFit
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import HTML, LATEX, TEXT, finer
 from bayesfric.report.page.pages import run_page
@@ -38,8 +38,8 @@ def checked(result, missed, unexplained=0.0, n=40, share=1.0):
     for one, z in zip(truth, np.resize(missed, n), strict=True):
         nearby = one.copy()
         nearby[j] += 1e-3 * z * sd
-        fits.append(QuickFit(nearby, 1e-3, unexplained))
-    return Checked(truth, tuple(fits), 1.0, 2.0, share=share)
+        fits.append(ReplicateFit(nearby, 1e-3, unexplained))
+    return CalibrationCheck(truth, tuple(fits), 1.0, 2.0, share=share)
 
 
 def told(result, found):

@@ -104,7 +104,7 @@ def test_the_density_that_gradient_samplers_get_is_the_targets(written, problem,
     with np.load(path) as file:
         draws = np.exp(file["starts"])
     target = target.with_widths(draws.std(axis=0))
-    target = target.prepared(target.from_parameters(draws[:300]))
+    target = target.precomputed(target.from_parameters(draws[:300]))
     # by its own name, which what Numba keeps compiled asks for
     monkeypatch.syspath_prepend(FOLDER / "same_density")
     density = importlib.import_module("density")

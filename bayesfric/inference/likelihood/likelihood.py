@@ -1,9 +1,4 @@
-"""What a likelihood is, whichever quantity it compares: torque or position.
-
-The input-error likelihood compares the measured motor torque with the inverse model along the
-measured motion; the output-error likelihood compares the measured position with a simulation
-driven by the measured torque.
-"""
+"""The interface of likelihoods: input error (torque) and output error (position)."""
 
 from __future__ import annotations
 
@@ -24,164 +19,81 @@ LikelihoodMethod = Literal["input-error", "output-error"]
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """The measured numbers of one recording that a likelihood is about.
+    """The measured outputs of one recording."""
 
-    Attributes
-    ----------
-    name
-        Of the recording.
-    quantity, unit
-        ``motor torque`` or ``motor force`` in N m or N, or ``joint position`` in rad or m.
-    time
-        ``(M,)`` s since the file's first stamp.
-    measured
-        ``(M,)``.
-    period
-        From one output to the next of the same segment, s.
-    segment_of
-        ``(M,)`` number of the segment each belongs to.
-    follows
-        ``(M - 1,)`` whether the next comes one period after.
-    """
-
-    name: str
+    name: str  # of the recording
+    # motor torque or force, N m or N, or joint position, rad or m
     quantity: str
     unit: str
-    time: Array
-    measured: Array
-    period: float
-    segment_of: NDArray[np.int64]
-    follows: NDArray[np.bool_]
+    time: Array  # (M,) s since the first stamp of the file
+    measured: Array  # (M,)
+    period: float  # s, between outputs of one segment
+    segment_of: NDArray[np.int64]  # (M,) index of its segment
+    follows: NDArray[np.bool_]  # (M - 1,) whether the next comes one period later
 
 
 class Likelihood(ABC):
-    """How probable the measurements are, given the joint's parameters.
+    """Likelihood of the measured outputs, given the joint's parameters.
 
-    Parameter vectors ``(n, n_parameters)`` are those of the whole mechanism, fixed ones included,
-    in the order of ``chain.names`` and in SI units. Noise scales come as ``(n, R, Q)``: vectors,
-    recordings, and :attr:`noise`'s own.
-
-    Attributes
-    ----------
-    chain
-        The mechanism.
-    observations
-        The ``R`` prepared recordings.
-    outputs
-        What is compared in each of them.
-    method
-        ``input-error`` for torque, ``output-error`` for position.
-    noise
-        What the noise is described by.
+    Parameter vectors ``(n, n_parameters)`` include fixed ones, in the order of ``chain.names`` and
+    SI units; noise scales are ``(n, R, Q)``: vectors, recordings, and those of :attr:`noise`.
     """
 
     chain: Joint
-    observations: tuple[Observation, ...]
-    outputs: tuple[Outputs, ...]
-    method: LikelihoodMethod
+    observations: tuple[Observation, ...]  # the R preprocessed recordings
+    outputs: tuple[Outputs, ...]  # of each
+    method: LikelihoodMethod  # input-error: torque; output-error: position
     noise: NoiseDescription
 
     @property
-    def outside(self) -> int:
-        """Parameter vectors so far that lay where the likelihood is not prepared, and were dear."""
+    def slow_evaluations(self) -> int:
+        """Number of slow evaluations, outside the precomputed region."""
         return 0
 
     @property
-    def cheap(self) -> bool:
-        """Whether a vector costs no more than the sampler's own bookkeeping."""
+    def fast(self) -> bool:
+        """Whether an evaluation costs no more than the sampler's own bookkeeping."""
         return False
 
-    def about(self, values: Array) -> Likelihood:  # noqa: ARG002
-        """Give the same likelihood with its approximations made near ``(n_parameters,)``.
-
-        Itself where there are none.
-        """
+    def relinearised_at(self, values: Array) -> Likelihood:  # noqa: ARG002
+        """Return the same likelihood, linearised at ``(n_parameters,)`` if it is at all."""
         return self
 
-    def excerpt(self) -> Likelihood:
-        """Give the likelihood of excerpts of long recordings; itself where that spares nothing."""
+    def subsample(self) -> Likelihood:
+        """Return the likelihood of subsamples of long recordings."""
         return self
 
-    def prepared(self, draws: Array) -> Likelihood:  # noqa: ARG002
-        """Give the same likelihood, cheaper near draws ``(n, n_parameters)``.
-
-        The draws, about as wide as a posterior, decide how fast it is, not what it is. Itself where
-        nothing can be prepared.
-        """
+    def precomputed(self, draws: Array) -> Likelihood:  # noqa: ARG002
+        """Return the same likelihood, fast near draws ``(n, n_parameters)``, if possible."""
         return self
 
     @abstractmethod
     def log_density(self, values: Array, scales: Array) -> Array:
-        """Log-likelihood of all recordings together.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(n, R, Q)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``.
-        """
+        """Log-likelihood ``(n,)`` of all recordings."""
 
     @abstractmethod
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """Log densities of single outputs, ``(n, terms)`` a recording, for model comparison.
-
-        They sum to the log density of the outputs; ``values`` and ``scales`` as for
-        :meth:`log_density`.
-        """
+        """Log densities of single outputs, ``(n, terms)`` a recording; they sum to the total."""
 
     @abstractmethod
     def predict(self, values: Array) -> list[Array]:
-        """Modelled outputs of parameter vectors ``(n, n_parameters)``, ``(n, M)`` a recording."""
+        """Modelled outputs, ``(n, M)`` a recording."""
 
     @abstractmethod
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """Modelled outputs as linear combinations with unit noise.
+        """Modelled outputs with unit noise, ``(n, terms)`` a recording; ``scales`` ``(R, Q)``.
 
-        Their derivatives ``J`` by the parameters make up the Fisher information ``J'J``.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        scales
-            ``(R, Q)``, the same for all vectors.
-
-        Returns
-        -------
-        list of ndarray
-            ``(n, terms)`` a recording, up to constants and sign.
+        With their derivatives ``J``, ``J'J`` is the Fisher information.
         """
 
     @abstractmethod
     def noise_information(self, scales: Array) -> Array:
-        """Fisher information ``(R, Q, Q)`` of each recording's noise scales ``(R, Q)``."""
+        """Fisher information ``(R, Q, Q)`` of noise scales ``(R, Q)``."""
 
     @abstractmethod
     def noise_sd(self, scales: Array) -> list[Array]:
-        """Marginal standard deviation of each output about its prediction, ``(M,)`` a recording.
-
-        ``scales`` ``(R, Q)``; in the outputs' unit.
-        """
+        """Marginal standard deviation of outputs, ``(M,)`` a recording, at scales ``(R, Q)``."""
 
     @abstractmethod
     def draw_noise(self, scales: Array, rng: np.random.Generator) -> list[Array]:
-        """Draw noise of the outputs, for posterior predictions.
-
-        Parameters
-        ----------
-        scales
-            ``(n, R, Q)``.
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        list of ndarray
-            ``(n, M)`` a recording, in the outputs' unit.
-        """
+        """Draw noise ``(n, M)`` of the outputs of each recording."""

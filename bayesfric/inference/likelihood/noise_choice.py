@@ -1,20 +1,14 @@
-"""Which noise model the residuals of an estimate ask for, and the evidence.
+"""Choice of the noise model of torque residuals, and its evidence.
 
-Autocorrelated noise weighs frequencies: with a partial autocorrelation near one slow residuals are
-taken for noise, and what is believed then is the end of the band, where an acceleration may be
-noise itself. Then it does not widen intervals but moves estimates, to any fit however bad. So an
-order counts only as long as weighted least squares with it stays where plain least squares is,
-within what plain least squares knows (the idea of Hausman's test [1]_), and leaves residuals as
-small.
+Autocorrelated noise weighs frequencies: with a partial autocorrelation near one slow residuals
+count as noise, and only the end of the band, where even an acceleration may be noise, is
+informative. Then it does not widen intervals but moves estimates. So an order is admissible only if
+weighted least squares stays where plain least squares is, within its uncertainty (the idea of
+Hausman's test, Econometrica 46 (1978) 1251-1271), with residuals as small.
 
-That residuals show no memory is no proof that noise has none: of a hundred outputs a tenth of
-correlation cannot be seen, and makes slow effects a tenth less certain. So where no order has
-evidence the first is sampled, from none as far as residuals leave it open: it is to widen intervals
-and not to move them.
-
-References
-----------
-.. [1] J. A. Hausman, "Specification tests in econometrics", Econometrica 46 (1978) 1251-1271.
+White residuals do not prove white noise: in a hundred outputs a correlation of a tenth is not
+visible, and makes slow effects a tenth less certain. If no order has evidence, the first is sampled
+from zero to what the residuals leave plausible: it widens intervals and does not move them.
 """
 
 from __future__ import annotations
@@ -29,138 +23,86 @@ from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
-from bayesfric.inference.noise.autoregressive import MEMORY, MOST
+from bayesfric.inference.noise.autoregressive import MAX_ORDER, MAX_PARTIAL
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
-# Correlations that the test of what is left looks at, beyond those fitted.
+# Lags of the Ljung-Box test, in addition to those fitted.
 _LAGS = 10
-# What a memory must gain over none: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
+# Gain in BIC that autocorrelation needs: less is hardly evidence (Kass and Raftery, JASA 90, 1995).
 EVIDENCE = 6.0
-# Standard errors beyond what residuals show that a memory without evidence may have.
-_OPEN = 4.0
-# Shift of an estimate, in its sd, and rise of the residuals from which on a memory does harm; and
-# the shift where residuals do not show it.
-_SHIFT, _RISE, _STILL = 3.0, 1.1, 1.0
-# Singular value, in prior sds over residuals, above which data alone tell a direction.
-_TOLD = 3.0
-# Places between runs, so that no kernel spans them.
-_APART = 50
+# Standard errors above the estimate up to which autocorrelation without evidence is plausible.
+_PLAUSIBLE = 4.0
+# Shift of an estimate in its standard deviations, and rise of the residuals, up to which an order
+# is harmless; and the shift allowed without evidence.
+_MAX_SHIFT, _MAX_RISE, _SAFE_SHIFT = 3.0, 1.1, 1.0
+# Singular value, in prior standard deviations over residuals, above which data identify a
+# direction.
+_IDENTIFIED = 3.0
+# Steps between runs, so that no kernel spans two.
+_GAP = 50
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """How well residuals are autoregressive noise of one order.
+    """Evidence for autoregressive noise of one order."""
 
-    Attributes
-    ----------
-    order
-        Of the autoregression, 0 for white noise.
-    bic
-        Bayesian information criterion less that of white noise; the smallest is chosen.
-    innovation_share
-        Root mean square of the innovations over that of the residuals.
-    p_value
-        Of the Ljung-Box test that the innovations are white.
-    shift
-        By how much it moves the estimate at most, in robust standard deviations.
-    rise
-        Root mean square of the residuals that it then has, over that of least squares.
-    """
-
-    order: int
-    bic: float
-    innovation_share: float
-    p_value: float
-    shift: float = 0.0
+    order: int  # 0 for white noise
+    bic: float  # Bayesian information criterion less that of white noise
+    innovation_share: float  # rms of the innovations over that of the residuals
+    p_value: float  # Ljung-Box test of the innovations
+    shift: float = 0.0  # largest shift of the estimate, in robust standard deviations
+    # rms of the residuals over that of plain least squares
     rise: float = 1.0
 
     @property
     def harmless(self) -> bool:
-        """Whether the estimate stays where it was: a shift of at most 3, a rise of at most 1.1."""
-        return self.shift <= _SHIFT and self.rise <= _RISE
+        """Whether estimate and residuals stay where plain least squares is."""
+        return self.shift <= _MAX_SHIFT and self.rise <= _MAX_RISE
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The order chosen, and every one that was tried.
+class NoiseChoice:
+    """The order chosen, and the evidence for each."""
 
-    Attributes
-    ----------
-    order
-        Chosen one, 0 for white noise.
-    tried
-        Evidence by order, from white noise on.
-    memory
-        Partial autocorrelations, as many as the order: those of the residuals, or the middle of
-        what these leave open.
-    room
-        How far each may be from that.
-    """
-
-    order: int
-    tried: tuple[Evidence, ...]
-    memory: tuple[float, ...] = ()
-    room: float = 0.0
+    order: int  # 0 for white noise
+    evidence: tuple[Evidence, ...]  # by order, from white noise on
+    # partial autocorrelations, as many as the order: estimates, or the middle of the plausible
+    # range
+    partial: tuple[float, ...] = ()
+    half_range: float = 0.0  # of each around that
 
     def priors(self, priors: Mapping[str, Prior]) -> dict[str, Prior]:
-        """Give priors in which the autocorrelation is that of these residuals.
+        """Restrict default priors of the autocorrelation to the residuals'.
 
-        Sampled freely it may leave where it is harmless: with a longer one any fit is a good one.
-        What the user said of it stays.
-
-        Parameters
-        ----------
-        priors
-            By name, those of the noise included.
-
-        Returns
-        -------
-        dict
-            The same, but default priors of ``noise.pacf_k`` uniform within :attr:`room`.
+        Sampled freely it may leave its harmless range.
         """
-        found = dict(priors)
-        for k, middle in enumerate(self.memory, start=1):
+        restricted = dict(priors)
+        for k, middle in enumerate(self.partial, start=1):
             name = f"noise.pacf_{k}"
             if priors[name].default:
-                ends = [max(middle - self.room, -MEMORY), min(middle + self.room, MEMORY)]
-                found[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
-        return found
+                ends = [
+                    max(middle - self.half_range, -MAX_PARTIAL),
+                    min(middle + self.half_range, MAX_PARTIAL),
+                ]
+                restricted[name] = read_prior(name, ends, lower=-1.0, upper=1.0, default=True)
+        return restricted
 
 
-def choice_at(
+def choose_noise(
     chain: Joint,
     observations: Sequence[Observation],
     priors: Mapping[str, Prior],
     point: Mapping[str, float],
     *,
     per_recording: bool,
-) -> Choice:
-    """Choose the order that the torque residuals of a parameter vector ask for.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        Its prepared recordings.
-    priors
-        By name, of every parameter of the mechanism.
-    point
-        A value of each, from an estimate, SI units.
-    per_recording
-        Whether recordings have noise of their own size.
-
-    Returns
-    -------
-    Choice
-        See :func:`choose_order`.
-    """
+) -> NoiseChoice:
+    """Choose the noise from the torque residuals at a parameter vector."""
     values = chain.vector(point)
     residuals = [o.measured - filtered_torque(chain, o, values[None])[0] for o in observations]
-    # prior sds of the chain's parameters, 0 of fixed ones; 1 of those without any
+    # prior standard deviations, 0 if fixed, 1 if infinite
     sds = np.array([priors[name].sd() for name in chain.names])
     sds = np.where(np.isfinite(sds), sds, 1.0)
     steps = np.where(sds > 0.0, 1e-6 * np.maximum(np.abs(values), 1e-3 * sds), 0.0)
@@ -176,91 +118,71 @@ def choice_at(
 def choose_order(
     residuals: Sequence[Array],
     follows: Sequence[Flags],
-    own_scales: bool,
+    per_recording: bool,
     effects: Sequence[Array] | None = None,
-) -> Choice:
+) -> NoiseChoice:
     """Choose the order of autoregressive noise by the Bayesian information criterion.
 
-    Parameters
-    ----------
-    residuals
-        ``(M,)`` a recording, N m or N.
-    follows
-        ``(M - 1,)`` a recording, whether each output is followed, one period later, by the next.
-    own_scales
-        Whether recordings have noise of their own size.
-    effects
-        ``(M, k)`` a recording, what a change of every parameter by its prior's sd does to the
-        outputs, N m or N. With them, orders that move the estimate are not chosen.
-
-    Returns
-    -------
-    Choice
-        The first order, its memory open from none to four standard errors beyond what residuals
-        show, or to where it moves the estimate by a standard deviation, where none has a BIC at
-        least 6 below that of white noise [2]_; white noise where what residuals show does harm,
-        where nothing is left open, or outputs are few.
-
-    Notes
-    -----
-    Up to four partial autocorrelations are estimated by Burg's method, all runs together. With the
-    standardised innovations ``e`` and their sds ``s``, the criterion is ``-2 log L + p log n``, in
-    which ``log L`` is the exact Gaussian density, its innovation variance at its estimate [1]_.
-
-    References
-    ----------
-    .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6 (1978) 461-464.
-    .. [2] R. E. Kass, A. E. Raftery, "Bayes factors", Journal of the American Statistical
-       Association 90 (1995) 773-795.
+    Up to four partial autocorrelations are estimated by Burg's method, all runs together. The
+    criterion is ``-2 log L + p log n`` of the exact Gaussian density at the estimated innovation
+    variance (Schwarz, Annals of Statistics 6 (1978) 461-464). Residuals ``(M,)`` and effects of
+    parameters ``(M, k)`` a recording.
     """
     n = sum(r.size for r in residuals)
-    whole = sum(float(r @ r) for r in residuals)
-    if not whole > 0.0:
-        return Choice(0, (Evidence(0, 0.0, 1.0, 1.0),))
-    sizes = [_size([r]) if own_scales else _size(residuals) for r in residuals]
+    power = sum(float(r @ r) for r in residuals)
+    if not power > 0.0:
+        return NoiseChoice(0, (Evidence(0, 0.0, 1.0, 1.0),))
+    sizes = [_size([r]) if per_recording else _size(residuals) for r in residuals]
     scaled = _over(residuals, sizes)
-    plain = None if effects is None else _Plain(scaled, follows, _over(effects, sizes))
+    reference = None if effects is None else _WhiteReference(scaled, follows, _over(effects, sizes))
     tried: list[Evidence] = []
-    for order in range(min(MOST, n // 20) + 1):
-        # beyond, the prior ends too
-        partial = np.clip(ar.burg(scaled, follows, order), -MEMORY, MEMORY)
-        left = [ar.whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
-        # the first of a run are divided by their own, larger sds
+    for order in range(min(MAX_ORDER, n // 20) + 1):
+        # the prior's limit
+        partial = np.clip(ar.burg(scaled, follows, order), -MAX_PARTIAL, MAX_PARTIAL)
+        innovations = [ar.whitened(r, partial, f) for r, f in zip(scaled, follows, strict=True)]
+        # the first of a run have larger standard deviations
         deviance = 2.0 * sum(float(_log_sds(partial, f).sum()) for f in follows)
-        inner = [_size([z]) if own_scales else _size(left) for z in left]
-        for z, size in zip(left, inner, strict=True):
+        innovation_sizes = [
+            _size([z]) if per_recording else _size(innovations) for z in innovations
+        ]
+        for z, size in zip(innovations, innovation_sizes, strict=True):
             deviance += 2.0 * z.size * math.log(size) if size > 0.0 else 0.0
-        power = sum(z.size * (a * b) ** 2 for z, a, b in zip(left, sizes, inner, strict=True))
+        innovation_power = sum(
+            z.size * (a * b) ** 2
+            for z, a, b in zip(innovations, sizes, innovation_sizes, strict=True)
+        )
         tried.append(
             Evidence(
                 order,
-                # of white noise, over its own size, it is none
+                # white noise is the reference
                 deviance + order * math.log(n) if order else 0.0,
-                math.sqrt(power / whole),
-                ar.ljung_box(_over(left, inner), follows, _LAGS + order, order),
-                *(plain.compared(partial) if plain is not None and order else ()),
+                math.sqrt(innovation_power / power),
+                ar.ljung_box(_over(innovations, innovation_sizes), follows, _LAGS + order, order),
+                *(reference.compared(partial) if reference is not None and order else ()),
             )
         )
-    best = min((one for one in tried if one.harmless), key=lambda one: one.bic)
+    best = min(
+        (evidence for evidence in tried if evidence.harmless), key=lambda evidence: evidence.bic
+    )
     if best.bic < -EVIDENCE:
-        # of fewer predecessors Burg's are the first of these
-        memory = tuple(partial[: best.order].tolist())
-        return Choice(best.order, tuple(tried), memory, 1.0 / math.sqrt(n))
-    may = len(tried) > 1 and tried[1].harmless
-    end = float(partial[0]) + _OPEN / math.sqrt(n) if may else 0.0
-    while plain is not None and end > 0.0 and not plain.stays(end):
-        end /= 2.0
-    if end <= 0.0:
-        return Choice(0, tuple(tried))
-    half = min(end, MEMORY) / 2.0
-    return Choice(1, tuple(tried), (half,), half)
+        # Burg's estimates are nested
+        best_partial = tuple(partial[: best.order].tolist())
+        return NoiseChoice(best.order, tuple(tried), best_partial, 1.0 / math.sqrt(n))
+    first_harmless = len(tried) > 1 and tried[1].harmless
+    largest = float(partial[0]) + _PLAUSIBLE / math.sqrt(n) if first_harmless else 0.0
+    while reference is not None and largest > 0.0 and not reference.keeps_estimate(largest):
+        largest /= 2.0
+    if largest <= 0.0:
+        return NoiseChoice(0, tuple(tried))
+    half_range = min(largest, MAX_PARTIAL) / 2.0
+    return NoiseChoice(1, tuple(tried), (half_range,), half_range)
 
 
-class _Plain:
-    """Least squares without autocorrelation, to compare others with.
+class _WhiteReference:
+    """Least squares without autocorrelation, the reference for others.
 
-    Residuals and effects ``(M, k)`` a recording are over the size of the residuals. Only directions
-    that the data identify without their priors count. Their sds allow for correlated residuals.
+    Residuals and effects ``(M, k)`` are over the size of the residuals. Only directions that the
+    data identify without priors count; standard deviations allow for correlated residuals.
     """
 
     def __init__(
@@ -270,46 +192,46 @@ class _Plain:
         self._ends = np.cumsum([r.size for r in residuals])[:-1]
         self._residual = np.concatenate(residuals)
         basis, singular, _ = np.linalg.svd(np.concatenate(effects), full_matrices=False)
-        told = singular > _TOLD
-        self._basis = basis[:, told]
-        steps = [np.concatenate([[_APART], np.where(f, 1, _APART)]) for f in follows]
+        identified = singular > _IDENTIFIED
+        self._basis = basis[:, identified]
+        steps = [np.concatenate([[_GAP], np.where(f, 1, _GAP)]) for f in follows]
         places = np.cumsum(np.concatenate(steps))
         scores = self._basis.T * self._residual
-        # never less than uncorrelated residuals would give
+        # at least the variance of uncorrelated residuals
         variance = float(np.mean(self._residual**2))
         self._sds = np.sqrt([max(long_run_variance(s, places), variance) for s in scores])
 
-    def stays(self, first: float) -> bool:
-        """Whether the estimate stays within a sd with a first partial autocorrelation."""
-        return self.compared(np.clip([first], -MEMORY, MEMORY))[0] <= _STILL
+    def keeps_estimate(self, first: float) -> bool:
+        """Whether the estimate stays within its sd for a first partial autocorrelation."""
+        return self.compared(np.clip([first], -MAX_PARTIAL, MAX_PARTIAL))[0] <= _SAFE_SHIFT
 
     def compared(self, partial: Array) -> tuple[float, float]:
-        """Give ``shift`` and ``rise`` of :class:`Evidence` for autocorrelations ``(p,)``."""
+        """Return shift and rise, see :class:`Evidence`, for partial autocorrelations ``(p,)``."""
         if not self._sds.size:
             return 0.0, 1.0
         rows = np.vstack([self._residual, self._basis.T])
         pieces = zip(np.split(rows, self._ends, axis=1), self._follows, strict=True)
         weighted = np.concatenate([ar.whitened(part, partial, f) for part, f in pieces], axis=1)
         step = np.linalg.lstsq(weighted[1:].T, weighted[0], rcond=None)[0]
-        apart = step - self._basis.T @ self._residual
-        left = self._residual - self._basis @ step
-        least = self._residual - self._basis @ (self._basis.T @ self._residual)
-        rise = math.sqrt(float(left @ left) / max(float(least @ least), 1e-300))
-        return float(np.max(np.abs(apart) / self._sds)), rise
+        shift = step - self._basis.T @ self._residual
+        residual = self._residual - self._basis @ step
+        smallest = self._residual - self._basis @ (self._basis.T @ self._residual)
+        rise = math.sqrt(float(residual @ residual) / max(float(smallest @ smallest), 1e-300))
+        return float(np.max(np.abs(shift) / self._sds)), rise
 
 
 def _log_sds(partial: Array, follows: Flags) -> Array:
-    """Logarithms of the sds, over the innovations', that the first of every run have."""
+    """Log standard deviations, over the innovations', of the first values of every run."""
     heads = np.log(ar.variances(partial[None])[0]) / 2.0
     _, lengths = ar.runs(follows)
     return np.concatenate([heads[: min(k, partial.size)] for k in lengths.tolist()] or [heads[:0]])
 
 
 def _over(parts: Sequence[Array], sizes: Sequence[float]) -> list[Array]:
-    """Divide by sizes that are not zero."""
+    """Divide by non-zero sizes."""
     return [x / size if size > 0.0 else x for x, size in zip(parts, sizes, strict=True)]
 
 
 def _size(parts: Sequence[Array]) -> float:
-    """Root mean square of all parts together."""
+    """Root mean square of all parts."""
     return math.sqrt(sum(float(p @ p) for p in parts) / sum(p.size for p in parts))

@@ -1,10 +1,8 @@
-"""What samples at standstill say: torque lies between the two at which the joint would move.
+"""Likelihood of standstill: the torque lies between the two at which the joint would move.
 
-At standstill friction takes whatever is applied, up to its limits: the inverse model with either
-sign of a vanishing speed. The torque is the cause there and standstill the outcome, so a measured
-torque ``y`` of noise ``e`` contributes the probability that ``y - e`` is between the limits, and no
-density. Under it a joint with more static friction rests no less probably: only torques near or
-beyond a limit tell anything.
+At standstill friction balances any torque within its limits, those of the inverse model with either
+sign of a vanishing speed. A measured torque ``y`` of noise ``e`` contributes the probability that
+``y - e`` is between them, and no density: only torques near or beyond a limit are informative.
 """
 
 from __future__ import annotations
@@ -19,74 +17,43 @@ from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.moving import Rest
 
-# A speed beside which every other speed of the model is large, rad/s or m/s.
+# Speed, rad/s or m/s, far below all other speeds of the model.
 _VANISHING = 1e-9
-# Log probability below which nothing is told apart.
-_LEAST = -700.0
+# Smallest log probability.
+_LOG_MINIMUM = -700.0
 
 
 class StaticFriction:
-    """Log probability that a joint stays where it stood still in one recording.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    rest
-        Its ``M`` outputs at standstill: position, torque and time.
-    inputs
-        Known load and other inputs of that recording.
-    """
+    """Log probability that a joint stays at standstill in one recording."""
 
     def __init__(self, chain: Joint, rest: Rest, inputs: Inputs) -> None:
         self._chain, self._inputs, self._torque = chain, inputs, rest.torque
-        still = np.zeros_like(rest.q)
-        self._ways = [
-            chain.samples(rest.q, still + way * _VANISHING, still, inputs, rest.stamps)
-            for way in (1.0, -1.0)
+        zero = np.zeros_like(rest.q)
+        self._directions = [
+            chain.samples(rest.q, zero + direction * _VANISHING, zero, inputs, rest.stamps)
+            for direction in (1.0, -1.0)
         ]
 
     def limits(self, values: Array) -> tuple[Array, Array]:
-        """Torques at which the joint would move backwards and forwards.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-
-        Returns
-        -------
-        low, high
-            ``(n, M)`` each, N m or N at the motor, the smaller first.
-        """
+        """Return the torques ``(n, M)`` at which the joint would move backwards and forwards."""
         tables = self._chain.tables(values, self._inputs)
-        forwards, backwards = (kernels.inverse_many(*tables, way) for way in self._ways)
+        forwards, backwards = (kernels.inverse_many(*tables, way) for way in self._directions)
         return np.minimum(forwards, backwards), np.maximum(forwards, backwards)
 
     def log_terms(self, values: Array, noise: Any) -> Array:
-        """Log probability of each standstill output.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-        noise
-            SciPy's distribution of one output's noise, symmetric, of shape ``(n, 1)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n, M)``, ``log(F(high - y) - F(low - y))`` with the noise's distribution function
-            ``F``; never below -700, where nothing is told apart any more.
-        """
+        """Return the log probability ``(n, M)`` of standstill; ``noise`` is of shape ``(n, 1)``."""
         low, high = self.limits(values)
         a, b = low - self._torque, high - self._torque
-        # of the two tails the one in which nothing cancels
+        # the tail without cancellation
         upper = a + b > 0.0
-        near = np.where(upper, -a, b)
-        far = np.where(upper, -b, a)
+        nearer = np.where(upper, -a, b)
+        farther = np.where(upper, -b, a)
         with np.errstate(all="ignore"):
-            inner, outer = noise.logcdf(near), noise.logcdf(far)
-            found = inner + np.log1p(-np.exp(np.minimum(outer - inner, 0.0)))
-        # where both limits are one, nothing rests
-        return np.asarray(np.maximum(np.where(np.isnan(found), _LEAST, found), _LEAST))
+            inner, outer = noise.logcdf(nearer), noise.logcdf(farther)
+            log_probability = inner + np.log1p(-np.exp(np.minimum(outer - inner, 0.0)))
+        # equal limits leave no probability
+        return np.asarray(
+            np.maximum(
+                np.where(np.isnan(log_probability), _LOG_MINIMUM, log_probability), _LOG_MINIMUM
+            )
+        )

@@ -1,8 +1,7 @@
-"""Likelihood of the measured motor torque around the inverse model.
+"""Input-error likelihood: measured motor torque around the inverse model.
 
-The inverse model of eq. (13), or its extension, gives the torque along the measured motion. Model
-output and measured torque pass the same parallel filter, so what the filter removes is removed
-from both and does not bias the comparison.
+The torque of eq. (13), or of its extension, along the measured motion and the measured torque pass
+the same parallel filter, so filtering does not bias their comparison.
 """
 
 from __future__ import annotations
@@ -24,34 +23,12 @@ from bayesfric.recordings.observation import Observation
 
 
 class TorqueLikelihood(Likelihood):
-    """How probable the measured torques are, given the joint's parameters.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings of it. Where one has standstill to be used, what it says of
-        static friction is a factor of its own, see :class:`StaticFriction`.
-    noise
-        Of the filtered torque; white if left out.
-
-    Attributes
-    ----------
-    sizes
-        ``(R,)`` outputs of each recording.
-    moments
-        What sums the residuals' lagged products: sample by sample at first, from matrices in a
-        likelihood that :meth:`prepared` gave.
-    """
+    """Likelihood of the measured torques."""
 
     method = "input-error"
 
     def __init__(
-        self,
-        chain: Joint,
-        observations: Sequence[Observation],
-        noise: Autoregressive | None = None,
+        self, chain: Joint, observations: Sequence[Observation], noise: Autoregressive | None = None
     ) -> None:
         self.chain, self.observations = chain, tuple(observations)
         rotary = chain.motor_motion == "rotary"
@@ -67,41 +44,30 @@ class TorqueLikelihood(Likelihood):
             None if o.rest is None else StaticFriction(chain, o.rest, o.inputs)
             for o in self.observations
         ]
-        # sample by sample; see :meth:`prepared`
+        # sample by sample until :meth:`precomputed`
         self.moments: PlainMoments | FastMoments = self._plain
 
     @property
-    def outside(self) -> int:
-        """Parameter vectors so far that prepared moments left to be done sample by sample."""
-        return self.moments.outside if isinstance(self.moments, FastMoments) else 0
+    def slow_evaluations(self) -> int:
+        """Number of evaluations outside the precomputed region."""
+        return self.moments.slow_evaluations if isinstance(self.moments, FastMoments) else 0
 
     @property
-    def cheap(self) -> bool:
-        """Whether the recordings were reduced to moments."""
+    def fast(self) -> bool:
+        """Whether the recordings are reduced to moments."""
         return self.moments is not self._plain
 
-    def excerpt(self) -> TorqueLikelihood:
+    def subsample(self) -> TorqueLikelihood:
         """See :class:`Likelihood`."""
-        some = [o.excerpt() for o in self.observations]
-        if all(few is o for few, o in zip(some, self.observations, strict=True)):
+        subsampled = [o.excerpt() for o in self.observations]
+        if all(few is o for few, o in zip(subsampled, self.observations, strict=True)):
             return self
-        return TorqueLikelihood(self.chain, some, self.noise)
+        return TorqueLikelihood(self.chain, subsampled, self.noise)
 
-    def prepared(self, draws: Array) -> TorqueLikelihood:
-        """Make the same likelihood at a cost that does not grow with the recordings.
+    def precomputed(self, draws: Array) -> TorqueLikelihood:
+        """Return the same likelihood at a cost independent of the length of the recordings.
 
-        Its values are the same everywhere, up to rounding; see
-        :mod:`bayesfric.inference.moments.fast_moments`.
-
-        Parameters
-        ----------
-        draws
-            ``(n, n_parameters)``. The nearer they are to the posterior, the faster the result.
-
-        Returns
-        -------
-        TorqueLikelihood
-            Itself for a mechanism whose torque cannot be reduced to moments.
+        Its values are the same up to rounding, see :mod:`bayesfric.inference.moments.fast_moments`.
         """
         moments = fast_moments(
             self.chain, self.observations, draws, self.noise.order, plain=self._plain
@@ -113,31 +79,20 @@ class TorqueLikelihood(Likelihood):
         return out
 
     def sum_of_squares(self, values: Array) -> Array:
-        """Sum of squared residuals of each recording, torque unit squared.
-
-        Parameters
-        ----------
-        values
-            ``(n, n_parameters)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n, R)``.
-        """
+        """Sum of squared residuals ``(n, R)`` of each recording, torque unit squared."""
         return self.moments.at(values).sum_of_squares
 
     def log_density(self, values: Array, scales: Array) -> Array:
-        """See :class:`Likelihood`; what standstill says is a factor of its own."""
+        """See :class:`Likelihood`; standstill is a separate factor."""
         moments, counts = self.moments.at(values), (self._plain.counts, self._plain.head_counts)
-        found = self.noise.log_density(moments, *counts, scales)
+        total = self.noise.log_density(moments, *counts, scales)
         for r, static in enumerate(self._static):
             if static is not None:
-                found = found + static.log_terms(values, self.noise.marginal(scales[:, r])).sum(1)
-        return found
+                total = total + static.log_terms(values, self.noise.marginal(scales[:, r])).sum(1)
+        return total
 
     def pointwise(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`: each output given those before it; standstill is left out."""
+        """See :class:`Likelihood`: each output given the previous ones, without standstill."""
         return [
             np.stack(
                 [
@@ -149,38 +104,21 @@ class TorqueLikelihood(Likelihood):
         ]
 
     def predict(self, values: Array) -> list[Array]:
-        """Predict the filtered torque of each recording, ``(n, M)`` each, N m or N."""
+        """Predict the filtered torque ``(n, M)`` of each recording, N m or N."""
         return [filtered_torque(self.chain, o, values) for o in self.observations]
 
     def standardised(self, values: Array, scales: Array) -> list[Array]:
-        """See :class:`Likelihood`.
-
-        Of a standstill its log probability stands in: its derivatives, squared, are what it
-        informs.
-        """
-        found = self.innovations(self.predict(values), scales)
+        """See :class:`Likelihood`; the log probability of standstill counts as an output."""
+        rows = self.innovations(self.predict(values), scales)
         for r, static in enumerate(self._static):
             if static is not None:
-                marginal = self.noise.marginal(np.tile(scales[r], (len(values), 1)))
-                terms = static.log_terms(values, marginal)
-                found[r] = np.concatenate([found[r], terms], axis=1)
-        return found
+                noise = self.noise.marginal(np.tile(scales[r], (len(values), 1)))
+                terms = static.log_terms(values, noise)
+                rows[r] = np.concatenate([rows[r], terms], axis=1)
+        return rows
 
     def innovations(self, residuals: Sequence[Array], scales: Array) -> list[Array]:
-        """Take from residuals what autocorrelation predicts, and divide by the sd of the rest.
-
-        Parameters
-        ----------
-        residuals
-            ``(..., M)`` a recording, N m or N. Regression columns can be whitened by it alike.
-        scales
-            ``(R, Q)``.
-
-        Returns
-        -------
-        list of ndarray
-            ``(..., M)`` a recording, uncorrelated and of variance one if the noise is as described.
-        """
+        """Whiten residuals ``(..., M)`` of each recording at noise scales ``(R, Q)``."""
         return [
             self.noise.standard(residual, o.follows, s)[0]
             for o, residual, s in zip(self.outputs, residuals, scales, strict=True)

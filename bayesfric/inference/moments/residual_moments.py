@@ -1,9 +1,8 @@
-"""Sums of products of torque residuals, all that Gaussian noise asks of a recording.
+"""Sums of lagged products of torque residuals, from which Gaussian likelihoods follow.
 
-White noise needs the sum of squares. Autoregressive noise of order p needs the products of
-each residual with its p predecessors, and, for the exact density of where a stretch of
-recording begins, the products among its first p residuals. With these moments at hand the
-likelihood of any noise scale and any AR coefficients is a few multiplications.
+White noise needs the sum of squares; autoregressive noise of order p the products of each residual
+with its p predecessors, and for the exact density of the beginning of a run those among its first p
+residuals. Then any noise scale costs a few multiplications.
 """
 
 from __future__ import annotations
@@ -22,33 +21,27 @@ from bayesfric.recordings.observation import Observation
 
 Short = NDArray[np.int16]
 
-# Numbers of torque held at once: about what a fast cache holds.
-_AT_ONCE = 500_000
+# Numbers of torque in memory at once: about a fast cache.
+_BLOCK_NUMBERS = 500_000
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Lagged products of the residuals of ``n`` parameter vectors and ``R`` recordings.
+    """Lagged products of residuals of ``n`` parameter vectors and ``R`` recordings, order ``p``.
 
-    A run is a stretch of outputs that follow each other one period apart; ``p`` is the order.
-
-    Attributes
-    ----------
-    lagged
-        ``(n, R, p + 1, p + 1)``, torque unit squared: entry ``j, k`` is the sum of
-        ``r[m - j] r[m - k]`` over the outputs ``m`` with at least ``p`` predecessors in their run.
-    heads
-        For ``l`` from 1 to ``p`` an array ``(n, R, l, l)``: entry ``j, k`` is the sum of
-        ``r_j r_k`` of the first ``l`` residuals ``r_0, r_1, ..`` in time, over the runs whose head,
-        the first ``p`` outputs or fewer if the run is shorter, has the length ``l``.
+    A run is a sequence of outputs one period apart.
     """
 
+    # (n, R, p + 1, p + 1), torque unit squared: entry j, k is the sum of r[m - j] r[m - k] over
+    # outputs m with at least p predecessors in their run
     lagged: Array
+    # for l from 1 to p an array (n, R, l, l): entry j, k is the sum of r_j r_k over runs whose
+    # head, the first p outputs or fewer, has length l
     heads: tuple[Array, ...]
 
     @property
     def sum_of_squares(self) -> Array:
-        """Sum of all squared residuals, ``(n, R)``, torque unit squared."""
+        """Sum of all squared residuals ``(n, R)``, torque unit squared."""
         total: Array = self.lagged[..., 0, 0].copy()
         for head in self.heads:
             total += np.trace(head, axis1=2, axis2=3)
@@ -56,45 +49,27 @@ class Moments:
 
 
 def follows(o: Observation) -> NDArray[np.bool_]:
-    """Tell which outputs are followed, one period later in the same segment, by the next.
-
-    Parameters
-    ----------
-    o
-        A prepared recording of ``M`` outputs.
-
-    Returns
-    -------
-    ndarray of bool
-        ``(M - 1,)``; false at gaps, where samples are left out, and where a segment ends.
-    """
+    """Flag outputs ``(M - 1,)`` that are followed one period later in the same segment."""
     step = np.diff(o.filter.starts)
     return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Where each output stands in its run.
+    """Position of each output in its run."""
 
-    Attributes
-    ----------
-    age, remaining
-        ``(M,)`` outputs before and after it in its run, counted up to the order.
-    head
-        ``(M,)`` length of its run's head: its outputs, up to the order.
-    """
-
+    # (M,) outputs before and after it in its run, at most the order
     age: Short
     remaining: Short
-    head: Short
+    head: Short  # (M,) length of its run's head, at most the order
 
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:
-        """Split the outputs of a recording into runs, for noise of an order; all zeros for 0."""
+        """Split the outputs of a recording into runs; zeros for order 0."""
         n = observation.filter.n_outputs
         if order == 0:
-            nothing = np.zeros(n, dtype=np.int16)
-            return cls(nothing, nothing, nothing)
+            zeros = np.zeros(n, dtype=np.int16)
+            return cls(zeros, zeros, zeros)
         begins = np.concatenate([[0], np.flatnonzero(~follows(observation)) + 1])[: max(n, 0)]
         length = np.diff(np.append(begins, n))
         age = np.arange(n) - np.repeat(begins, length)
@@ -107,31 +82,25 @@ class Runs:
         )
 
     def count(self, order: int) -> tuple[int, NDArray[np.int64]]:
-        """Count what the density's normalisation needs.
-
-        Returns
-        -------
-        whole
-            Outputs with at least ``order`` predecessors.
-        heads
-            ``(order,)`` runs by the length of their heads, 1 to ``order``.
-        """
-        first = self.head[self.age == 0]
-        heads = np.array([np.count_nonzero(first == k) for k in range(1, order + 1)], dtype=int)
+        """Count outputs with a full past, and heads ``(order,)`` by length."""
+        head_lengths = self.head[self.age == 0]
+        heads = np.array(
+            [np.count_nonzero(head_lengths == k) for k in range(1, order + 1)], dtype=int
+        )
         return int(np.count_nonzero(self.age == order)), heads
 
 
 def n_entries(order: int) -> int:
-    """Count the different numbers in the moments of one vector and one recording.
+    """Return the number of distinct moments of one vector and recording.
 
-    They are laid out as the upper triangle of ``lagged`` and then those of the heads, by rows.
+    They are the upper triangle of ``lagged`` and then those of the heads, by rows.
     """
     lagged = (order + 1) * (order + 2) // 2
     return lagged + order * (order + 1) * (order + 2) // 6
 
 
 def unpacked(flat: Array, order: int) -> Moments:
-    """Turn the flat layout ``(n, R, n_entries)`` into moments."""
+    """Convert the flat layout ``(n, R, n_entries)`` to moments."""
     parts, begin = [], 0
     for size in (order + 1, *range(1, order + 1)):
         row, column = np.triu_indices(size)
@@ -144,24 +113,7 @@ def unpacked(flat: Array, order: int) -> Moments:
 
 
 class PlainMoments:
-    """Moments by going through every sample for every vector; holds for every chain.
-
-    Parameters
-    ----------
-    chain
-        The mechanism.
-    observations
-        One or more prepared recordings.
-    order
-        Of the autoregressive noise, 0 for white.
-
-    Attributes
-    ----------
-    counts
-        ``(R,)`` outputs that have at least as many predecessors in their run.
-    head_counts
-        ``(R, order)`` runs whose head has the length 1 to that.
-    """
+    """Moments computed sample by sample, for every chain."""
 
     def __init__(self, chain: Joint, observations: Sequence[Observation], order: int = 0) -> None:
         self.chain, self.order = chain, order
@@ -176,53 +128,52 @@ class PlainMoments:
         ]
 
     def at(self, values: Array) -> Moments:
-        """Give the moments at parameter vectors ``(n, n_parameters)``, SI units."""
+        """Compute moments at parameter vectors ``(n, n_parameters)``, SI units."""
         return unpacked(self.flat(values), self.order)
 
     def flat(self, values: Array) -> Array:
-        """Give the same as :func:`unpacked` takes it, ``(n, R, n_entries)``."""
+        """Compute them in the flat layout ``(n, R, n_entries)``."""
         flat = np.empty((values.shape[0], len(self._recordings), n_entries(self.order)))
         for i, (o, samples, runs) in enumerate(self._recordings):
-            rows = max(1, _AT_ONCE // max(o.q.size, 1))
-            for first in range(0, values.shape[0], rows):
-                some = slice(first, first + rows)
-                tables = self.chain.tables(values[some], o.inputs)
+            block = max(1, _BLOCK_NUMBERS // max(o.q.size, 1))
+            for start in range(0, values.shape[0], block):
+                part = slice(start, start + block)
+                tables = self.chain.tables(values[part], o.inputs)
                 residual = o.measured - o.filter.apply(kernels.inverse_many(*tables, samples))
-                flat[some, i] = _products(residual, runs, self.order)
+                flat[part, i] = _products(residual, runs, self.order)
         return flat
 
 
 def _products(residual: Array, runs: Runs, order: int) -> Array:
-    """Sum the products of residuals ``(n, M)`` with those before them, ``(n, n_entries)``."""
-    whole = np.flatnonzero(runs.age == order)
-    lagged = [residual.take(whole - j, axis=1) if order else residual for j in range(order + 1)]
+    """Sum lagged products of residuals ``(n, M)`` to ``(n, n_entries)``."""
+    full = np.flatnonzero(runs.age == order)
+    lagged = [residual.take(full - j, axis=1) if order else residual for j in range(order + 1)]
     pairs = [(lagged[j], lagged[k]) for j in range(order + 1) for k in range(j, order + 1)]
     for length in range(1, order + 1):
-        at = [np.flatnonzero((runs.head == length) & (runs.age == k)) for k in range(length)]
-        rows = [residual.take(one, axis=1) for one in at]
+        places = [np.flatnonzero((runs.head == length) & (runs.age == k)) for k in range(length)]
+        rows = [residual.take(place, axis=1) for place in places]
         pairs += [(rows[j], rows[k]) for j in range(length) for k in range(j, length)]
-    return np.stack([np.einsum("vm,vm->v", one, other) for one, other in pairs], axis=1)
+    return np.stack([np.einsum("vm,vm->v", a, b) for a, b in pairs], axis=1)
 
 
 @njit(cache=True, inline="always")
 def product_sum(x: Array, y: Array) -> float:
-    """Sum of the products of two arrays of one length."""
-    # Four sums side by side are as fast as letting the compiler reorder one, and
-    # unlike that they come out the same wherever this is compiled.
+    """Sum of products of two arrays."""
+    # four sums are as fast as reordering by the compiler, and reproducible
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
-    whole = x.shape[0] // 4 * 4
-    for k in range(0, whole, 4):
+    blocks = x.shape[0] // 4 * 4
+    for k in range(0, blocks, 4):
         a += x[k] * y[k]
         b += x[k + 1] * y[k + 1]
         c += x[k + 2] * y[k + 2]
         d += x[k + 3] * y[k + 3]
-    for k in range(whole, x.shape[0]):
+    for k in range(blocks, x.shape[0]):
         a += x[k] * y[k]
     return (a + b) + (c + d)
 
 
 @njit(cache=True)
 def head_entry(order: int, length: int, j: int, k: int) -> int:
-    """Place of ``r_j r_k``, ``j <= k``, of a head of this length in the flat layout."""
+    """Return the index of ``r_j r_k``, ``j <= k``, of a head of a length in the flat layout."""
     before = (order + 1) * (order + 2) // 2 + (length - 1) * length * (length + 1) // 6
     return before + j * length - j * (j - 1) // 2 + k - j

@@ -1,8 +1,7 @@
-"""White and autoregressive noise of torque residuals.
+"""White and autoregressive noise of torque residuals, with an exact likelihood.
 
-What a model leaves of a torque is seldom white: cogging, flexible parts and filters correlate
-neighbouring samples. Taken for white, such residuals make intervals too narrow. An autoregressive
-series of low order accounts for that, with an exact likelihood.
+Cogging, flexible parts and filters correlate residuals; assumed white, they make intervals too
+narrow.
 """
 
 from __future__ import annotations
@@ -23,25 +22,22 @@ from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
 from bayesfric.recordings.arrays import Array, Flags
 
 _LOG_2PI = math.log(2.0 * math.pi)
-# Largest partial autocorrelation that the package takes for noise by itself. What remembers more
-# in a band that the motion fills is no noise but something the model lacks: a memory beyond
-# would take all that is slow for noise, the motion's own effects among it.
-MEMORY = 0.95
-# Longest memory that is tried where none is told.
-MOST = 4
+# Largest partial autocorrelation by default: above it, slow effects of the motion itself would
+# count as noise.
+MAX_PARTIAL = 0.95
+# Largest order that is tried by default.
+MAX_ORDER = 4
 SIGMA = Scale("sigma", r"\sigma", "noise of the filtered torque", lambda s: up_to(s.torque))
-_INNOVATION = replace(
-    SIGMA, meaning="sd of the noise's innovations, what its memory does not foretell"
-)
+_INNOVATION = replace(SIGMA, meaning="sd of the noise's innovations")
 
 
 def _pacf(lag: int) -> Scale:
-    """Describe the partial autocorrelation at a lag; its default prior is uniform within 0.95."""
+    """Describe the partial autocorrelation at a lag."""
     return Scale(
         f"pacf_{lag}",
         rf"\phi_{{{lag}{lag}}}",
         f"partial autocorrelation of the noise at lag {lag}",
-        lambda _: [-MEMORY, MEMORY],
+        lambda _: [-MAX_PARTIAL, MAX_PARTIAL],
         lower=-1.0,
         upper=1.0,
         unit="",
@@ -51,21 +47,12 @@ def _pacf(lag: int) -> Scale:
 
 
 class Autoregressive(NoiseDescription):
-    """Gaussian noise in which each residual is correlated with those before it.
+    """Autoregressive Gaussian noise.
 
-    Parameters
-    ----------
-    order
-        Of the autoregression, ``p``; white noise for 0.
-
-    Notes
-    -----
-    ``r_t = a_1 r_(t-1) + .. + a_p r_(t-p) + e_t`` with innovations ``e_t`` of sd ``sigma``,
-    stationary from each run's beginning. A run is a stretch of outputs that follow each other one
-    period apart; runs are independent of each other. The scales are ``sigma`` and the partial
-    autocorrelations ``pacf_1, .., pacf_p``, from which
-    :mod:`bayesfric.inference.likelihood.autoregression` makes the coefficients ``a``. They come as
-    ``(n, R, Q)``, vectors, recordings and scales, ``Q = p + 1``.
+    ``r_t = a_1 r_(t-1) + .. + a_p r_(t-p) + e_t`` with innovations ``e_t`` of standard deviation
+    ``sigma``, stationary from each run's beginning; runs are independent. Scales ``(n, R, Q)``, ``Q
+    = p + 1``, are ``sigma`` and the partial autocorrelations ``pacf_1, .., pacf_p``, see
+    :mod:`bayesfric.inference.likelihood.autoregression`.
     """
 
     def __init__(self, order: int = 0) -> None:
@@ -81,33 +68,14 @@ class Autoregressive(NoiseDescription):
         head_counts: NDArray[np.int64],
         scales: Array,
     ) -> Array:
-        """Exact log density of all residuals, from the sums of their lagged products.
+        """Exact log density ``(n,)`` from sums of lagged products.
 
-        Parameters
-        ----------
-        moments
-            Of the residuals of ``n`` parameter vectors and ``R`` recordings, torque unit squared.
-        counts
-            ``(R,)`` outputs with at least ``p`` predecessors in their run.
-        head_counts
-            ``(R, p)`` runs whose first part, up to ``p`` outputs, has the length 1 to ``p``.
-        scales
-            ``(n, R, Q)``.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``, of all recordings together.
-
-        Notes
-        -----
-        The density is the product of each output's normal one given its predecessors: mean by the
-        best predictor from as many as there are, up to ``p``, and variance ``sigma^2 / prod(1 -
-        pacf_k^2)`` over the lags ``k`` that are not used yet.
+        The product of each output's normal density given up to ``p`` predecessors, of variance
+        ``sigma^2 / prod(1 - pacf_k^2)`` over the lags ``k`` that are not used yet.
         """
         if not self.order:
             sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
-            with np.errstate(over="ignore"):  # so far out the density is zero
+            with np.errstate(over="ignore"):  # the density is zero there
                 total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
             return np.asarray(-0.5 * total.sum(axis=1))
         return _log_density(
@@ -115,81 +83,35 @@ class Autoregressive(NoiseDescription):
         )
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
-        """Turn residuals into uncorrelated ones of variance one.
-
-        Parameters
-        ----------
-        residual
-            ``(..., M)``, N m or N.
-        follows
-            ``(M - 1,)`` whether each output is followed, one period later, by the next.
-        scales
-            ``(Q,)``.
-
-        Returns
-        -------
-        z, sds
-            ``(..., M)``, linear in the residuals, and the ``(M,)`` standard deviations that what
-            predecessors do not predict was divided by.
-        """
+        """Whiten residuals ``(..., M)`` and return their prediction standard deviations, too."""
         z = ar.whitened(residual, scales[1:], follows) / scales[0]
-        left = ar.variances(scales[None, 1:])[0]
-        return z, scales[0] * np.sqrt(left[ar.ages(follows, self.order)])
+        variances = ar.variances(scales[None, 1:])[0]
+        return z, scales[0] * np.sqrt(variances[ar.ages(follows, self.order)])
 
     def log_terms(self, standard: Array, sds: Array) -> Array:
-        """Log densities ``(..., M)`` of residuals given those before, from :meth:`standard`."""
+        """Log densities ``(..., M)`` given predecessors, of the output of :meth:`standard`."""
         return np.asarray(-0.5 * standard**2 - np.log(sds) - 0.5 * _LOG_2PI)
 
     def sd(self, scales: Array) -> float:
-        """Marginal standard deviation of one residual, N m or N; ``scales`` ``(Q,)``."""
+        """Marginal standard deviation of a residual, N m or N; ``scales`` ``(Q,)``."""
         return float(scales[0] * math.sqrt(ar.variances(scales[None, 1:])[0, 0]))
 
     def marginal(self, scales: Array) -> Any:
-        """SciPy's distribution of one residual, of shape ``(n, 1)`` for scales ``(n, Q)``."""
+        """SciPy's distribution of a residual, ``(n, 1)`` for scales ``(n, Q)``."""
         return stats.norm(scale=scales[:, :1] * np.sqrt(ar.variances(scales[:, 1:])[:, :1]))
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
-        """Draw residuals, each series stationary from the beginning of every run.
-
-        Parameters
-        ----------
-        follows
-            ``(M - 1,)`` whether each output is followed, one period later, by the next.
-        scales
-            ``(n, Q)``, a row for each series.
-        rng
-            Random numbers.
-
-        Returns
-        -------
-        ndarray
-            ``(n, M)``, N m or N.
-        """
+        """Draw residuals ``(n, M)`` for scales ``(n, Q)``."""
         if not self.order:
             return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
         return np.concatenate([s[0] * ar.simulated(s[1:], follows, 1, rng) for s in scales])
 
     def information(self, scales: Array, outputs: int) -> Array:
-        """Fisher information of the scales from so many outputs.
+        """Fisher information ``(Q, Q)`` of scales ``(Q,)`` from a number of outputs.
 
-        Parameters
-        ----------
-        scales
-            ``(Q,)``.
-        outputs
-            How many there are.
-
-        Returns
-        -------
-        ndarray
-            ``(Q, Q)``.
-
-        Notes
-        -----
         ``2/sigma^2`` an output for ``sigma``; for the coefficients of a long series their
         autocovariance matrix over the innovations' variance (Box and Jenkins, "Time Series
-        Analysis", section 7.2), carried over to partial autocorrelations by the chain rule. Both
-        are independent.
+        Analysis", section 7.2), converted to partial autocorrelations by the chain rule.
         """
         out = np.zeros((scales.size, scales.size))
         out[0, 0] = 2.0 / scales[0] ** 2
@@ -202,19 +124,7 @@ class Autoregressive(NoiseDescription):
         return np.asarray(outputs * out)
 
     def starts(self, sigma: float) -> Array:
-        """Scales to start a search from.
-
-        Parameters
-        ----------
-        sigma
-            Root mean square of the residuals, N m or N.
-
-        Returns
-        -------
-        ndarray
-            ``(k, Q)``: white, and with a first partial autocorrelation of 0.5 and of 0.9, all of
-            the same marginal variance.
-        """
+        """Scales ``(k, Q)`` to start a search from."""
         if not self.order:
             return np.array([[sigma]])
         first = np.array([0.0, 0.5, 0.9])
@@ -224,11 +134,11 @@ class Autoregressive(NoiseDescription):
 
 @njit(cache=True)
 def _form(coefficients: Array, k: int, products: Array, reverse: bool) -> float:
-    """Sum of squares of what a predictor from ``k`` predecessors leaves."""
+    """Sum of squared errors of a predictor from ``k`` predecessors."""
     total = 0.0
     for i in range(k + 1):
         for j in range(k + 1):
-            # the newest residual has the coefficient one
+            # the newest residual has coefficient one
             a = 1.0 if i == 0 else -coefficients[i - 1]
             b = 1.0 if j == 0 else -coefficients[j - 1]
             total += a * b * (products[k - i, k - j] if reverse else products[i, j])
@@ -243,35 +153,32 @@ def _log_density(
     head_counts: NDArray[np.int64],
     scales: Array,
 ) -> Array:
-    """Exact density of autoregressive residuals, run by run: heads first, then the rest.
-
-    The coefficients of ever longer predictors come from the Durbin-Levinson recursion on the way.
-    """
+    """Exact density, the first outputs of each run first, by the Durbin-Levinson recursion."""
     n, recordings, p = scales.shape[0], scales.shape[1], scales.shape[2] - 1
     out = np.zeros(n)
-    coefficients, before = np.zeros(p), np.zeros(p)
+    coefficients, previous = np.zeros(p), np.zeros(p)
     for v in range(n):
         for r in range(recordings):
             sigma, partial = scales[v, r, 0], scales[v, r, 1:]
             squares, logs, outputs = 0.0, 0.0, float(counts[r])
-            # variance that no predecessor leaves, in the innovations'
-            left = 1.0
+            # variance without predecessors over the innovations'
+            remaining = 1.0
             for k in range(p):
-                left /= 1.0 - partial[k] * partial[k]
+                remaining /= 1.0 - partial[k] * partial[k]
             for k in range(p):
                 for length in range(k + 1, p + 1):
                     # the heads' residuals are in time
                     head = heads[length - 1][v, r]
-                    squares += _form(coefficients, k, head, True) / left
-                    logs += head_counts[r, length - 1] * math.log(left)
+                    squares += _form(coefficients, k, head, True) / remaining
+                    logs += head_counts[r, length - 1] * math.log(remaining)
                     outputs += head_counts[r, length - 1]
                 # Durbin and Levinson: one predecessor more
                 for i in range(k):
-                    before[i] = coefficients[i]
+                    previous[i] = coefficients[i]
                 for i in range(k):
-                    coefficients[i] = before[i] - partial[k] * before[k - 1 - i]
+                    coefficients[i] = previous[i] - partial[k] * previous[k - 1 - i]
                 coefficients[k] = partial[k]
-                left *= 1.0 - partial[k] * partial[k]
+                remaining *= 1.0 - partial[k] * partial[k]
             squares += _form(coefficients, p, lagged[v, r], False)
             out[v] -= 0.5 * (
                 squares / sigma**2 + logs + outputs * (2.0 * math.log(sigma) + _LOG_2PI)

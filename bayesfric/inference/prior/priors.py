@@ -1,7 +1,6 @@
 """Priors: a number fixes, a range is uniform, a distribution is SciPy's by name.
 
-What may a configuration say of a parameter, is it possible, and what density, mean and interval
-does it stand for? Distributions are cut to the parameter's support and normalised there.
+Distributions are truncated to the parameter's support and normalised there.
 """
 
 from __future__ import annotations
@@ -16,47 +15,38 @@ import numpy as np
 from scipy import stats
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.mechanism.parameter import TURN, turned
+from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.sizes import TypicalSizes, sizes_at
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import TURN, Parameter, turned
+from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.arrays import Array
 
-# What a configuration may say: 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}.
+# 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}
 PriorText = float | Sequence[float] | Mapping[str, Any]
 
-# A range this much wider or narrower than a turn is a turn, rad: nobody types all digits of pi, and
-# a gap of a degree that 3.14 or 6.3 leaves nobody means.
+# Tolerance, rad, within which a range is a whole turn: pi is rarely typed with all digits.
 _TURN_TYPED = 0.02
-# Below this share of its mass inside the parameter's support a prior is taken for a mistake.
+# Probability inside the parameter's support below which a prior is refused.
 _LEAST_MASS = 1e-6
-# Sd over value of a told prior that is there because the value is known.
+# Relative standard deviation up to which a prior states a known value.
 KNOWN = 0.2
 
-# Distributions of scipy.stats that a prior may be: of closed form, quick whatever the arguments.
+# Distributions of scipy.stats with a closed form.
 DISTRIBUTIONS = (
     "norm", "halfnorm", "lognorm", "loguniform", "uniform", "expon", "triang", "truncnorm", "t",
     "cauchy", "halfcauchy", "laplace", "logistic", "gamma", "invgamma", "beta", "weibull_min",
 )  # fmt: skip
-# The largest number in a prior; it can still be squared.
+# Distributions without a central value.
+_RANGES = frozenset({"uniform", "loguniform", "halfnorm"})
+# The largest number in a prior; its square is finite.
 _LARGEST = 1e100
 
 Side = Literal["lower", "upper"]
 
 
 def bound_of(x: Array, low: float, high: float) -> Side | None:
-    """Say which end of its support a sample leans on.
-
-    Parameters
-    ----------
-    x
-        ``(n,)`` draws.
-    low, high
-        Ends of the support.
-
-    Returns
-    -------
-    str or None
-        ``lower`` or ``upper``, where 5 % of the draws lie within a fifth of their standard
-        deviation of it; the lower where both do.
-    """
+    """Return the bound that a sample ``(n,)`` is close to."""
     first, last = np.quantile(x, [0.05, 0.95])
     near = 0.2 * x.std()
     if first - low < near:
@@ -66,43 +56,26 @@ def bound_of(x: Array, low: float, high: float) -> Side | None:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of one parameter before the recording is looked at.
+    """Prior of one parameter, SI units."""
 
-    Attributes
-    ----------
-    text
-        As printed: ``fixed at 0.33``, ``uniform(0, 1)``, ``halfnorm(loc=0, scale=0.5)``.
-    distribution
-        SciPy's frozen distribution, ``None`` where the parameter is fixed.
-    value
-        The fixed value, nan where the parameter is free; SI units, as all others.
-    lower, upper
-        Support: the distribution's, cut to the parameter's.
-    mass
-        Of the distribution inside the support; the density is divided by it.
-    default
-        Whether the package chose it.
-    circular
-        Whether values a turn apart are the same.
-    """
-
-    text: str
-    distribution: Any
-    value: float
+    text: str  # such as uniform(0, 1) or halfnorm(loc=0, scale=0.5)
+    distribution: Any  # SciPy's frozen distribution, None if fixed
+    value: float  # fixed value, nan if free
+    # support, truncated to the parameter's
     lower: float
     upper: float
-    mass: float = 1.0
+    mass: float = 1.0  # probability of the distribution inside the support
     default: bool = False
-    circular: bool = False
+    circular: bool = False  # whether values a turn apart are equal
 
     @property
     def fixed(self) -> bool:
-        """Whether the parameter is held at one value."""
+        """Fix a parameter at a value, SI units."""
         return self.distribution is None
 
     @property
     def whole_turn(self) -> bool:
-        """Whether every angle is as likely: then nothing says where the circle is cut."""
+        """Whether it is uniform over a whole turn."""
         return (
             self.circular
             and not self.fixed
@@ -112,86 +85,57 @@ class Prior:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Ends of the support that mean something: the cut of a whole turn is none."""
+        """Bounds of the support; infinite for a whole turn."""
         return (-math.inf, math.inf) if self.whole_turn else (self.lower, self.upper)
 
     def cut_opposite(self, value: float) -> Prior:
-        """Make the same prior, a whole turn cut where it is farthest from a value.
-
-        Parameters
-        ----------
-        value
-            Angle, rad, in the middle of the new support.
-
-        Returns
-        -------
-        Prior
-            Itself where it is no whole turn.
-        """
+        """Cut a whole turn opposite a value."""
         if not self.whole_turn:
             return self
         low = value - TURN / 2.0
-        whole = stats.uniform(low, TURN)
-        return replace(self, distribution=whole, lower=low, upper=low + TURN, mass=1.0)
+        turn = stats.uniform(low, TURN)
+        return replace(self, distribution=turn, lower=low, upper=low + TURN, mass=1.0)
 
     def turned(self, x: Array) -> Array:
-        """Bring angles ``(n,)``, rad, by whole turns to the turn the support lies on.
-
-        Others than circular parameters stay as they are.
-        """
+        """Unwrap circular parameters ``(n,)``, rad, to the support's turn."""
         return turned(x, (self.lower + self.upper) / 2.0) if self.circular else x
 
     def log_density(self, x: Array) -> Array:
-        """Log of the density at ``(n,)`` values, ``-inf`` outside the support."""
+        """Log density at values ``(n,)``, ``-inf`` outside the support."""
         with np.errstate(all="ignore"):
             density = self.distribution.logpdf(x) - math.log(self.mass)
-        # at the very edge some closed forms are 0 - inf - inf: no number, no density
+        # at the bound some closed forms are nan
         inside = (x >= self.lower) & (x <= self.upper) & ~np.isnan(density)
         return np.where(inside, density, -np.inf)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw ``n`` values by inversion, inside the support."""
+        """Draw ``n`` values."""
         if self.fixed:
             return np.full(n, self.value)
         return self._quantiles(rng.random(n))
 
     def interval(self, level: float) -> tuple[float, float]:
-        """Give the central interval of a probability.
-
-        Parameters
-        ----------
-        level
-            Probability inside, such as 0.9.
-
-        Returns
-        -------
-        low, high
-            Inside the support; the value twice where the parameter is fixed.
-        """
+        """Return the central interval of a probability."""
         if self.fixed:
             return self.value, self.value
         low, high = self._quantiles(np.array([0.5 - level / 2.0, 0.5 + level / 2.0])).tolist()
         return low, high
 
     def _quantiles(self, shares: Array) -> Array:
-        """Values that so much of the distribution inside the support is below."""
+        """Quantiles of the truncated distribution."""
         low, high = self.distribution.cdf(self.lower), self.distribution.cdf(self.upper)
         values = self.distribution.ppf(low + (high - low) * shares)
         return np.asarray(np.clip(values, self.lower, self.upper), dtype=np.float64)
 
     def sd(self) -> float:
-        """Return the standard deviation of the cut distribution; 0 where fixed.
-
-        By quadrature in probability where the support cuts the distribution; infinite or nan where
-        the whole one has none, as a Cauchy.
-        """
+        """Return the standard deviation, 0 if fixed; infinite or nan if undefined."""
         if self.fixed or self.mass > 1.0 - 1e-12:
             return 0.0 if self.fixed else float(self.distribution.std())
-        x, weights = self._nodes()
-        return float(np.sqrt(weights @ (x - weights @ x) ** 2))
+        y, weights = self._nodes()
+        return float(np.sqrt(weights @ (y - weights @ y) ** 2))
 
     def mean(self) -> float:
-        """Return the mean of the cut distribution, or the fixed value."""
+        """Return the mean, or the fixed value."""
         if self.fixed or self.mass > 1.0 - 1e-12:
             return self.value if self.fixed else float(self.distribution.mean())
         x, weights = self._nodes()
@@ -223,37 +167,15 @@ def read_prior(
     default: bool = False,
     circular: bool = False,
 ) -> Prior:
-    """Turn what a configuration says of one parameter into a prior.
-
-    Parameters
-    ----------
-    name
-        Of the parameter, for messages.
-    text
-        A number, a pair ``[low, high]``, or a mapping with ``distribution`` (one of
-        ``DISTRIBUTIONS``, a name in :mod:`scipy.stats`) and its arguments; SI units.
-    lower, upper
-        Support of the parameter, which cuts a distribution.
-    default
-        Whether the package chose it.
-    circular
-        Whether it is an angle of which values a turn apart are the same: its range spans one turn
-        at most.
-
-    Raises
-    ------
-    BadInput
-        If the prior is impossible or its distribution is not among ``DISTRIBUTIONS``; if a value or
-        range lies outside the support, or all of a distribution but a millionth does.
-    """
+    """Read the configured prior of one parameter."""
     where = f"priors.{name}"
     span = f"{name} {_span(lower, upper)}"
     if isinstance(text, bool):
-        raise BadInput(where, "true/false is no prior", "give a number, [low, high] or a table")
+        raise BadInput(where, "true/false is not a prior", "give a number, [low, high] or a table")
     if isinstance(text, int | float):
         value = _finite(text)
         if value is None or not lower <= value <= upper:
-            raise BadInput(where, f"{_number(text)} is no possible value", span)
+            raise BadInput(where, f"{_number(text)} is not possible", span)
         return fixed(value)
     if isinstance(text, Mapping):
         prior = _named(where, text, lower, upper, span, circular)
@@ -265,21 +187,20 @@ def read_prior(
 def _range(
     where: str, text: Sequence[float], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
-    """Read a uniform prior from ``[low, high]``; a range that is a turn but for typing is one.
-
-    BadInput if these are no two rising numbers inside the support, or more than a turn.
-    """
-    given: object = text
-    if isinstance(given, str) or not isinstance(given, Sequence) or len(given) != 2:
-        raise BadInput(where, f"{text!r} is no prior", "give a number, [low, high] or a table")
+    """Read a uniform prior ``[low, high]``."""
+    pair: object = text
+    if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
+        raise BadInput(where, f"{text!r} is not a prior", "give a number, [low, high] or a table")
     low, high = _finite(text[0]), _finite(text[1])
     if low is None or high is None:
         shown = f"[{_number(text[0])}, {_number(text[1])}]"
-        raise BadInput(where, f"{shown} is no range", "give two finite numbers")
+        raise BadInput(where, f"{shown} is not finite", "give two finite numbers")
     if not low < high:
-        raise BadInput(where, f"[{low:g}, {high:g}] is no range", "put the smaller number first")
+        raise BadInput(
+            where, f"[{low:g}, {high:g}] is not increasing", "put the smaller number first"
+        )
     if low < lower or high > upper:
-        raise BadInput(where, f"[{low:g}, {high:g}] reaches outside what is possible", span)
+        raise BadInput(where, f"[{low:g}, {high:g}] exceeds the possible range", span)
     if circular and high - low > TURN + _TURN_TYPED:
         mend = f"give one turn at most, such as [{low:g}, {low + TURN:.6g}]"
         raise BadInput(where, f"[{low:g}, {high:g}] is more than one turn", mend)
@@ -292,7 +213,7 @@ def _range(
 def _named(
     where: str, text: Mapping[str, Any], lower: float, upper: float, span: str, circular: bool
 ) -> Prior:
-    """Read a distribution of :mod:`scipy.stats` and cut it to the support."""
+    """Read a distribution of :mod:`scipy.stats` and truncate it to the support."""
     arguments = dict(text)
     kind = arguments.pop("distribution", None)
     if kind not in DISTRIBUTIONS:
@@ -321,14 +242,14 @@ def _named(
     if not (math.isfinite(mass) and math.isfinite(spread) and spread > 0.0):
         raise BadInput(where, f"there is no {kind}({shown})", f"see scipy.stats.{kind}")
     if mass < _LEAST_MASS:
-        raise BadInput(where, f"{kind}({shown}) lies outside what is possible", span)
+        raise BadInput(where, f"{kind}({shown}) is outside the possible range", span)
     low, high = max(float(low), lower), min(float(high), upper)
     cut = "" if mass > 1.0 - 1e-9 else f" cut to [{low:g}, {high:g}]"
     return Prior(f"{kind}({shown}){cut}", frozen, math.nan, low, high, mass)
 
 
 def _finite(value: Any) -> float | None:
-    """Take a finite number that can still be squared, and nothing else."""
+    """Return a finite number whose square is finite, else ``None``."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if abs(value) <= _LARGEST else None
@@ -350,20 +271,14 @@ def _span(lower: float, upper: float) -> str:
 class JointPrior:
     """Independent priors of several parameters, evaluated together.
 
-    Normal, half-normal and uniform densities, which most parameters have, are one sum over
-    columns; the others are evaluated one by one.
-
-    Parameters
-    ----------
-    priors
-        Of the ``d`` parameters, none of them fixed.
+    Normal, half-normal and uniform densities are vectorised; others are evaluated separately.
     """
 
     def __init__(self, priors: Sequence[Prior]) -> None:
         self._lower = np.array([prior.lower for prior in priors])
         self._upper = np.array([prior.upper for prior in priors])
         self._constant = 0.0
-        # a column whose scale is infinite adds nothing to the sum of squares
+        # an infinite scale adds nothing to the sum of squares
         self._loc, self._scale = np.zeros(len(priors)), np.full(len(priors), np.inf)
         self._others: list[tuple[int, Prior]] = []
         for j, prior in enumerate(priors):
@@ -378,18 +293,7 @@ class JointPrior:
                 self._constant -= 0.5 * math.log((2.0 if family == "norm" else 0.5) * math.pi)
 
     def log_density(self, x: Array) -> Array:
-        """Log of the joint density.
-
-        Parameters
-        ----------
-        x
-            ``(n, d)`` parameters, SI units.
-
-        Returns
-        -------
-        ndarray
-            ``(n,)``, normalised; ``-inf`` where any value is outside its support.
-        """
+        """Log joint density ``(n,)`` of values ``(n, d)``."""
         inside = np.all((x >= self._lower) & (x <= self._upper) & np.isfinite(x), axis=1)
         with np.errstate(all="ignore"):
             squares = np.sum(((x - self._loc) / self._scale) ** 2, axis=1)
@@ -400,5 +304,67 @@ class JointPrior:
 
 
 def _loc_scale(loc: float = 0.0, scale: float = 1.0) -> tuple[float, float]:
-    """Take the arguments of a SciPy distribution without shape parameters."""
+    """Return the arguments of a SciPy distribution without shape parameters."""
     return loc, scale
+
+
+def default_prior(chain: Joint, p: Parameter, scales: TypicalSizes) -> Prior:
+    """Choose the default prior of one parameter, weakly informative.
+
+    A term is expected to need at most the largest measured torque: Coulomb friction has a
+    half-normal of that scale, viscous friction that torque over the typical speed, an inertia that
+    torque over the typical acceleration, each at its element's shaft. Terms that store energy may
+    exchange it without the motor, as gravity and inertia of a pendulum: theirs is at least the
+    torque that least squares assigns to one with certainty. Sizes are rounded to one digit.
+    """
+    text = _text(chain, p, scales)
+    upper = min(p.upper, p.row.prior_upper)
+    return read_prior(p.name, text, lower=p.lower, upper=upper, default=True, circular=p.circular)
+
+
+def _text(chain: Joint, p: Parameter, scales: TypicalSizes) -> PriorText:
+    """Return the default prior of a quantity's row, scaled to its element's shaft."""
+    row = p.row
+    if row.prior == "uniform":
+        return [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
+    if row.stores:
+        scales = replace(scales, torque=max(scales.torque, scales.exchanged))
+    sizes = sizes_at(chain, p.owner, scales)
+    if row.spread is not None:
+        scale = row.spread(sizes)
+    elif row.role == "own" and (row.column is not None or row.signal):
+        if row.column is None or row.power is None:
+            size = scales.columns[p.name]
+        else:  # some losses act in one direction only
+            states = [
+                State(w, w * sizes.speed, w * sizes.acceleration, w, 0.0) for w in (1.0, -1.0)
+            ]
+            size = max(abs(row.column(state)) for state in states)
+        scale = sizes.torque / size if size > 0.0 else sizes.torque
+    else:
+        raise KeyError(f"{p.name}: the table gives {p.quantity!r} no default prior")
+    if row.prior == "lognorm":
+        return {"distribution": "lognorm", "s": scale}
+    family = row.prior or ("halfnorm" if p.lower == 0.0 else "norm")
+    return {"distribution": family, "scale": float(f"{scale:.0e}")}
+
+
+def as_knowledge(chain: Joint, priors: Mapping[str, Prior]) -> Knowledge:
+    """Convert priors to what point estimates use: known values, bounds, and Gaussian priors.
+
+    A prior with a central value that the user gave enters with its mean and standard deviation;
+    default priors only bound.
+    """
+    fixed, bounds, values = {}, {}, {}
+    for name in chain.names:
+        prior = priors[name]
+        if prior.fixed:
+            fixed[name] = prior.value
+            continue
+        bounds[name] = prior.limits
+        if prior.default or prior.distribution.dist.name in _RANGES:
+            continue
+        mean, sd = prior.mean(), prior.sd()
+        if np.isfinite(mean) and np.isfinite(sd) and sd > 0.0:
+            values[name] = (mean, sd)
+    return Knowledge(fixed, bounds, values)

@@ -1,8 +1,4 @@
-"""Whether several independent ensembles agree, and how many independent draws they are worth.
-
-When may sampling end, and when is it of no use to go on? Arrays of draws are
-``(ensembles, walkers, steps, d)``.
-"""
+"""Convergence of several independent ensembles; draws are ``(ensembles, walkers, steps, d)``."""
 
 from __future__ import annotations
 
@@ -14,113 +10,73 @@ from scipy import fft
 
 from bayesfric.recordings.arrays import Array
 
-# A run is trusted when its ensembles together are this many autocorrelation times long: then they
-# tell that time (Goodman and Weare 2010, emcee's rule); that each has forgotten its start, R-hat.
+# A run is trusted when all ensembles together are this many autocorrelation times long, which
+# suffices to estimate that time (Goodman and Weare 2010, emcee's rule).
 LONG_ENOUGH = 50.0
-# Share of all walkers that may be left out where they never moved: if each stood for its share
-# of the posterior, a 90 % interval of the others still held 89 %. And of an ensemble, so that
-# each is still there to be compared.
+# Share of all walkers that may be stuck: if each had its share of the posterior, a 90 % interval of
+# the others would still hold 89 %. And share of an ensemble.
 _STUCK, _STUCK_IN_ONE = 0.01, 0.05
-# Looks and share of the steps allowed at least, and how many times these must be too few at all
-# late looks, before a run is given up: a prediction from a short run may be wrong by that much.
-# A short run is over before that matters.
+# A run is given up after so many checks, share of the allowed steps, and steps, if it is predicted
+# to need so many times the allowed steps: a prediction from a short run may be off by as much.
 _LOOKS, _LEAST_SHARE, _LEAST_STEPS, _FAR = 4, 0.1, 500, 2.0
-# A run that only forgets where it started falls to half in twice the steps; above that it is slow.
+# A run that still converges halves its predicted steps when its length doubles; above this ratio it
+# does not.
 _FALLING = 0.7
-# Walkers of an ensemble whose own autocorrelations are looked at: enough for their mean.
+# Walkers of an ensemble used for the mean autocorrelation.
 _WALKERS = 64
 
 
 def nested_rhat(draws: Array) -> Array:
-    """Nested R-hat: ensembles against each other [1]_.
+    """Nested R-hat ``(d,)`` of ensembles as superchains.
 
-    Plain R-hat over the walkers of one ensemble says nothing, since they are not
-    independent chains. Here an ensemble is a superchain. It means something
-    only if the ensembles started further apart than their walkers.
-
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``, at least two ensembles and two steps.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``: 1 where the ensembles agree or nothing varies at all, infinite for a parameter
-        that is constant in each ensemble and differs between them.
-
-    References
-    ----------
-    .. [1] C. C. Margossian et al., "Nested R-hat: assessing the convergence of Markov chain Monte
-       Carlo when running many short chains", Bayesian Analysis (2024).
+    Walkers of an ensemble are not independent chains, so plain R-hat is meaningless; ensembles must
+    start further apart than their walkers. Margossian et al., Bayesian Analysis (2024).
     """
-    from arviz_stats.base import array_stats  # takes a while, and few commands need it
+    from arviz_stats.base import array_stats  # slow import
 
     ensembles, walkers, steps, d = draws.shape
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = array_stats.rhat_nested(
+        rhat = array_stats.rhat_nested(
             draws.reshape(-1, steps, d),
             superchain_ids=np.repeat(np.arange(ensembles), walkers),
             method="identity",
             chain_axis=0,
             draw_axis=1,
         )
-    return np.where(np.ptp(draws, axis=(0, 1, 2)) == 0.0, 1.0, found)
+    return np.where(np.ptp(draws, axis=(0, 1, 2)) == 0.0, 1.0, rhat)
 
 
 def autocorrelation_time(draws: Array) -> Array:
-    """Integrated autocorrelation time, over all ensembles.
+    """Estimate the integrated autocorrelation time ``(d,)`` over all ensembles.
 
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)`` in steps, at least one; infinite where a walker never moved.
-
-    Notes
-    -----
-    The larger of two estimates. One averages the walkers' autocorrelations, taken around the mean
-    of all, so that walkers that stay apart from each other show as what they are. The other takes
-    the series of ensemble means, whose variance also feels that walkers move together. On a ridge
-    either can be too small. Both are summed over Sokal's window, the first lag above five times the
-    sum.
-
-    It is over all ensembles, as the largest of some noisy estimates would grow with their
-    number; that ensembles agree is for :func:`nested_rhat` to say.
+    The larger of two estimates: from the walkers' mean autocorrelation around the common mean, and
+    from the ensemble means, whose variance includes that walkers move together. On a ridge either
+    can be too small. Both are summed over Sokal's window. A maximum over ensembles would be biased
+    by its noise.
     """
     _, walkers, steps, d = draws.shape
     times = np.full(d, np.inf)
-    # one parameter's series after the other in memory
+    # contiguous series of each parameter
     draws = np.ascontiguousarray(np.moveaxis(draws, 3, 0))
     for j in range(d):
         x = draws[j] - draws[j].mean()
         if not np.isfinite(x).all() or (np.ptp(x, axis=2) == 0.0).any():
             continue
         variance = np.mean(x**2)
-        some = x[:, :: -(-walkers // _WALKERS)]
-        own = _integrated(_autocovariance(some.reshape(-1, steps)) / np.mean(some**2))
+        subset = x[:, :: -(-walkers // _WALKERS)]
+        tau_walkers = _integrated(_autocovariance(subset.reshape(-1, steps)) / np.mean(subset**2))
         means = x.mean(axis=1)
         means -= means.mean(axis=1, keepdims=True)
-        # var(grand mean) = tau_mean var(mean) / n; in steps of a lone walker that
-        # is tau_mean * walkers * var(mean) / var(x)
+        # var(grand mean) = tau_mean var(mean) / n; in steps of a single walker that is tau_mean *
+        # walkers * var(mean) / var(x)
         spread = np.mean(means**2)
-        together = _integrated(_autocovariance(means) / spread)
-        times[j] = max(own, together * walkers * spread / variance)
+        tau_means = _integrated(_autocovariance(means) / spread)
+        times[j] = max(tau_walkers, tau_means * walkers * spread / variance)
     return times
 
 
 def autocorrelation(series: Array) -> Array:
-    """Autocorrelation of a series ``(walkers, steps)`` around its common mean.
-
-    Returns
-    -------
-    ndarray
-        ``(steps,)`` by lag, mean over walkers; ones where the series is constant.
-    """
+    """Autocorrelation of a series ``(walkers, steps)`` around its common mean."""
     x = series - series.mean()
     variance = np.mean(x**2)
     if not variance > 0.0 or np.ptp(series) == 0.0:
@@ -144,104 +100,43 @@ def _integrated(correlation: Array) -> float:
 
 
 def effective_sample_size(draws: Array, tau: Array) -> Array:
-    """Count the independent draws that a sample is worth.
-
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, steps, d)``; only its shape counts.
-    tau
-        ``(d,)`` autocorrelation times in steps.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, ``ensembles * walkers * steps / tau``.
-    """
+    """Return the effective sample size ``(d,)``."""
     ensembles, walkers, steps, _ = draws.shape
     return np.asarray(ensembles * walkers * steps / tau)
 
 
-def few(walkers: NDArray[np.bool_]) -> bool:
-    """Tell whether flagged walkers ``(ensembles, walkers)`` are too few to change an interval.
-
-    At most one per cent of all, and five of any ensemble.
-    """
+def negligible(walkers: NDArray[np.bool_]) -> bool:
+    """Whether the flagged walkers ``(ensembles, walkers)`` are too few to change an interval."""
     return bool(walkers.mean() <= _STUCK and walkers.mean(axis=1).max() <= _STUCK_IN_ONE)
 
 
 def without_stuck(draws: Array, acceptance: Array) -> Array:
-    """Leave out the few walkers that never moved, as many of each ensemble.
-
-    Parameters
-    ----------
-    draws
-        ``(ensembles, walkers, ..)``.
-    acceptance
-        ``(ensembles, walkers)`` accepted share of proposals.
-
-    Returns
-    -------
-    ndarray
-        Of fewer walkers; the same where none are stuck, or more than a few: then the others do not
-        tell all.
-    """
+    """Exclude walkers that never moved if they are negligible, as many of each ensemble."""
     moved = acceptance > 0.0
-    if moved.all() or not few(~moved):
+    if moved.all() or not negligible(~moved):
         return draws
-    kept = int(moved.sum(axis=1).min())
-    return np.stack([own[np.flatnonzero(m)[:kept]] for own, m in zip(draws, moved, strict=True)])
+    count = int(moved.sum(axis=1).min())
+    return np.stack(
+        [ensemble[np.flatnonzero(m)[:count]] for ensemble, m in zip(draws, moved, strict=True)]
+    )
 
 
 def steps_needed(
     steps: int, ensembles: int, rhat: Array, max_rhat: float, tau: Array | float = 0.0
 ) -> Array:
-    """Predict after how many steps each parameter would have converged.
+    """Predict the number of steps ``(d,)`` to convergence.
 
-    Parameters
-    ----------
-    steps, ensembles
-        Made so far, and by how many ensembles.
-    rhat
-        ``(d,)`` nested R-hat so far.
-    max_rhat
-        That is to be reached.
-    tau
-        ``(d,)`` autocorrelation times in steps; 0 leaves them out.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, ``max(steps (rhat^2 - 1)/(max_rhat^2 - 1), 50 tau/ensembles)``.
-
-    Notes
-    -----
-    The variance between ensembles falls with the number of steps; an autocorrelation time
-    that is not yet seen whole grows with it, so for what mixes slowly this is too few.
+    The variance between ensembles falls as one over the number of steps; an autocorrelation time
+    that is not resolved yet still grows, so slow parameters need more.
     """
-    agree = steps * (rhat**2 - 1.0) / (max_rhat**2 - 1.0)
-    return np.maximum(agree, LONG_ENOUGH * tau / ensembles)
+    by_rhat = steps * (rhat**2 - 1.0) / (max_rhat**2 - 1.0)
+    return np.maximum(by_rhat, LONG_ENOUGH * tau / ensembles)
 
 
-def hopeless(seen: Sequence[tuple[int, float]], allowed: int) -> bool:
-    """Tell whether a run cannot converge in the steps allowed, and does not come nearer to it.
-
-    Parameters
-    ----------
-    seen
-        Steps, and the steps needed as predicted then, of every look so far.
-    allowed
-        Most steps.
-
-    Returns
-    -------
-    bool
-        True where, after at least four looks, 500 steps and a tenth of those allowed, all looks of
-        the later half of the run predict more than twice the steps allowed, and the prediction
-        hardly falls.
-    """
-    last = seen[-1][0]
-    lately = [needed for steps, needed in seen if 2 * steps >= last]
-    far = min(lately) > _FAR * allowed and lately[-1] >= _FALLING * lately[0]
-    least = max(_LEAST_STEPS, _LEAST_SHARE * allowed)
-    return len(seen) >= _LOOKS and last >= least and far
+def hopeless(predictions: Sequence[tuple[int, float]], allowed: int) -> bool:
+    """Whether a run cannot converge in the allowed steps, and does not approach it."""
+    steps_ = predictions[-1][0]
+    recent = [needed for steps, needed in predictions if 2 * steps >= steps_]
+    is_far = min(recent) > _FAR * allowed and recent[-1] >= _FALLING * recent[0]
+    minimum = max(_LEAST_STEPS, _LEAST_SHARE * allowed)
+    return len(predictions) >= _LOOKS and steps_ >= minimum and is_far

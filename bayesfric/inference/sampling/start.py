@@ -1,7 +1,7 @@
-"""Where to start: the posterior's mode and how wide to spread walkers around it.
+"""Start of sampling: the posterior's mode and the spread of the walkers around it.
 
-Direction-dependent friction leaves kinks and several peaks in the density, and bounds cut it; both
-are allowed for here, as plain optimisers do not.
+Direction-dependent friction leaves kinks and several peaks in the density, and bounds truncate it,
+which plain optimisers do not allow for.
 """
 
 from __future__ import annotations
@@ -16,57 +16,27 @@ from bayesfric.recordings.arrays import Array
 
 LogDensity = Callable[[Array], Array]
 
-# A density that falls by this much is one standard deviation away.
+# Fall of the log density at one standard deviation.
 _ONE_SD = 0.5
-# How far a density falls, for differences, where it is zero.
+# Assumed fall of the log density where it is minus infinity.
 _CLIFF = 50.0
-# Candidates that are followed to their peak.
+# Candidates from which a climb starts.
 CLIMBS = 5
 
 
 @dataclass(frozen=True)
 class Start:
-    """A normal to draw starts from, in sampling coordinates.
+    """A normal distribution of starts, in sampling coordinates."""
 
-    Attributes
-    ----------
-    mode
-        ``(d,)``.
-    covariance
-        ``(d, d)``.
-    """
-
-    mode: Array
-    covariance: Array
+    mode: Array  # (d,)
+    covariance: Array  # (d, d)
 
     def draw(
         self, n: int, log_density: LogDensity, rng: np.random.Generator, *, spread: float = 1.5
     ) -> Array:
-        """Draw over-dispersed starts of non-zero probability.
+        """Draw over-dispersed starts ``(n, d)`` of non-zero probability.
 
-        Starts at zero probability are redrawn, closer in each time: emcee would
-        take one and keep that walker stuck for ever.
-
-        Parameters
-        ----------
-        n
-            How many.
-        log_density
-            ``(n, d)`` to ``(n,)``.
-        rng
-            Random numbers.
-        spread
-            Factor of the normal's standard deviations.
-
-        Returns
-        -------
-        ndarray
-            ``(n, d)``.
-
-        Raises
-        ------
-        RuntimeError
-            If there is none beside the mode.
+        Impossible starts are redrawn closer to the mode: emcee would keep such a walker stuck.
         """
         root = np.linalg.cholesky(self.covariance)
         starts = np.empty((n, self.mode.size))
@@ -82,29 +52,11 @@ class Start:
 
 
 def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
-    """Spread a normal around the mode by what data and priors know, bounds left out.
+    """Approximate the posterior at ``mode`` ``(d,)`` by a normal, without bounds.
 
-    Curvature at the mode itself would be misled where the mode leans on a bound:
-    the density falls off a cliff there and the walkers would start in one spot.
-
-    Parameters
-    ----------
-    target
-        The log-posterior.
-    mode
-        ``(d,)`` in its coordinates.
-    prior_draws
-        ``(n, d)`` of the prior, in the same coordinates; rows may be not finite.
-
-    Returns
-    -------
-    Start
-        Mode, and the inverse of the information.
-
-    Notes
-    -----
-    The information is ``J'J`` of the modelled outputs over their noise, that of the
-    noise scales, and the prior's inverse variance, from its draws' central 68 %.
+    The curvature at a mode on a bound would be misleading. The information is ``J'J`` of the
+    standardised outputs, that of the noise scales, and the priors' inverse variance, from the
+    central 68 % of their draws ``(n, d)``.
     """
     k, d = len(target.free), mode.size
     low, high = np.nanquantile(prior_draws, [0.16, 0.84], axis=0)
@@ -112,22 +64,25 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
     prior_sd = np.where(np.isfinite(prior_sd) & (prior_sd > 0.0), prior_sd, np.inf)
     reach = np.abs(mode) + 1e-3 * np.where(np.isfinite(prior_sd), prior_sd, 1.0)
     steps = 1e-6 * np.minimum(reach, 1e3)
-    moved, _ = target.to_parameters(mode + np.concatenate([np.diag(steps), -np.diag(steps)]))
+    shifted, _ = target.to_parameters(mode + np.concatenate([np.diag(steps), -np.diag(steps)]))
     centre, _ = target.to_parameters(mode[None])
     scales = target.noise.scales(centre[:, k:])[0]
-    both = target.chain_values(np.concatenate([moved, centre]))
-    some, whole = target.likelihood.excerpt(), target.likelihood.outputs
+    values = target.chain_values(np.concatenate([shifted, centre]))
+    subsampled, all_outputs = target.likelihood.subsample(), target.likelihood.outputs
     jacobian = np.concatenate(
         [
-            _differences(output, steps) * np.sqrt(every.measured.size / few.measured.size)
-            for output, few, every in zip(
-                some.standardised(both, scales), some.outputs, whole, strict=True
+            _differences(output, steps) * np.sqrt(full.measured.size / subset.measured.size)
+            for output, subset, full in zip(
+                subsampled.standardised(values, scales),
+                subsampled.outputs,
+                all_outputs,
+                strict=True,
             )
         ],
         axis=1,
     )
     information = jacobian @ jacobian.T + np.diag(1.0 / prior_sd**2)
-    slope = ((np.diag(moved[:d]) - np.diag(moved[d:])) / (2.0 * steps))[k:]
+    slope = ((np.diag(shifted[:d]) - np.diag(shifted[d:])) / (2.0 * steps))[k:]
     noise = target.noise.fold(target.likelihood.noise_information(scales))
     information[k:, k:] += noise * np.outer(slope, slope)
     scale = 1.0 / np.sqrt(np.diag(information))
@@ -137,10 +92,9 @@ def gauss_newton(target: Target, mode: Array, prior_draws: Array) -> Start:
 
 
 def _differences(output: Array, steps: Array) -> Array:
-    """Differentiate outputs a step up, a step down and at the centre, ``(2d + 1, n)``.
+    """Differentiate outputs ``(2d + 1, n)``: a step up, a step down and the centre.
 
-    A step that leaves the support has no output (a joint of negative friction cannot be
-    simulated); the other side then does alone, and nothing is known where both have none.
+    A step outside the support has no output; the other side is used, or zero without either.
     """
     d = steps.size
     up, down, centre = output[:d], output[d : 2 * d], output[2 * d]
@@ -157,52 +111,23 @@ def climb(
     climbs: int = CLIMBS,
     max_steps: int = 60,
     widths: Array | None = None,
-    moved: Callable[[Array], None] = lambda _: None,
+    on_step: Callable[[Array], None] = lambda _: None,
 ) -> Array:
-    """Climb to the mode from the best of several candidates.
+    """Climb to the mode from the best of candidates ``(n, d)``.
 
-    Parameters
-    ----------
-    log_density
-        ``(n, d)`` to ``(n,)``.
-    candidates
-        ``(n, d)`` places to start from.
-    climbs
-        How many of the best are followed to their peak.
-    max_steps
-        Steps of each climb at most.
-    widths
-        ``(d,)`` by which the density falls by half a unit, about; adapted in any case.
-    moved
-        Called with every place ``(d,)`` a climb gets to; the density may prepare itself for it.
-
-    Returns
-    -------
-    ndarray
-        ``(d,)``, the highest peak found.
-
-    Raises
-    ------
-    ValueError
-        If no candidate is possible.
-
-    Notes
-    -----
-    Newton steps with a Hessian by finite differences, damped as Levenberg and
-    Marquardt do. Steps of the differences adapt to where the density has fallen
-    by half a unit, which averages over the kinks that direction-dependent losses
-    leave in it.
+    Newton steps with a Hessian by finite differences, damped by Levenberg and Marquardt. Difference
+    steps, at first ``widths`` ``(d,)``, adapt to a fall of the log density by half a unit, which
+    averages over kinks.
     """
     heights = log_density(candidates)
-    # Direction-dependent losses make several peaks, and the highest candidate need
-    # not stand at the foot of the highest one.
+    # Direction-dependent losses make several peaks, and the best candidate may climb a lower one.
     order = [i for i in np.argsort(-heights)[:climbs] if np.isfinite(heights[i])]
     if not order:
         raise ValueError("every starting point has zero probability")
-    found = [
-        _climb(log_density, candidates[i], heights[i], max_steps, widths, moved) for i in order
+    peaks = [
+        _climb(log_density, candidates[i], heights[i], max_steps, widths, on_step) for i in order
     ]
-    return max(found, key=lambda peak: peak[1])[0]
+    return max(peaks, key=lambda peak: peak[1])[0]
 
 
 def _climb(
@@ -211,17 +136,17 @@ def _climb(
     height: float,
     max_steps: int,
     widths: Array | None,
-    moved: Callable[[Array], None],
+    on_step: Callable[[Array], None],
 ) -> tuple[Array, float]:
-    """Climb from one place; give the peak and its height.
+    """Climb from one place; return the peak and its log density.
 
-    Eight dampings are tried at once. It ends where a step gains less than 1e-3, or nothing does.
+    Eight dampings are evaluated at once. It ends when a step gains less than 1e-3.
     """
     damping = 1.0
-    begin = 0.1 * (np.abs(x) + 1e-3) if widths is None else widths
-    steps = _difference_steps(log_density, x, height, begin)
+    initial = 0.1 * (np.abs(x) + 1e-3) if widths is None else widths
+    steps = _difference_steps(log_density, x, height, initial)
     for _ in range(max_steps):
-        moved(x)
+        on_step(x)
         steps = _difference_steps(log_density, x, height, steps)
         gradient, hessian = _derivatives(log_density, x, height, steps)
         gradient, curvature = gradient * steps, -hessian * np.outer(steps, steps)
@@ -246,15 +171,15 @@ def _climb(
 
 
 def _difference_steps(log_density: LogDensity, x: Array, height: float, steps: Array) -> Array:
-    """Widths over which the density changes by half a unit, or that end at a wall, ``(d,)``."""
+    """Find steps ``(d,)`` that change the log density by half a unit or end at a bound."""
     steps = steps.copy()
-    # a wall close by: a step that was too wide once is not widened to it again
+    # near a bound: do not widen again
     too_wide = np.zeros(x.size, dtype=bool)
     for _ in range(20):
         trials = np.concatenate([x + np.diag(steps), x - np.diag(steps)])
         fall = np.abs(log_density(trials) - height).reshape(2, -1).max(axis=0)
         narrow, wide = fall < 0.2 * _ONE_SD, ~(fall < 8.0 * _ONE_SD)
-        # nothing moves the density at all: leave a unit step rather than grow for ever
+        # if the density is constant, keep a finite step
         narrow &= steps < 1e3 * (np.abs(x) + 1.0)
         too_wide |= wide
         narrow &= ~too_wide
@@ -274,9 +199,9 @@ def _derivatives(
     pair = np.zeros((rows.size, d))
     pair[np.arange(rows.size), rows] = steps[rows]
     pair[np.arange(rows.size), columns] = steps[columns]
-    one = np.diag(steps)
-    values = log_density(np.concatenate([x + one, x - one, x + pair, x - pair]))
-    # a difference that steps out of the support says: steeply down
+    step = np.diag(steps)
+    values = log_density(np.concatenate([x + step, x - step, x + pair, x - pair]))
+    # outside the support the density falls steeply
     values = np.where(np.isfinite(values), values, height - _CLIFF)
     up, down, both, neither = np.split(values, [d, 2 * d, 2 * d + rows.size])
     gradient = (up - down) / (2.0 * steps)

@@ -69,7 +69,7 @@ def add_model_error(summary: Summary, fit: Fit, derived: Groups) -> Summary:
     discrepancy = fit.discrepancy
     if discrepancy is None:
         return summary
-    part = ModelError(shown=discrepancy.shown, chance=discrepancy.chance)
+    part = ModelError(shown=discrepancy.is_plausible, chance=discrepancy.chance)
     if not discrepancy.moved:
         return summary.model_copy(update={"model_error": part})
     wide = fit.wide.posterior.flat()

@@ -14,10 +14,10 @@ import numpy as np
 from bayesfric.diagnostics.before_a_fit import (
     EXPLAINED,
     against_prior,
+    alternatives,
     best_share,
     doubts_before,
     few_outputs,
-    instead,
     strange_velocity,
 )
 from bayesfric.diagnostics.explanation import of_recording
@@ -135,7 +135,7 @@ def _unexplained(fit: Fit, summary: Summary) -> list[dict[str, Any]]:
         return []
     doubt = {"kind": "unexplained", "share": share, "quantity": summary.fit.quantity}
     best, _ = best_share(fit.chain, fit.observations)
-    return [doubt | instead(fit.chain, fit.observations, best)]
+    return [doubt | alternatives(fit.chain, fit.observations, best)]
 
 
 def _cut(summary: Summary) -> Iterator[dict[str, Any]]:

@@ -11,7 +11,7 @@ import numpy as np
 from bayesfric.estimates.information import CORRELATED, lag_one
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, predictors
-from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
 from bayesfric.mechanism.parameter import effort_words
@@ -42,7 +42,7 @@ def noise_described(fit: Fit) -> dict[str, dict[str, str]]:
     return described
 
 
-def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dict[str, Any]:
+def noise_record(fit: Fit, residuals: list[Array], choice: NoiseChoice | None) -> dict[str, Any]:
     """Put the noise of a fit into the form of ``summary.json``.
 
     ``residuals`` ``(M,)`` of every recording are measured minus posterior mean.
@@ -77,8 +77,8 @@ def noise_record(fit: Fit, residuals: list[Array], choice: Choice | None) -> dic
             for o, s in zip(likelihood.outputs, scales, strict=True)
         }
     if choice is not None:
-        record["order_chosen_from"] = [asdict(order) for order in choice.tried]
-        record |= {"memory": [*choice.memory], "room": choice.room}
+        record["order_chosen_from"] = [asdict(order) for order in choice.evidence]
+        record |= {"memory": [*choice.partial], "room": choice.half_range}
     return record
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import norm
 
-from bayesfric.diagnostics.policy import TWINS
-from bayesfric.diagnostics.self_check import Checked
+from bayesfric.diagnostics.calibration_check import CalibrationCheck
+from bayesfric.diagnostics.policy import REPLICATES
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.identifiability.friction_curve import (
@@ -152,10 +152,12 @@ def _verdict(share: Coverage, discrepancy: Mapping[str, Any]) -> str:
 POOR = 0.75
 
 
-def self_check_part(fit: Fit, summary: Summary, checked: Checked, derived: Groups) -> SelfCheck:
+def self_check_part(
+    fit: Fit, summary: Summary, checked: CalibrationCheck, derived: Groups
+) -> SelfCheck:
     """Sum up the calibration check of a fit, for ``summary["self_check"]``."""
     count = len(checked.fits)
-    part: dict[str, Any] = {"asked": TWINS, "made": count}
+    part: dict[str, Any] = {"asked": REPLICATES, "made": count}
     part |= {"seconds": round(checked.seconds, 3), "cpu_seconds": round(checked.cpu_seconds, 3)}
     if checked.reason is not None:
         return SelfCheck(**part, reason=checked.reason)
@@ -194,10 +196,10 @@ def off_rows(summary: Summary) -> dict[str, SelfCheckRow]:
 
 
 def _replicate_errors(
-    fit: Fit, checked: Checked, derived: Groups
+    fit: Fit, checked: CalibrationCheck, derived: Groups
 ) -> Iterator[tuple[str, Array, Array]]:
     """Give each quantity's name, true values and errors ``(n,)``, one for each replicate."""
-    nearby = np.stack([replicate.nearby for replicate in checked.fits])
+    nearby = np.stack([replicate.near_truth for replicate in checked.fits])
     shares = np.array([replicate.share for replicate in checked.fits])
     for j, name in enumerate(fit.posterior.names):
         if not of_noise(name):

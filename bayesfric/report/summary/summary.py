@@ -13,7 +13,7 @@ from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import LocalInformation, given_by, local_information, verdict
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import Choice
+from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
@@ -44,7 +44,7 @@ _SELDOM = 0.1
 def summarise(
     fit: Fit,
     references: Mapping[str, Any] | None = None,
-    choice: Choice | None = None,
+    choice: NoiseChoice | None = None,
     derived: Groups | None = None,
 ) -> Summary:
     """Summarise a fit; numbers that do not exist are ``None``.

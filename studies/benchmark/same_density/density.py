@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import RADIUS
 from bayesfric.inference.moments.linear_torque import linear_torque
-from bayesfric.inference.moments.moment_matrices import moment_matrices
-from bayesfric.inference.moments.sign_region import SignRegion
+from bayesfric.inference.moments.moment_matrices import SignRegion, moment_matrices
 from bayesfric.inference.target import Target
 
 Array = NDArray[np.float64]

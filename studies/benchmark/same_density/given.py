@@ -63,7 +63,7 @@ class Setup:
 def built(draws: Array) -> Target:
     """Build the target with coordinates and moments for posterior draws ``(n, 12)``."""
     target = problem.target().with_widths(draws.std(axis=0))
-    return target.prepared(target.from_parameters(draws[:PREPARED]))
+    return target.precomputed(target.from_parameters(draws[:PREPARED]))
 
 
 def write(path: Path, ess: float) -> float:

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 class FullLength(TorqueLikelihood):
     """Likelihood of all samples for every draw, in Numba, several draws a call."""
 
-    def prepared(self, draws: Array) -> TorqueLikelihood:  # noqa: ARG002
+    def precomputed(self, draws: Array) -> TorqueLikelihood:  # noqa: ARG002
         """Return itself, without moments."""
         return self
 

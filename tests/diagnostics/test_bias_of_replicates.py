@@ -1,4 +1,4 @@
-"""One Gauss-Newton step on a twin's exact torque, against dense generalised least squares."""
+"""One Gauss-Newton step on a replicate's exact torque, against dense generalised least squares."""
 
 from copy import copy
 from types import SimpleNamespace
@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.diagnostics.autocorrelation import Autocorrelation
+from bayesfric.diagnostics.calibration_check import calibration_check
 from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.memory import Memory
-from bayesfric.diagnostics.regression import Twin
-from bayesfric.diagnostics.self_check import self_check
+from bayesfric.diagnostics.regression import Replicate
 from bayesfric.fit.model import Model
 from bayesfric.inference.local_units import units_of
 from bayesfric.mechanism.inverse import inverse_torque
@@ -23,10 +23,10 @@ KNOWN = {"noise.sigma": 0.02, "noise.pacf_1": 0.6, "noise.pacf_2": -0.2, "noise.
 @pytest.fixture(scope="module")
 def target():
     """Of autocorrelated noise, with one parameter known and one whose prior says much."""
-    time, memory = 0.004 * np.arange(1500), Memory(np.array([0.97]))
+    time, autocorrelation = 0.004 * np.arange(1500), Autocorrelation(np.array([0.97]))
     motion = swing(time, ((0.4, 1.0), (1.3, 0.3)))
     torque = inverse_torque(AXIS, AXIS.vector(VALUES), *motion)
-    torque = torque + 0.02 * memory.drawn(laid_out(1500), np.random.default_rng(1))
+    torque = torque + 0.02 * autocorrelation.drawn(laid_out(1500), np.random.default_rng(1))
     priors = {
         "motor.coulomb": 0.3,
         "load.first_moment": {"distribution": "norm", "loc": 0.3, "scale": 1e-3},
@@ -36,12 +36,12 @@ def target():
     return made.target(VALUES)
 
 
-def checked(target, twins=(), reason=None, status="reliable", rest=None):
+def checked(target, replicates=(), reason=None, status="reliable", rest=None):
     median = np.array([(VALUES | KNOWN)[name] for name in target.names])
     posterior = SimpleNamespace(median=median, diagnostics=SimpleNamespace(status=status))
-    explained = Explanation(twins=tuple(twins), reason=reason)
+    explained = Explanation(replicates=tuple(replicates), reason=reason)
     seen = [SimpleNamespace(rest=None), SimpleNamespace(rest=rest)]
-    return median, self_check(target, posterior, seen, explained)
+    return median, calibration_check(target, posterior, seen, explained)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-6, 0.1])
@@ -51,14 +51,14 @@ def test_a_twins_fit_is_one_step_of_generalised_least_squares(target, size):
     assert target.names[-1] != "noise.sigma"
     values = AXIS.vector(VALUES) * [1.1, 0.9, 1.0, 1.05, 0.8]
     base, left = rng.standard_normal((where.outputs, 5)), size * rng.standard_normal(where.outputs)
-    median, found = checked(target, [Twin(values, base, left, where)] * 2)
+    median, found = checked(target, [Replicate(values, base, left, where)] * 2)
     (fit, again), k = found.fits, len(target.free)
     free = [AXIS.names.index(name) for name in target.free]
     assert len(free) == 4
     np.testing.assert_allclose(found.truth, [[*values[free], *median[k:]]] * 2)
     assert found.reason is None
     # runs are independent of each other, as the likelihood has them
-    blocks = [dense_covariance(Memory(median[k + 1 :]), laid_out(n)) for n in (20, 28, 29)]
+    blocks = [dense_covariance(Autocorrelation(median[k + 1 :]), laid_out(n)) for n in (20, 28, 29)]
     root = np.zeros((77, 77))
     begin = 0
     for block in blocks:
@@ -71,15 +71,15 @@ def test_a_twins_fit_is_one_step_of_generalised_least_squares(target, size):
     # a way of a thousandth of a unit at most, along logarithms: to first order in the step
     unit = units_of(target, found.truth[0]).units
     assert fit.share == pytest.approx(min(1.0, 1e-3 / np.abs(step / unit).max()), rel=1e-6)
-    gone = (fit.nearby - found.truth[0])[:k]
+    gone = (fit.near_truth - found.truth[0])[:k]
     np.testing.assert_allclose(gone / unit, fit.share * step / unit, atol=2e-6, rtol=1e-3)
-    np.testing.assert_array_equal(fit.nearby[k:], median[k:])
-    np.testing.assert_array_equal(fit.nearby, again.nearby)
+    np.testing.assert_array_equal(fit.near_truth[k:], median[k:])
+    np.testing.assert_array_equal(fit.near_truth, again.near_truth)
 
 
 def test_it_says_why_there_is_none(target):
     rest = SimpleNamespace()
-    twin = Twin(AXIS.vector(VALUES), np.ones((9, 5)), np.ones(9), laid_out(9))
+    replicate = Replicate(AXIS.vector(VALUES), np.ones((9, 5)), np.ones(9), laid_out(9))
     for told, reason in (
         ({"reason": "few"}, "few"),
         ({"rest": rest}, "rest"),
@@ -87,9 +87,9 @@ def test_it_says_why_there_is_none(target):
         ({"reason": "still"}, "still"),
         ({"reason": "still", "rest": rest}, "rest"),
     ):
-        _, found = checked(target, [twin], **told)
+        _, found = checked(target, [replicate], **told)
         assert (found.reason, found.fits) == (reason, ())
         assert found.truth.shape == (0, len(target.names))
     other = copy(target)
     other.likelihood = SimpleNamespace(chain=AXIS)
-    assert checked(other, [twin])[1].reason == "likelihood"
+    assert checked(other, [replicate])[1].reason == "likelihood"

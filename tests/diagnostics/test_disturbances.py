@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from bayesfric.diagnostics.scans import bump, push, tone, tuned, waves
+from bayesfric.diagnostics.disturbances import (
+    sinusoid_columns,
+    sinusoidal_disturbance,
+    transient_columns,
+    transient_disturbance,
+    tune_frequency,
+)
 from tests.diagnostics.bench import laid_out
 
 RATE = 50.0
@@ -36,7 +42,7 @@ def test_a_tone_is_the_largest_of_the_periodogram(counts, seed):
     grid = fine * np.arange(1, 1000)
     grid = grid[(grid >= 2.0 / span) & (grid <= 0.45 * RATE)]
     gains = [gain(y, where, f) for f in grid]
-    found = tone(y, where)
+    found = sinusoidal_disturbance(y, where)
     assert found.peak == pytest.approx(max(gains), rel=1e-6)
     low, mid, high = (gain(y, where, grid[np.argmax(gains)] + k * fine) for k in (-1, 0, 1))
     if grid[0] < grid[np.argmax(gains)] < grid[-1]:
@@ -49,7 +55,7 @@ def test_a_tone_is_the_largest_of_the_periodogram(counts, seed):
 def test_tones_are_looked_for_from_two_periods_on_and_below_nearly_half_the_rate(hertz):
     """Of ten seconds from 0.2 Hz on, at a rate of 50 Hz up to 22.5 Hz."""
     where = layout(501)
-    found = tone(np.sin(2 * np.pi * hertz * where.stamps[0] + 0.3), where)
+    found = sinusoidal_disturbance(np.sin(2 * np.pi * hertz * where.stamps[0] + 0.3), where)
     assert 0.2 - 0.05 <= found.place <= 22.5 + 0.05
     if 0.2 <= hertz <= 22.5:
         assert found.place == pytest.approx(hertz, abs=0.05)
@@ -63,19 +69,21 @@ def test_a_tones_place_lies_between_the_frequencies_of_the_grid(at):
     hertz = 5.0 + at
     y = np.sin(2 * np.pi * hertz * where.stamps[0] + 1.0)
     y = y + 0.1 * np.random.default_rng(1).standard_normal(1000)
-    assert tone(y, where).place == pytest.approx(hertz, abs=0.006)  # of a grid of 0.024
+    assert sinusoidal_disturbance(y, where).place == pytest.approx(
+        hertz, abs=0.006
+    )  # of a grid of 0.024
 
 
 def test_an_exact_tone_leaves_next_to_nothing():
     """The gain, over what is left, then is as large as the outputs' number times a million."""
     where = layout(512)
     y = np.sin(2 * np.pi * 40 / 512 * np.arange(512) + 0.2)
-    assert tone(y, where).peak == pytest.approx(512e6, rel=1e-6)
+    assert sinusoidal_disturbance(y, where).peak == pytest.approx(512e6, rel=1e-6)
 
 
 def test_recordings_too_short_for_a_period_have_no_tone():
     where = layout(3, 3, 3)
-    found = tone(np.random.default_rng(1).standard_normal(9), where)
+    found = sinusoidal_disturbance(np.random.default_rng(1).standard_normal(9), where)
     assert found.peak == found.place == 0.0
 
 
@@ -100,7 +108,7 @@ def test_a_push_is_the_largest_mean_of_all_places(seed):
             if inside.size >= 3:
                 best = max(best, (inside.sum() ** 2 / inside.size / np.mean(y**2), place, k))
             place += width
-    found = push(y, where, width)
+    found = transient_disturbance(y, where, width)
     assert (found.peak, found.place, found.recording) == pytest.approx(best, rel=1e-9)
 
 
@@ -109,31 +117,31 @@ def test_a_push_has_three_outputs_at_least():
     y = np.zeros(where.outputs)
     y[10:12] = 5.0
     t = where.stamps[0]
-    assert not push(y, where, 0.04).peak
+    assert not transient_disturbance(y, where, 0.04).peak
     three = layout(40, gaps=[*range(10, 18), *range(21, 30)])
     y = np.zeros(three.outputs)
     y[10:13] = 5.0
-    assert push(y, three, 0.04).peak == pytest.approx(9 * 25.0 / 3 / np.mean(y**2))
-    assert abs(push(y, three, 0.04).place - 0.38) <= 0.04
+    assert transient_disturbance(y, three, 0.04).peak == pytest.approx(9 * 25.0 / 3 / np.mean(y**2))
+    assert abs(transient_disturbance(y, three, 0.04).place - 0.38) <= 0.04
     assert t[10] == 0.38
 
 
 def test_recordings_shorter_than_a_push_have_none():
-    assert not push(np.ones(8), layout(4, 4), 0.25).peak
+    assert not transient_disturbance(np.ones(8), layout(4, 4), 0.25).peak
 
 
 def test_what_a_scan_has_found_is_what_its_columns_take_out():
     where = layout(1000, 1500)
     t, first = np.concatenate(where.stamps), np.arange(2500) < 1000
-    x = waves(where, 4.0)
+    x = sinusoid_columns(where, 4.0)
     exact = [f(8 * np.pi * t) * part for part in (first, ~first) for f in (np.sin, np.cos)]
     np.testing.assert_allclose(x.T, exact, atol=1e-9)
     y = np.exp(-0.5 * ((t - 7.1) / 0.25) ** 2) * ~first
-    found = push(y, where, 0.25)
-    x = bump(where, found, 0.25)
+    found = transient_disturbance(y, where, 0.25)
+    x = transient_columns(where, found, 0.25)
     assert np.abs(y - x @ np.linalg.lstsq(x, y)[0]).max() < 0.02
     # bells as far apart as they are wide
-    one = bump(where, replace(found, place=7.1), 0.25)
+    one = transient_columns(where, replace(found, place=7.1), 0.25)
     np.testing.assert_allclose(one[:, 2], y, atol=1e-12)
     np.testing.assert_allclose(
         one[:, 0], np.exp(-0.5 * ((t - 6.6) / 0.25) ** 2) * ~first, atol=1e-12
@@ -159,12 +167,12 @@ def test_a_tuned_tone_leaves_least_of_all_frequencies(counts, off):
         return x - base @ (base.T @ x)
 
     def power(hertz):
-        x = left(waves(where, hertz))
+        x = left(sinusoid_columns(where, hertz))
         return float(((left(y) - x @ np.linalg.lstsq(x, left(y))[0]) ** 2).sum())
 
     span = max(np.ptp(one) for one in where.stamps)
     best = minimize_scalar(power, bounds=(3.2, 3.235), method="bounded", options={"xatol": 1e-7}).x
     # four steps of at most a fifth of a period each
-    assert abs(tuned(left(y), where, best + off / span, left) - best) < 0.01 / span
+    assert abs(tune_frequency(left(y), where, best + off / span, left) - best) < 0.01 / span
     far = best + 1.1 / span
-    assert 0.2 / span < abs(tuned(left(y), where, far, left) - far) <= 0.8001 / span
+    assert 0.2 / span < abs(tune_frequency(left(y), where, far, left) - far) <= 0.8001 / span

@@ -7,7 +7,7 @@ from numba import get_num_threads, set_num_threads
 from scipy.stats import norm
 
 import bayesfric as bf
-from bayesfric.diagnostics.policy import TWINS
+from bayesfric.diagnostics.policy import REPLICATES
 from bayesfric.fit.model import Model
 from tests.diagnostics.bench import CENTRAL, TRUTH, model, recording
 
@@ -38,7 +38,7 @@ def test_the_bias_of_central_differences_is_found_and_doubted(central):
 def test_exact_derivatives_have_next_to_no_bias(exact):
     """What is left, the low-pass does at reversals: 0.02 % of the viscous loss."""
     check = exact.summary.self_check
-    assert check.made == check.asked == TWINS
+    assert check.made == check.asked == REPLICATES
     assert check.unexplained < 0.2
     for name, row in check.rows.items():
         assert abs(row.bias) < 0.5, name

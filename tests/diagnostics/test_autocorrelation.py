@@ -5,7 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesfric.diagnostics.memory import WHITE, Layout, Memory, memory_of
+from bayesfric.diagnostics.autocorrelation import (
+    WHITE,
+    Autocorrelation,
+    Layout,
+    choose_autocorrelation,
+)
 from bayesfric.inference.likelihood import autoregression as ar
 from tests.diagnostics.bench import dense_covariance, laid_out
 
@@ -16,11 +21,11 @@ PARTIALS = [[], [0.8], [0.9, -0.5], [0.5, 0.3, -0.6], [0.4, 0.1, 0.2, -0.3, 0.2,
 @pytest.mark.parametrize("partial", PARTIALS)
 def test_whitening_over_gaps_makes_the_exact_covariance_one(partial, slow):
     where = laid_out(60, 90, gaps=[7, 8, 20, 21, 22, 23, 40])
-    memory = Memory(np.array(partial), slow)
-    exact = dense_covariance(memory, where)
-    white = memory.whitened(np.linalg.cholesky(exact), where)
+    autocorrelation = Autocorrelation(np.array(partial), slow)
+    exact = dense_covariance(autocorrelation, where)
+    white = autocorrelation.whitened(np.linalg.cholesky(exact), where)
     np.testing.assert_allclose(white @ white.T, np.eye(len(exact)), atol=1e-8)
-    assert memory.variance(where) == pytest.approx(np.mean(np.diag(exact)))
+    assert autocorrelation.variance(where) == pytest.approx(np.mean(np.diag(exact)))
 
 
 @pytest.mark.parametrize(
@@ -29,9 +34,9 @@ def test_whitening_over_gaps_makes_the_exact_covariance_one(partial, slow):
 def test_wander_is_a_sum_of_cosines_up_to_a_hertz(n, rate, many):
     """Four at least; one for eight outputs and sixty at most."""
     where = laid_out(n, rate=rate)
-    (waves,) = where.waves
+    (waves,) = where.drift_cosines
     assert waves.shape == (n, many)
-    dense = dense_covariance(Memory(np.zeros(0), 1.0), where) - np.eye(n)
+    dense = dense_covariance(Autocorrelation(np.zeros(0), 1.0), where) - np.eye(n)
     np.testing.assert_allclose(waves @ waves.T, dense, atol=1e-9)
     assert many / 2.0 / np.ptp(where.stamps[0]) <= max(1.0, 2.0 / np.ptp(where.stamps[0]))
 
@@ -39,9 +44,9 @@ def test_wander_is_a_sum_of_cosines_up_to_a_hertz(n, rate, many):
 def test_whitening_is_causal_but_for_the_wander():
     """An output is predicted by those before it: the inverse root is the Cholesky factor's."""
     where = laid_out(50, gaps=[9, 30, 31])
-    memory = Memory(np.array([0.7, -0.2]))
-    root = np.linalg.inv(np.linalg.cholesky(dense_covariance(memory, where)))
-    np.testing.assert_allclose(memory.whitened(np.eye(47), where), root, atol=1e-9)
+    autocorrelation = Autocorrelation(np.array([0.7, -0.2]))
+    root = np.linalg.inv(np.linalg.cholesky(dense_covariance(autocorrelation, where)))
+    np.testing.assert_allclose(autocorrelation.whitened(np.eye(47), where), root, atol=1e-9)
     x = np.ones((47, 2))
     np.testing.assert_array_equal(WHITE.whitened(x, where), x)
 
@@ -51,22 +56,22 @@ def test_outputs_more_than_300_steps_apart_know_nothing_of_each_other(gap):
     """Nor do those that two segments have at the same step."""
     at = np.array([0, 1, 2, 2 + gap, 3 + gap])
     where = Layout((np.diff(at) == 1,), (at,), (0.01 * at + 1e-4 * np.arange(5),))
-    memory = Memory(np.array([0.999, 0.1]))
-    whole = dense_covariance(memory, laid_out(400))
+    autocorrelation = Autocorrelation(np.array([0.999, 0.1]))
+    whole = dense_covariance(autocorrelation, laid_out(400))
     exact = whole[np.ix_(at, at)]
     if gap in (0, 301):
         exact[:3, 3:] = exact[3:, :3] = 0.0
-    white = memory.whitened(np.linalg.cholesky(exact), where)
+    white = autocorrelation.whitened(np.linalg.cholesky(exact), where)
     np.testing.assert_allclose(white @ white.T, np.eye(5), atol=1e-7)
 
 
 @pytest.mark.parametrize("slow", [0.0, 1.5])
 def test_noise_that_is_drawn_has_the_exact_covariance(slow):
     where = laid_out(24, 20, gaps=[5, 6, 11])
-    memory = Memory(np.array([0.6, -0.3]), slow)
+    autocorrelation = Autocorrelation(np.array([0.6, -0.3]), slow)
     rng = np.random.default_rng(1)
-    drawn = np.array([memory.drawn(where, rng) for _ in range(3000)])
-    white = memory.whitened(drawn.T, where)
+    drawn = np.array([autocorrelation.drawn(where, rng) for _ in range(3000)])
+    white = autocorrelation.whitened(drawn.T, where)
     # of independent normals: 38 means, and 741 products whose sds are at most sqrt(2/3000)
     assert np.abs(white.mean(axis=1)).max() < 4.5 / np.sqrt(3000)
     assert np.abs(white @ white.T / 3000 - np.eye(38)).max() < 4.5 * np.sqrt(2.0 / 3000)
@@ -76,22 +81,22 @@ def dense_choice(left, where):
     """Choose a memory by dense covariances: sizes of the wander, orders, and their criterion."""
     n, best, least = left.size, WHITE, np.inf
     for size in (0.0, 0.15, 0.45, 1.35, 4.0) if n > 40 else (0.0,):
-        with_wander = dense_covariance(Memory(best.partial, size), where)
-        without = dense_covariance(Memory(best.partial), where)
+        with_wander = dense_covariance(Autocorrelation(best.partial, size), where)
+        without = dense_covariance(Autocorrelation(best.partial), where)
         # the wander's expectation: what is left then is the autoregression's
         rest = without @ np.linalg.solve(with_wander, left)
         partial = ar.burg(where.split(rest), where.runs, min(6, n // 20))
         costs = [
             n * np.log1p(-(partial[:p] ** 2)).sum() + p * np.log(n) for p in range(partial.size + 1)
         ]
-        memory = Memory(partial[: int(np.argmin(costs))], size)
-        covariance = dense_covariance(memory, where)
+        autocorrelation = Autocorrelation(partial[: int(np.argmin(costs))], size)
+        covariance = dense_covariance(autocorrelation, where)
         power = left @ np.linalg.solve(covariance, left)
         bic = n * np.log(power / n) + np.linalg.slogdet(covariance)[1]
-        bic += memory.partial.size * np.log(n)
+        bic += autocorrelation.partial.size * np.log(n)
         if bic < least:
-            best, least = memory, bic
-        elif best.slow:
+            best, least = autocorrelation, bic
+        elif best.drift:
             break
     return best, least
 
@@ -103,16 +108,16 @@ def test_a_memory_is_chosen_by_its_exact_density(partial, slow, counts):
     """Against the same choice by dense covariances; where noise wanders much, wander is found."""
     where = laid_out(*counts, gaps=(11, 12, 13), rate=20.0)
     for seed in range(2):
-        noise = Memory(np.array(partial), slow).drawn(where, np.random.default_rng(seed))
-        found, bic = memory_of(0.02 * noise, where)
+        noise = Autocorrelation(np.array(partial), slow).drawn(where, np.random.default_rng(seed))
+        found, bic = choose_autocorrelation(0.02 * noise, where)
         exact, least = dense_choice(0.02 * noise, where)
-        assert (found.partial.size, found.slow) == (exact.partial.size, exact.slow)
+        assert (found.partial.size, found.drift) == (exact.partial.size, exact.drift)
         np.testing.assert_allclose(found.partial, exact.partial, rtol=1e-6)
         assert bic == pytest.approx(least, abs=1e-6)
         if slow == 3.0 and counts[0] > 40:
-            assert found.slow
+            assert found.drift
         if not slow and counts[0] > 40:
-            assert found.slow < 0.5
+            assert found.drift < 0.5
 
 
 def test_predecessors_that_hardly_help_are_taken_where_they_do():
@@ -120,24 +125,24 @@ def test_predecessors_that_hardly_help_are_taken_where_they_do():
     where, orders = laid_out(45), set()
     for seed in range(120):
         x = np.random.default_rng(seed).standard_normal(45)
-        found, _ = memory_of(x, where)
+        found, _ = choose_autocorrelation(x, where)
         exact, _ = dense_choice(x, where)
-        assert (found.partial.size, found.slow) == (exact.partial.size, exact.slow)
+        assert (found.partial.size, found.drift) == (exact.partial.size, exact.drift)
         orders.add(found.partial.size)
     assert {0, 1} <= orders
 
 
 def test_noise_that_is_drawn_is_found_again():
     where = laid_out(4000, gaps=range(500, 600))
-    truth = Memory(np.array([0.8, -0.3]))
-    found, _ = memory_of(truth.drawn(where, np.random.default_rng(3)), where)
+    truth = Autocorrelation(np.array([0.8, -0.3]))
+    found, _ = choose_autocorrelation(truth.drawn(where, np.random.default_rng(3)), where)
     # partial autocorrelations of 3900 outputs have sds of at most 1/sqrt(3900)
     np.testing.assert_allclose(found.partial[:2], truth.partial, atol=4.0 / np.sqrt(3900))
 
 
 def test_nothing_has_no_memory():
-    found, _ = memory_of(np.zeros(100), laid_out(100))
-    assert (found.partial.size, found.slow) == (0, 0.0)
+    found, _ = choose_autocorrelation(np.zeros(100), laid_out(100))
+    assert (found.partial.size, found.drift) == (0, 0.0)
 
 
 def test_a_layout_counts_whole_steps_from_each_recordings_first_output():

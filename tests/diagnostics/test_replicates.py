@@ -1,4 +1,4 @@
-"""A twin is a recording like the one it repeats: same motion, same sensor, exact torque."""
+"""A replicate is a recording like the one it repeats: same motion, same sensor, exact torque."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.twins import settled_as, twins
+from bayesfric.diagnostics.replicates import fixed_processing, replicates
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.measurement import Signal
@@ -27,7 +27,9 @@ def replayed(made, values, recording=None, observation=None):
     seeds = np.random.SeedSequence(1).spawn(len(values))
     processing = made.config.tables.processing
     return list(
-        twins(made.chain, values, recording, observation or made.observations[0], processing, seeds)
+        replicates(
+            made.chain, values, recording, observation or made.observations[0], processing, seeds
+        )
     )
 
 
@@ -55,7 +57,7 @@ def test_a_replay_is_read_in_the_steps_of_the_recording(made):
     observation = made.observations[0]
     observation = replace(observation, settings=observation.settings | told)
     seeds = np.random.SeedSequence(1).spawn(1)
-    (seen,) = twins(made.chain, VALUES[None], recording, observation, bare, seeds)
+    (seen,) = replicates(made.chain, VALUES[None], recording, observation, bare, seeds)
     counts = (seen.q - seen.q[0]) / step
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
@@ -64,12 +66,12 @@ def test_each_segment_is_replayed_from_its_own_state(made):
     recording, processing = made.recordings[0], made.config.tables.processing
     halves = replace(recording, segments=((0, 2400), (2400, recording.time.size)))
     observation = made.observations[0]
-    (seen,) = twins(
+    (seen,) = replicates(
         made.chain,
         VALUES[None],
         halves,
         replace(observation, segment_of=(observation.filter.starts >= 2400).astype(int)),
-        settled_as(processing, observation),
+        fixed_processing(processing, observation),
         np.random.SeedSequence(1).spawn(1),
     )
     assert seen.settings["n_segments"] == 2
@@ -120,7 +122,7 @@ def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
 
 
 def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
-    """A twin at other instants has what else the joint feels at these, and needs no loss for it."""
+    """Other inputs of a replicate are sampled at its instants: no loss is needed for them."""
     o, recording = made.observations[0], made.recordings[0]
     load = Signal(o.stamps, 5.0 * np.sin(2 * np.pi * 3.0 * o.stamps))
     recording = replace(recording, inputs=replace(recording.inputs, load_torque=load))

@@ -1,0 +1,139 @@
+"""Calibration check: bias of the estimates on simulated replicates with known parameters.
+
+It cannot show whether the model is right: replicates are simulated from it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from bayesfric.base.options import Options
+from bayesfric.diagnostics.explanation import Explanation
+from bayesfric.diagnostics.regression import Replicate
+from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
+from bayesfric.inference.local_units import units_of
+from bayesfric.inference.posterior import Posterior
+from bayesfric.inference.target import Target
+from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.observation import Observation
+
+# Longest step, in units of the parameters, along which quantities are assumed to be linear.
+_SMALL = 1e-3
+
+Reason = Literal["likelihood", "rest", "sampling", "still", "few"]
+
+
+class CalibrationCheckOptions(Options):
+    """The ``[self_check]`` table."""
+
+    recordings: int | None = Field(
+        None,
+        ge=0,
+        examples=[0],
+        description="0 to skip it; else simulated replicates of the recordings are fitted",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ReplicateFit:
+    """Estimate from one replicate without torque noise."""
+
+    # (d,) sampled parameters, a short step from the truth towards the estimate: full steps along
+    # unidentified directions have any length
+    near_truth: Array
+    share: float  # of the full step
+    unexplained: float  # mean square of the residual over the noise variance
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationCheck:
+    """True parameters of the replicates and the fits to them."""
+
+    truth: Array  # (n, d) sampled parameters
+    fits: tuple[ReplicateFit, ...]  # of each replicate
+    seconds: float
+    cpu_seconds: float
+    # Why it was not made: a likelihood of the position, samples at standstill, failed sampling,
+    # replicates that stand still, or too few outputs
+    reason: Reason | None = None
+    share: float = 1.0  # of the recordings' samples; below one for subsamples
+
+
+def calibration_check(
+    target: Target,
+    posterior: Posterior,
+    observations: Sequence[Observation],
+    explained: Explanation,
+) -> CalibrationCheck:
+    """Estimate the bias by filters, encoder and differentiation, by a parametric bootstrap.
+
+    The mean of estimate less truth over the replicates is the bias (Efron and Tibshirani, "An
+    Introduction to the Bootstrap", 1993). Each fit is one Gauss-Newton step from the truth, as the
+    torque is nearly linear in the parameters; replicates have no torque noise, so few suffice.
+    """
+    begun, worked = time.perf_counter(), time.process_time()
+    reason: Reason | None = explained.reason
+    if not isinstance(target.likelihood, TorqueLikelihood):
+        reason = "likelihood"
+    elif any(o.rest is not None for o in observations):
+        reason = "rest"
+    elif posterior.diagnostics.status == "unusable":
+        reason = "sampling"
+    replicates = () if reason else explained.replicates
+    sds = np.array([prior.sd() for prior in target.priors[: len(target.free)]])
+    sds = np.where(np.isfinite(sds), sds, np.inf)
+    columns = [target.likelihood.chain.names.index(name) for name in target.free]
+    truth = np.tile(posterior.median, (len(replicates), 1))
+    for row, replicate in zip(truth, replicates, strict=True):  # the noise stays the posterior's
+        row[: len(columns)] = replicate.values[columns]
+    return CalibrationCheck(
+        truth,
+        tuple(
+            _fit(target, *pair, sds, columns, explained.share)
+            for pair in zip(truth, replicates, strict=True)
+        ),
+        time.perf_counter() - begun,
+        time.process_time() - worked,
+        reason,
+        explained.share,
+    )
+
+
+def _fit(
+    target: Target,
+    truth: Array,
+    replicate: Replicate,
+    prior_sds: Array,
+    columns: Sequence[int],
+    share: float,
+) -> ReplicateFit:
+    """Take one Gauss-Newton step from the true parameters ``(d,)`` of a replicate.
+
+    The prior, of standard deviations ``prior_sds`` ``(free,)``, is centred on the truth, as its
+    pull is no bias; for a subsample its information is scaled by ``share``.
+    """
+    assert isinstance(target.likelihood, TorqueLikelihood)
+    k = len(target.free)
+    units, noise = units_of(target, truth), target.likelihood.noise
+    scales = target.noise.scales(truth[None, k:])[0]
+    rows = np.column_stack([replicate.base[:, columns] * units.units, replicate.residual])
+    pieces = [
+        noise.standard(piece.T, runs, scale)[0].T
+        for piece, runs, scale in zip(
+            replicate.layout.split(rows), replicate.layout.runs, scales, strict=True
+        )
+    ]
+    white = np.concatenate(pieces)
+    jacobian, error = white[:, :-1], white[:, -1]
+    information = jacobian.T @ jacobian + share * np.diag((units.units / prior_sds) ** 2)
+    step = np.asarray(np.linalg.lstsq(information, jacobian.T @ error)[0], dtype=np.float64)
+    step_share = _SMALL / max(float(np.abs(step).max(initial=0.0)), _SMALL)
+    near_truth = np.concatenate([units.moved(truth[:k], step_share * step), truth[k:]])
+    residual = error - jacobian @ step
+    return ReplicateFit(near_truth, step_share, float(np.mean(residual**2)))
