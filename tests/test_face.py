@@ -214,7 +214,7 @@ def test_objects_show_themselves():
         ({"sampling": 3}, "sampling: got 3; it should be a table"),
         ({"likelihood": {"method": object()}}, "likelihood.method: got object"),
         ({"priors": {"motor.inertia": stats.norm}}, "priors.motor.inertia: got norm_gen"),
-        ({"priors": {"motor.inertia": np.float64(-1)}}, "motor.inertia: -1 is no possible"),
+        ({"priors": {"motor.inertia": np.float64(-1)}}, "motor.inertia: -1 is not possible"),
     ],
 )
 def test_bad_keywords_are_named(keywords, told):

@@ -131,7 +131,7 @@ def test_what_changes_a_load_loss_needs_one(bench, option):
     config = parse_config(text, bench.folder / "c.toml").tables.mechanism
     assert f"gearbox.{option}" in config.joint().names or option == "load_direction"
     bare = text.replace(f"{option} = true", f'{option} = true\nload_loss = "none"')
-    with pytest.raises(BadInput, match=f"gearbox.{option}: changes a load loss, and there is none"):
+    with pytest.raises(BadInput, match=f"gearbox.{option}: changes load-dependent friction"):
         parse_config(bare, bench.folder / "c.toml").tables.mechanism.joint()
 
 

@@ -51,7 +51,7 @@ def test_the_band_ends_where_the_acceleration_is_noise(seed):
     assert lost > 0.3
     assert left < 0.5 * lost
     # what was asked for is left as it is, and doubted
-    (doubt,) = [one for one in bf.check(asked).found["doubts"] if one["kind"] == "attenuated"]
+    (doubt,) = [one for one in bf.check(asked).record["doubts"] if one["kind"] == "attenuated"]
     ((used, narrower),) = doubt["bands"].values()
     assert used == pytest.approx(RATE / 20)
     assert narrower < used
@@ -64,7 +64,7 @@ def test_white_noise_and_encoders_leave_the_band_alone():
     for seed in range(20):
         model = bf.Model(AXIS, swinging(0.0, seed))
         assert model.observations[0].settings["band_by"] == "sampling"
-        assert not [one for one in bf.check(model).found["doubts"] if one["kind"] == "attenuated"]
+        assert not [one for one in bf.check(model).record["doubts"] if one["kind"] == "attenuated"]
 
 
 def test_what_a_band_shows_is_least_squares_beside_what_a_delay_would_leave():

@@ -49,6 +49,6 @@ def test_they_are_refused_before_anything_is_sampled():
         {"gearbox.load": 0.2}, encoder_side="joint", **options
     )
     one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
-    with pytest.raises(BadInput, match=r"cannot tell motor.load, gearbox.load apart") as refused:
+    with pytest.raises(BadInput, match=r"motor.load, gearbox.load") as refused:
         bf.Model(TWO, one).fit()
     assert 'load_loss = "none"' in refused.value.hint

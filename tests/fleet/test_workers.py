@@ -98,7 +98,7 @@ def test_without_dask_one_line_says_what_to_install(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"cluster": {"memory_limit": "much"}}, "memory_limit = 'much': is not a size"),
+        ({"cluster": {"memory_limit": "much"}}, "memory_limit = 'much'"),
         ({"cluster": {"worker": 2}}, "Fleet: cluster.worker: unknown key"),
         ({"runs": {"draws": "all"}}, "Fleet: runs.draws"),
     ],
