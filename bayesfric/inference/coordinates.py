@@ -55,7 +55,7 @@ class Coordinates(ABC):
 
 
 class BoundedCoordinates(Coordinates):
-    """Each parameter separately, with bounds and posterior widths ``(d,)``, if known.
+    """Each parameter separately, with bounds and posterior widths ``(d,)``, nan if not known.
 
     Without widths, for the search, a parameter with one bound is the logarithm of its distance from
     it, one with two bounds the normal quantile of its relative position. With widths, for the
@@ -69,19 +69,17 @@ class BoundedCoordinates(Coordinates):
         self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
         low, high = np.isfinite(self.lower), np.isfinite(self.upper)
         span = np.where(low & high, self.upper - self.lower, np.inf)
-        self._between = low & high
-        self._above = self._below = np.zeros(low.size, dtype=bool)
-        if widths is None:
-            self._above, self._below = low & ~high, high & ~low
-        else:
-            self._between = self._between & (widths > _WIDE * span)
+        widths = np.full(low.size, np.nan) if widths is None else widths
+        unknown = np.isnan(widths)
+        self._above, self._below = unknown & low & ~high, unknown & high & ~low
+        self._between = low & high & (unknown | (widths > _WIDE * span))
         self._span = np.where(self._between, span, 1.0)
         self._low = np.where(low, self.lower, 0.0)
         self._high = np.where(high, self.upper, 0.0)
 
     def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        # exp saturates; the density there is zero
         """See :class:`Coordinates`."""
+        # exp saturates; the density there is zero
         distance = np.exp(np.clip(u, -700.0, 700.0))
         x = np.where(self._above, self._low + distance, u)
         x = np.where(self._below, self._high - distance, x)
@@ -93,8 +91,8 @@ class BoundedCoordinates(Coordinates):
         return x, np.where(outside.any(axis=1), -np.inf, slope.sum(axis=1))
 
     def from_parameters(self, parameters: Array) -> Array:
-        # all branches are evaluated for all parameters, and fail on the others' values
         """See :class:`Coordinates`."""
+        # all branches are evaluated for all parameters, and fail on the others' values
         with np.errstate(all="ignore"):
             u = np.where(self._above, np.log(parameters - self._low), parameters)
             u = np.where(self._below, np.log(self._high - parameters), u)

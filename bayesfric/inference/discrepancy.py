@@ -42,7 +42,7 @@ Flags = NDArray[np.bool_]
 # Draws for the covariance, and step of central differences in posterior standard deviations.
 _DRAWS, _STEP = 4000, 0.3
 # Halvings of a step that leaves the support, and redraws of moves that leave it.
-_HALVINGS, _TRIES = 12, 12
+_HALVINGS, TRIES = 12, 12
 # Least share of the full information that a subsample or reweighting has.
 _LEAST = 0.05
 # Reweightings; their width was compared in ``studies/replication``.
@@ -84,7 +84,7 @@ class Discrepancy:
         v, k = target.unbounded(parameters), len(self.mean)
         rows = np.flatnonzero(rng.uniform(size=len(v)) < self.moved)
         drawn = rows
-        for _ in range(_TRIES):
+        for _ in range(TRIES):
             moved = v[drawn]
             moves_drawn = rng.integers(len(self.deviations), size=rows.size)
             moved[:, :k] += self.moves(moves_drawn, rng.standard_normal((rows.size, 1)))

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.discrepancy import Discrepancy
+from bayesfric.inference.discrepancy import TRIES, Discrepancy
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import JointPrior, read_prior
 from bayesfric.inference.sampling.start import Start
@@ -78,10 +78,12 @@ class JointTarget(LogPosterior):
             [p.flat()[:, columns_varying].std(axis=0) for p in posteriors]
         ).T  # (varying, R)
         draws = self._first_draws(posteriors, np.random.default_rng([seed, _STARTS]))
+        widths = draws.std(axis=0)
+        widths[self._spreads] = np.nan  # a spread is sampled as its logarithm
         self.coordinates = BoundedCoordinates(
             [p.lower for p in self.priors],
             [p.upper if p.upper < _WIDEST else np.inf for p in self.priors],
-            draws.std(axis=0),
+            widths,
         )
         self.to_linear, self.from_linear = self.coordinates.to_linear, self.coordinates.from_linear
         self.likelihood = SimpleNamespace(
@@ -151,23 +153,35 @@ class JointTarget(LogPosterior):
         for places, noise in zip(self._places, self._noise, strict=True):
             yield np.column_stack([parameters[:, places], np.tile(noise, (len(parameters), 1))])
 
-    def widened(self, posterior: Posterior, rooms: Sequence[Discrepancy]) -> Array:
+    def widened(self, posterior: Posterior, discrepancies: Sequence[Discrepancy]) -> Array:
         """Widen draws of the posterior ``(n, d)`` by the discrepancy of the runs' models.
 
         A term missing in one run is missing in all, so its effect does not average out over runs.
+        A pair of draw and move that ends beyond a bound is replaced by another.
         """
-        flat = posterior.flat()
-        u, rng = self.coordinates.from_parameters(flat), np.random.default_rng([posterior.seed, 17])
-        levels, sides = rng.uniform(size=(len(u), 1)), rng.standard_normal((len(u), 1))
-        moved = u.copy()
-        for target, run, room in zip(self.targets, self._of_runs(flat), rooms, strict=True):
-            run_draws = target.unbounded(run)[:, : room.mean.size]
-            cross = np.cov(run_draws.T, u.T)[: run_draws.shape[1], run_draws.shape[1] :]
-            # the score that moves the run's estimate
-            moves = room.moves(rng.integers(len(room.deviations), size=len(u)), sides)
-            scores = np.linalg.solve(room.covariance, moves.T).T
-            moved += np.where(levels < room.moved, scores @ cross, 0.0)
-        return self.to_parameters(moved)[0]
+        flat, rng = posterior.flat(), np.random.default_rng([posterior.seed, 17])
+        u, widened = self.coordinates.from_parameters(flat), flat.copy()
+        # of each run what moves the estimates of all, for a move of its own
+        slopes = []
+        for target, run, error in zip(
+            self.targets, self._of_runs(flat), discrepancies, strict=True
+        ):
+            own = target.unbounded(run)[:, : error.mean.size]
+            cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
+            slopes.append(np.linalg.solve(error.covariance, cross))
+        rows = draws = np.arange(len(u))
+        for _ in range(TRIES):
+            levels, sides = rng.uniform(size=(rows.size, 1)), rng.standard_normal((rows.size, 1))
+            moved = u[draws]
+            for error, slope in zip(discrepancies, slopes, strict=True):
+                picked = rng.integers(len(error.deviations), size=rows.size)
+                moved += np.where(levels < error.moved, error.moves(picked, sides) @ slope, 0.0)
+            parameters, log_slope = self.to_parameters(moved)
+            possible = np.isfinite(log_slope)
+            widened[rows[possible]] = parameters[possible]
+            rows = rows[~possible]
+            draws = rng.integers(len(u), size=rows.size)
+        return widened
 
 
 def varying_parts(

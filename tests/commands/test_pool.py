@@ -41,6 +41,7 @@ def test_it_prints_what_python_returns(bench):
     # the system counts in ticks
     assert 0.1 < again["cpu_seconds"] < again["seconds"] * os.cpu_count() + 0.05
     (viscous,) = found["varying"]
+    assert viscous["jointly"]["spread"]["low"] > 0.0
     # of 3.3 sds, 100 independent draws leave a median uncertain by an eighth of one
     for true, run in zip(VISCOUS, viscous["jointly"]["runs"], strict=True):
         assert abs(run["median"] - true) < run["high"] - run["low"]

@@ -58,6 +58,11 @@ def test_with_widths_a_parameter_is_its_own_coordinate_and_the_bound_cuts_it():
     np.testing.assert_array_equal(parameters, x)
     assert slope.tolist() == [0.0, 0.0, -INF, -INF]
     np.testing.assert_array_equal(coordinates.from_parameters(x[:2]), x[:2])
+    # of an unknown width it is the logarithm of the distance
+    unknown = BoundedCoordinates([0.0, -INF], [INF, 5.0], np.array([np.nan, 2.0]))
+    np.testing.assert_array_equal(
+        unknown.from_parameters(x[:2]), np.column_stack([np.log(x[:2, 0]), x[:2, 1]])
+    )
 
 
 def test_a_uniform_share_between_two_bounds_is_a_standard_normal_coordinate():
