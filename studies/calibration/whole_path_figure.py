@@ -73,6 +73,10 @@ def _identified(case: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     return {name: row for name, row in rows.items() if row["intervals"] >= FEWEST}, total
 
 
+def _share(rows: dict[str, Any], name: str | None) -> str:
+    return f"{rows[name]['coverage']:.0%} ({name})" if name else "–"
+
+
 def table(result: dict[str, Any]) -> list[str]:
     """Format the cases as Markdown."""
     lines = [
@@ -82,7 +86,7 @@ def table(result: dict[str, Any]) -> list[str]:
     ]
     for name, case in result.items():
         rows, total = _identified(case)
-        lowest = min(rows, key=lambda n: rows[n]["coverage"])
+        lowest = min(rows, key=lambda n: rows[n]["coverage"], default=None)
         others = [
             case["statuses"][key]["all"] for key in ("limit", "prior") if key in case["statuses"]
         ]
@@ -91,7 +95,8 @@ def table(result: dict[str, Any]) -> list[str]:
         lines.append(
             f"| {name} | {case['recordings'] - len(case['refused'])} | {case['findings']} "
             f"| {total['coverage']:.1%} ± {total['error']:.1%} of {total['intervals']} "
-            f"| {rows[lowest]['coverage']:.0%} ({lowest}) | {total['posterior_coverage']:.0%} "
+            f"| {_share(rows, lowest)} "
+            f"| {total['posterior_coverage']:.0%} "
             f"| {total['wider'][0]:.2f}, {total['wider'][1]:.2f} "
             f"| {f'{held:.0%} of {count}' if count else ''} |"
         )
