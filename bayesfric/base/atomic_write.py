@@ -33,9 +33,15 @@ def atomic_path(path: Path) -> Iterator[Path]:
     ) as name:
         partial = Path(name, "new")
         yield partial
+        old = Path(name, "old")
         if target.is_dir():
-            target.rename(Path(name, "old"))
-        partial.replace(target)
+            target.rename(old)
+        try:
+            partial.replace(target)
+        except OSError:
+            if old.is_dir():  # or it would go with the temporary folder
+                old.rename(target)
+            raise
 
 
 @contextmanager

@@ -23,7 +23,7 @@ the posterior's is added (a smooth Bayesian bootstrap; Rubin, Annals of Statisti
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +42,7 @@ Flags = NDArray[np.bool_]
 # Draws for the covariance, and step of central differences in posterior standard deviations.
 _DRAWS, _STEP = 4000, 0.3
 # Halvings of a step that leaves the support, and redraws of moves that leave it.
-_HALVINGS, TRIES = 12, 12
+_HALVINGS, _TRIES = 12, 12
 # Least share of the full information that a subsample or reweighting has.
 _LEAST = 0.05
 # Reweightings; their width was compared in ``studies/replication``.
@@ -82,18 +82,35 @@ class Discrepancy:
         if not self.moved:
             return widened
         v, k = target.unbounded(parameters), len(self.mean)
-        rows = np.flatnonzero(rng.uniform(size=len(v)) < self.moved)
-        drawn = rows
-        for _ in range(TRIES):
+
+        def move(drawn: NDArray[np.intp]) -> Array:
             moved = v[drawn]
-            moves_drawn = rng.integers(len(self.deviations), size=rows.size)
-            moved[:, :k] += self.moves(moves_drawn, rng.standard_normal((rows.size, 1)))
-            inside = target.from_unbounded(moved)
-            possible = np.isfinite(inside).all(axis=1)
-            widened[rows[possible]] = inside[possible]
-            rows = rows[~possible]
-            drawn = rng.integers(len(v), size=rows.size)
+            picked = rng.integers(len(self.deviations), size=drawn.size)
+            moved[:, :k] += self.moves(picked, rng.standard_normal((drawn.size, 1)))
+            return target.from_unbounded(moved)
+
+        rows = np.flatnonzero(rng.uniform(size=len(v)) < self.moved)
+        move_within_support(widened, rows, move, rng)
         return widened
+
+
+def move_within_support(
+    widened: Array,
+    rows: NDArray[np.intp],
+    move: Callable[[NDArray[np.intp]], Array],
+    rng: np.random.Generator,
+) -> None:
+    """Put moved draws into ``rows`` of ``widened``; those that leave the support are drawn again.
+
+    ``move`` gives moved parameters of the chosen draws, not finite outside the support.
+    """
+    drawn = rows
+    for _ in range(_TRIES):
+        moved = move(drawn)
+        possible = np.isfinite(moved).all(axis=1)
+        widened[rows[possible]] = moved[possible]
+        rows = rows[~possible]
+        drawn = rng.integers(len(widened), size=rows.size)
 
 
 def discrepancy(target: Target, posterior: Posterior, missing: Missing | None) -> Discrepancy:

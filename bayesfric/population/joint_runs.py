@@ -15,9 +15,10 @@ from copy import copy
 from types import SimpleNamespace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.discrepancy import TRIES, Discrepancy
+from bayesfric.inference.discrepancy import Discrepancy, move_within_support
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import JointPrior, read_prior
 from bayesfric.inference.sampling.start import Start
@@ -169,18 +170,18 @@ class JointTarget(LogPosterior):
             own = target.unbounded(run)[:, : error.mean.size]
             cross = np.cov(own.T, u.T)[: own.shape[1], own.shape[1] :]
             slopes.append(np.linalg.solve(error.covariance, cross))
-        rows = draws = np.arange(len(u))
-        for _ in range(TRIES):
-            levels, sides = rng.uniform(size=(rows.size, 1)), rng.standard_normal((rows.size, 1))
-            moved = u[draws]
+
+        def move(drawn: NDArray[np.intp]) -> Array:
+            levels, sides = rng.uniform(size=(drawn.size, 1)), rng.standard_normal((drawn.size, 1))
+            moved = u[drawn]
             for error, slope in zip(discrepancies, slopes, strict=True):
-                picked = rng.integers(len(error.deviations), size=rows.size)
+                picked = rng.integers(len(error.deviations), size=drawn.size)
                 moved += np.where(levels < error.moved, error.moves(picked, sides) @ slope, 0.0)
             parameters, log_slope = self.to_parameters(moved)
-            possible = np.isfinite(log_slope)
-            widened[rows[possible]] = parameters[possible]
-            rows = rows[~possible]
-            draws = rng.integers(len(u), size=rows.size)
+            parameters[~np.isfinite(log_slope)] = np.nan
+            return parameters
+
+        move_within_support(widened, np.arange(len(u)), move, rng)
         return widened
 
 
