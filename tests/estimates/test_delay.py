@@ -8,8 +8,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.delay import settled_delay
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.processing import settled_delay
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, multisine

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.estimates.fine_motion import fine_motion
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.processing import fine_motion
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.descent import Terms, TorqueProblem, minimise
-from bayesfric.estimates.input_error import contradicted, input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
+from bayesfric.estimates.input_error import (
+    contradicted,
+    input_error,
+)
+from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
@@ -177,54 +179,6 @@ def test_a_shape_that_is_fixed_or_bounded_is_not_tried_elsewhere(make_observatio
     assert dict(bounded.point)[name] == pytest.approx(0.02)
 
 
-def test_sds_are_those_of_repeated_noise(knee):
-    chain = KNEE.chain()
-    # so little noise that the model is linear over it
-    sigma, repeats = 1e-3, 150
-    o = knee(factor=1, n=400)
-    rng = np.random.default_rng(7)
-
-    def noisy():
-        return replace(o, measured=o.measured + sigma * rng.standard_normal(o.measured.size))
-
-    claimed = input_error(chain, [noisy()], Knowledge(), FEW)
-    truth = chain.vector(KNEE.values)
-    load = typical_load(chain, [o], truth)
-    found = np.empty((repeats, truth.size))
-    for i in range(repeats):
-        problem = TorqueProblem(chain, [noisy()], Knowledge())
-        found[i] = minimise(problem, Terms(np.ones(o.measured.size)), truth).x
-    spread = {name: found[:, i].std(ddof=1) for i, name in enumerate(chain.names)}
-    spread |= {d.name: d.values.std(ddof=1) for d in derive(chain, found, load)}
-    # the sd of each sd: 1/sqrt(2(m-1)) from m repeats, 1/sqrt(2(n-d)) in the claimed one
-    error = np.hypot(1 / np.sqrt(2 * (repeats - 1)), 1 / np.sqrt(2 * (400 - 10)))
-    tested = [v for v in claimed.values if v.determined and v.kind != "total"]
-    assert len(tested) >= 15
-    for value in tested:
-        assert value.sd / spread[value.name] == pytest.approx(1.0, abs=5 * error), value.name
-
-
-def test_a_told_value_sets_the_scale_with_its_own_sd(knee):
-    chain = KNEE.chain()
-    o = knee(sigma=2e-3)
-    free = input_error(chain, [o], Knowledge(), FEW)
-    told = Knowledge(priors={"load.first_moment": (0.41, 0.02)})
-    estimate = input_error(chain, [o], told, FEW)
-    # nothing else knows of the scale
-    assert estimate["load.first_moment"].value == pytest.approx(0.41, rel=1e-6)
-    assert estimate["load.first_moment"].sd == pytest.approx(0.02, rel=1e-4)
-    for name in ("motor.inertia", "total_back.viscous", "gearbox.lambda_ratio"):
-        assert estimate[name].value == pytest.approx(free[name].value, rel=1e-5), name
-        assert estimate[name].sd == pytest.approx(free[name].sd, rel=1e-3), name
-    # lambda_2 is theta10 over the moment: its relative variances add
-    theta10 = free["total_drive.gravity"].value - free["total_back.gravity"].value
-    fixed = input_error(chain, [o], Knowledge(fixed={"load.first_moment": 0.41}), FEW)
-    alone = fixed["gearbox.lambda_2"].sd / fixed["gearbox.lambda_2"].value
-    value = estimate["gearbox.lambda_2"]
-    assert value.value == pytest.approx(theta10 * 50 / (2 * 9.80665 * 0.41), rel=1e-5)
-    assert value.sd / value.value == pytest.approx(np.hypot(alone, 0.02 / 0.41), rel=1e-3)
-
-
 def test_told_values_set_the_scale_by_their_variances(knee):
     """One factor on all that is behind the gearbox, by weighted least squares of one number."""
     chain, o = KNEE.chain(), knee(sigma=1e-5)
@@ -254,22 +208,6 @@ def test_a_told_motor_value_is_weighed_against_the_data(make_observation):
     assert both["motor.inertia"].value == pytest.approx((alone.value + mean) / 2, rel=1e-6)
     # sigma is taken anew from residuals that the told value has made a little larger
     assert both["motor.inertia"].sd == pytest.approx(sd / np.sqrt(2), rel=5e-3)
-
-
-def test_a_noisy_recording_counts_for_less(knee):
-    chain = KNEE.chain()
-    observations = [
-        knee(sigma=0.005, factor=1, n=700, seed=3, name="quiet"),
-        knee(sigma=0.1, factor=1, n=700, seed=4, name="loud"),
-    ]
-    knowledge = Knowledge(fixed=MOMENT)
-    weighted = input_error(chain, observations, knowledge, FEW)
-    quiet = input_error(chain, observations[:1], knowledge, FEW)
-    for name in ("motor.inertia", "motor.viscous", "joint.viscous"):
-        # the loud one adds (0.005/0.1)² = 0.25 % of information
-        assert weighted[name].sd == pytest.approx(quiet[name].sd, rel=0.06), name
-        assert abs(weighted[name].value - quiet[name].value) < 0.5 * quiet[name].sd, name
-    assert "within each recording" in weighted.assumption
 
 
 def test_what_the_fit_would_make_negative_stands_on_its_bound(knee):

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.larger_model import FittedModel, predicts_better
-from bayesfric.estimates.methods import EstimationInputs
-from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.estimates.methods import EstimationInputs, FittedModel, predicts_better
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue, Estimation, Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.element import Element
 from bayesfric.mechanism.joint import Joint

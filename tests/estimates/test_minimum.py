@@ -1,23 +1,17 @@
 """What the input error finds is a minimum, and what it states of it follows from the Jacobian."""
 
-from dataclasses import replace
-from itertools import product
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
-from bayesfric.estimates.descent import (
-    Terms,
+from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.input_error import (
     TorqueProblem,
     few_threads,
-    minimise,
+    input_error,
 )
-from bayesfric.estimates.information import long_run_variance
-from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares, totals_regressors
-from bayesfric.estimates.shooting_fit import bounded_step
+from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import inverse_torque
@@ -34,34 +28,6 @@ FEW = Estimation(starts=2)
 def few():
     with few_threads([]):
         yield
-
-
-def best_of_faces(matrix, target, lower, upper):
-    """The least squares of every choice of what stands on which limit; the best that is within."""
-    found = []
-    for stands in product((-1, 0, 1), repeat=lower.size):
-        at = np.where(np.array(stands) < 0, lower, upper)
-        free = np.array(stands) == 0
-        rest = target - matrix[:, ~free] @ at[~free]
-        at[free] = np.linalg.lstsq(matrix[:, free], rest, rcond=None)[0]
-        if (at >= lower - 1e-12).all() and (at <= upper + 1e-12).all():
-            found.append((np.sum((target - matrix @ at) ** 2), at))
-    return min(found, key=lambda one: one[0])[1]
-
-
-def test_a_step_within_limits_is_the_best_of_all_faces():
-    rng = np.random.default_rng(1)
-    stopped = 0
-    for _ in range(60):
-        matrix, target = rng.standard_normal((6, 3)), rng.standard_normal(6)
-        lower, upper = -rng.uniform(0.0, 0.5, (2, 3)) * [[1.0], [-1.0]]
-        step = bounded_step(matrix, target, lower, upper)
-        np.testing.assert_allclose(step, best_of_faces(matrix, target, lower, upper), atol=1e-9)
-        stopped += (step <= lower).any() or (step >= upper).any()
-    assert 10 < stopped < 60
-    held = bounded_step(matrix, target, np.array([0.0, -9, -9]), np.array([0.0, 9, 9]))
-    expected = np.linalg.lstsq(matrix[:, 1:], target, rcond=None)[0]
-    assert held == pytest.approx([0.0, *expected])
 
 
 def knee(make_observation, sigma=5e-3, **more):
@@ -84,7 +50,7 @@ CASES = {
     ),
     "knee, told": (
         KNEE, knee,
-        Knowledge(priors={"load.first_moment": (0.4, 0.01), "motor.inertia": (3.5e-4, 1e-6)}),
+        Knowledge(priors={"motor.inertia": (3.5e-4, 1e-6), "load.first_moment": (0.4, 0.01)}),
     ),
     "servo": (SERVO, servo, Knowledge()),
 }  # fmt: skip
@@ -95,11 +61,9 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
     """SciPy ends at the same height; along what stands on a limit it goes up inwards."""
     preset, made, knowledge = CASES[case]
     chain, o = preset.chain(), made(make_observation)
-    problem = TorqueProblem(chain, [o], knowledge)
-    rows, targets = knowledge.rows(chain)
     rng = np.random.default_rng(2)
     weights = rng.uniform(0.5, 2.0, o.measured.size)
-    terms = Terms(weights, 4e-3 * rows, 4e-3 * targets) if rows.size else Terms(weights)
+    problem = TorqueProblem(chain, [o], knowledge).weighted(weights, 4e-3)
     names = np.array(problem.free)
 
     def squares(x):
@@ -110,11 +74,9 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
         return np.concatenate([left, told])
 
     begin = problem.inside(1.1 * chain.vector(preset.values))
-    np.testing.assert_allclose(
-        terms.residual(problem, begin)[: weights.size], squares(begin)[: weights.size], atol=1e-12
-    )
-    found = minimise(problem, terms, begin)
-    assert found.squares == pytest.approx(np.sum(squares(found.x) ** 2), rel=1e-9)
+    np.testing.assert_allclose(problem.residual(begin), squares(begin), atol=1e-12)
+    found = problem.minimise(begin)
+    assert 2.0 * found.cost == pytest.approx(np.sum(squares(found.x) ** 2), rel=1e-9)
     size = np.maximum(np.abs(found.x), 1e-3)
     low, high = (np.where(np.isfinite(x), x, s * 1e9 * size) for x, s in (
         (problem.lower, -1.0), (problem.upper, 1.0)))  # fmt: skip
@@ -122,33 +84,18 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
         lambda u: squares(u * size), np.clip(begin / size, low / size + 1e-9, high / size - 1e-9),
         bounds=(low / size, high / size), xtol=1e-12, ftol=1e-12, gtol=1e-12,
     )  # fmt: skip
-    assert found.squares <= 2.0 * theirs.cost * (1.0 + 1e-9)
+    assert found.cost <= theirs.cost * (1.0 + 1e-9)
     for width in (1e-1, 1e-3, 1e-5):
         near = found.x + width * size * rng.standard_normal((60, size.size))
         heights = [np.sum(squares(x) ** 2) for x in np.clip(near, problem.lower, problem.upper)]
-        assert min(heights) >= found.squares * (1.0 - 1e-9)
-    slope = terms.jacobian(problem, found.x).T @ terms.residual(problem, found.x) * size
+        assert min(heights) >= 2.0 * found.cost * (1.0 - 1e-9)
+    slope = -problem.jacobian(found.x).T @ problem.residual(found.x) * size
     below, above = found.x == problem.lower, found.x == problem.upper
     assert below.sum() + above.sum() == (2 if "bounds" in case else 0)
-    scale = np.linalg.norm(terms.jacobian(problem, found.x) * size, axis=0) * found.squares**0.5
+    scale = np.linalg.norm(problem.jacobian(found.x) * size, axis=0) * (2.0 * found.cost) ** 0.5
     assert (np.abs(slope / scale)[~below & ~above] < 1e-4).all()
     assert (slope[below] < 0.0).all()
     assert (slope[above] > 0.0).all()
-
-
-def test_a_search_within_a_linear_torque_takes_few_derivatives(make_observation, monkeypatch):
-    """From five times the truth SciPy's trust region takes a few Gauss-Newton steps."""
-    o = make_observation(AXIS, VALUES, sigma=0.1)
-    problem = TorqueProblem(AXIS, [o], Knowledge())
-    calls = []
-    jacobian = problem.jacobian
-    monkeypatch.setattr(problem, "jacobian", lambda x: calls.append(1) or jacobian(x))
-    found = minimise(problem, Terms(np.ones(o.measured.size)), 5.0 * AXIS.vector(VALUES))
-    names, regressors = totals_regressors(AXIS, [o])
-    least = np.linalg.lstsq(regressors, o.measured, rcond=None)[1][0]
-    assert found.squares == pytest.approx(least, rel=1e-9)
-    assert len(calls) <= 10
-    assert len(names) == len(AXIS.names)
 
 
 def stated(estimate, chain, observations, knowledge, weights):
@@ -299,18 +246,3 @@ def test_recordings_and_told_values_are_weighed_by_their_variances(make_observat
         assert abs(found[name].value - value) < 2e-3 * one, name
         assert found[name].sd == pytest.approx(one, rel=1e-3), name
     assert found.residual_rms == pytest.approx(np.sqrt(np.mean((y - x @ at) ** 2)), rel=1e-6)
-
-
-def test_what_stands_on_a_bound_is_said_to(make_observation):
-    """Another viscous friction than the data's, to either side."""
-    o = make_observation(AXIS, VALUES | {"motor.viscous": 0.1}, sigma=0.01)
-    for bounds, side in (((0.0, 0.05), "upper"), ((0.15, 1.0), "lower")):
-        found = input_error(AXIS, [o], Knowledge(bounds={"motor.viscous": bounds}), FEW)
-        value = found["motor.viscous"]
-        assert value.at_bound == side
-        assert value.value == bounds[side == "upper"]
-        assert np.isnan([value.sd, value.sd_robust]).all()
-        others = [v for v in found.values if v.name != "motor.viscous"]
-        assert all(v.at_bound is None and v.determined for v in others)
-        assert value.larger_sd == 0.0
-    assert replace(value, sd=0.1).relative_sd == pytest.approx(10.0 / abs(value.value))

@@ -6,12 +6,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares as scipy_least_squares
 
-from bayesfric.estimates.descent import few_threads
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.output_error import OutputError, output_error
-from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.shooting import Shooting
-from bayesfric.estimates.shooting_fit import descend
+from bayesfric.estimates.input_error import few_threads
+from bayesfric.estimates.output_error import OutputError, Shooting, output_error
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from tests.estimates.simulated import PERIOD, excite, move, prepare
@@ -95,13 +92,13 @@ def test_the_nearest_motion_is_scipy_s(case):
     problem = OutputError(SMOOTH, *zip(PARTS[0], strict=True), knowledge, options)
     begin = dict(zip(NAMES, 1.2 * AT, strict=True)) | knowledge.fixed
     fit = problem.fit(SMOOTH.vector(begin), 0.1)
-    shooting = fit.frame.shooting
+    shooting = fit.shooting
     free = [NAMES.index(n) for n in knowledge.free(SMOOTH)]
-    assert fit.solution.converged
-    assert shooting.n_segments == 5
+    assert fit.converged
+    assert len(shooting.initial) == 5
     whole = AT.copy()
     lower, upper = knowledge.limits(SMOOTH)
-    variance = float(np.mean(fit.solution.residual**2))
+    variance = float(np.mean(fit.residual**2))
 
     def residual(x):
         whole[free] = x[: len(free)] * AT[free]
@@ -120,8 +117,8 @@ def test_the_nearest_motion_is_scipy_s(case):
     theirs = scipy_least_squares(residual, begin, bounds=bounds, jac="2-point", **tight)
     jacobian = theirs.jac[: shooting.measured.size]
     # with the states taken out, and what is known besides
-    freedom = shooting.measured.size - len(free) - 2 * shooting.n_segments
-    left = fit.solution.residual
+    freedom = shooting.measured.size - len(free) - 2 * len(shooting.initial)
+    left = fit.residual
     by, states = jacobian[:, : len(free)] / AT[free], jacobian[:, len(free) :]
     by = by - states @ np.linalg.lstsq(states, by, rcond=None)[0]
     sigma2 = left @ left / freedom
@@ -129,8 +126,10 @@ def test_the_nearest_motion_is_scipy_s(case):
     for name, (_, sd) in knowledge.priors.items():
         information[free.index(NAMES.index(name)), free.index(NAMES.index(name))] += sd**-2
     spread = np.sqrt(np.diag(np.linalg.inv(information)))
-    values = fit.solution.values[free]
-    assert fit.solution.cost == pytest.approx(2.0 * theirs.cost, rel=1e-3)
+    values = fit.values[free]
+    assert np.sum(residual(np.append(values / AT[free], fit.states)) ** 2) == pytest.approx(
+        2.0 * theirs.cost, rel=1e-3
+    )
     # it ends where a step would lower the cost by less than 1e-4 variances
     assert (np.abs(values - theirs.x[: len(free)] * AT[free]) < 0.02 * spread).all()
     assert fit.information.freedom == freedom
@@ -139,7 +138,7 @@ def test_the_nearest_motion_is_scipy_s(case):
         assert fit.information.sds(row)[0] == pytest.approx(sd, rel=2e-3)
     assert fit.at_bound.tolist() == ([0, 1, 0] if case == "bound" else [0] * len(free))
     if case in ("fixed", "one"):
-        assert fit.solution.values[NAMES.index("load.first_moment")] == 0.05
+        assert fit.values[NAMES.index("load.first_moment")] == 0.05
 
 
 def test_recordings_are_weighed_by_what_each_leaves():
@@ -147,39 +146,24 @@ def test_recordings_are_weighed_by_what_each_leaves():
     options = Estimation(substeps=1, segment=0.1)
     problem = OutputError(SMOOTH, *zip(*PARTS, strict=True), Knowledge(), options)
     fit = problem.fit(AT, 0.1)
-    frame, left = fit.frame, fit.solution.residual
-    of = frame.shooting.recording_of
+    shooting, left = fit.shooting, fit.residual
+    of = shooting.recording_of
     sizes = np.array([np.sqrt(np.mean(left[of == k] ** 2)) for k in (0, 1)])
-    weights = frame.rows * sizes[of]
+    weights = fit.weights * sizes[of]
     np.testing.assert_allclose(weights / weights[0], 1.0, rtol=1e-2)
-    assert frame.sigma == pytest.approx(np.sqrt(np.mean((left * frame.rows) ** 2)), rel=1e-2)
-    assert fit.solution.cost == pytest.approx(np.sum((left * frame.rows) ** 2), rel=1e-9)
     # no vector near it, states fitted, is nearer to both so weighed
     rng = np.random.default_rng(4)
-    states = fit.solution.states
-    found = frame.shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
-    moved = block_diag(*(found.states[frame.shooting.segment_of == k] for k in range(len(states))))
+    states, least = fit.states, np.sum((fit.weights * left) ** 2)
+    found = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
+    moved = block_diag(*(found.states[shooting.segment_of == k] for k in range(len(states))))
     for _ in range(40):
         step = 0.02 * AT * rng.standard_normal(3)
         # states follow to first order
-        follow = np.linalg.lstsq(frame.rows[:, None] * moved, frame.rows * (
+        follow = np.linalg.lstsq(fit.weights[:, None] * moved, fit.weights * (
             found.parameters @ step), rcond=None)[0].reshape(-1, 2)  # fmt: skip
-        near = frame.shooting.positions((fit.solution.values + step)[None], states - follow)[0]
-        cost = np.sum((frame.rows * (frame.shooting.measured - near)) ** 2)
-        assert cost >= fit.solution.cost * (1.0 - 1e-9)
-
-
-def test_what_has_no_motion_is_no_minimum():
-    options = Estimation(substeps=1, segment=0.1)
-    fit = OutputError(SMOOTH, *zip(PARTS[0], strict=True), Knowledge(), options).fit(AT, 0.1)
-    weightless = SMOOTH.vector(VALUES | {"motor.inertia": -1.0})
-    found = descend(fit.frame, weightless, fit.solution.states)
-    assert found.cost == np.inf
-    assert not found.converged
-    # at the minimum it stays
-    again = descend(fit.frame, fit.solution.values, fit.solution.states)
-    assert again.converged
-    assert again.cost == pytest.approx(fit.solution.cost, rel=1e-6)
+        near = shooting.positions((fit.values + step)[None], states - follow)[0]
+        cost = np.sum((fit.weights * (shooting.measured - near)) ** 2)
+        assert cost >= least * (1.0 - 1e-9)
 
 
 def test_segments_are_long_enough_to_say_something_and_many_enough_for_their_sums():
@@ -221,21 +205,5 @@ def test_a_longer_segment_is_taken_where_that_clearly_tells_more(of_torque, of_p
     assert best == int(of_torque == 0.0)
     for j, name in enumerate(NAMES):
         assert found[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
-        assert abs(found[name].value - fits[best].solution.values[j]) < 0.1 * sds[best][j]
-    assert found.n_outputs == fits[best].frame.shooting.measured.size
-
-
-def test_what_is_chosen_is_stated_with_its_own_numbers():
-    options = Estimation(substeps=1, segment=0.1)
-    trajectories, observations = zip(*PARTS, strict=True)
-    found = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
-    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
-    fit = problem.fit(problem.chain.vector(dict(START.point)), 0.1)
-    assert found.n_outputs == fit.frame.shooting.measured.size
-    left = fit.solution.residual
-    assert found.residual_rms == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-3)
-    for j, name in enumerate(NAMES):
-        plain, robust = fit.information.sds(np.eye(3)[j])
-        assert found[name].value == pytest.approx(fit.solution.values[j], abs=0.02 * plain)
-        assert found[name].sd == pytest.approx(plain, rel=0.01)
-        assert found[name].sd_robust == pytest.approx(robust, rel=0.05)
+        assert abs(found[name].value - fits[best].values[j]) < 0.1 * sds[best][j]
+    assert found.n_outputs == fits[best].shooting.measured.size

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.output_error import output_error
-from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 
-from bayesfric.estimates.shooting import (
-    Elimination,
+from bayesfric.estimates.output_error import (
     Shooting,
     choose_substeps,
+    eliminate_states,
     resolution,
-    step_error,
 )
-from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.presets import PRESETS
-from tests.estimates.simulated import PERIOD, excite, move, prepare
+from tests.estimates.simulated import excite, move, prepare
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()
@@ -39,30 +37,6 @@ def test_positions_are_those_measured_at_the_truth(knee):
     assert np.array_equal(shooting.segment_of, np.repeat(np.arange(4), lengths))
 
 
-def test_derivatives_by_parameters_are_those_of_other_steps(knee):
-    """Richardson's extrapolation of two other widths, each segment simulated by itself."""
-    shooting, states = knee
-    width = 1e-5 * np.abs(VALUES)
-    found = shooting.sensitivities(VALUES, states, width, (1e-6, 1e-5))
-    (a, b), (q0, qd0) = shooting.trajectories[0].segments[1], states[1]
-
-    def slope(j, h):
-        sides = []
-        for sign in (1, -1):
-            moved = VALUES.copy()
-            moved[j] += sign * h
-            torque = shooting.trajectories[0].torque[a:b]
-            sides.append(simulate(CHAIN, moved, torque, PERIOD, q0=q0, qd0=qd0, substeps=1).q)
-        return (sides[0] - sides[1]) / (2.0 * h)
-
-    for j in range(VALUES.size):
-        h = 1e-4 * abs(VALUES[j])
-        exact = (4.0 * slope(j, h / 2.0) - slope(j, h)) / 3.0
-        size = np.abs(exact).max()
-        # a kink that a step carries over a sample leaves an error of the order of the step
-        assert np.max(np.abs(found.parameters[a:b, j] - exact)) <= 2e-4 * size, CHAIN.names[j]
-
-
 def test_one_sided_differences_stay_within_the_limits(knee):
     shooting, states = knee
     at = VALUES.copy()
@@ -73,7 +47,7 @@ def test_one_sided_differences_stay_within_the_limits(knee):
     inside = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
     assert np.isfinite(inside.parameters).all()
     steps[name] = 1e-6
-    finer = shooting.sensitivities(at, states, steps, (1e-6, 1e-5), central=False)
+    finer = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
     size = np.abs(finer.parameters).max()
     assert np.max(np.abs(inside.parameters - finer.parameters)) < 1e-4 * size
 
@@ -98,15 +72,15 @@ def test_eliminating_states_is_fitting_them(knee):
     """Projected columns are the residuals of the states' own least squares, segment by segment."""
     shooting, states = knee
     found = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    out = Elimination(shooting, found.states, found.parameters)
+    projected, onto, eliminated = eliminate_states(shooting, found.states, found.parameters)
     for k in range(4):
         rows = shooting.segment_of == k
         fitted, *_ = np.linalg.lstsq(found.states[rows], found.parameters[rows], rcond=None)
         left = found.parameters[rows] - found.states[rows] @ fitted
         size = np.abs(found.parameters[rows]).max()
-        assert np.max(np.abs(out.projected[rows] - left)) < 1e-9 * size
-        assert np.allclose(out.onto[k], fitted, rtol=1e-6, atol=1e-9 * np.abs(fitted).max())
-    assert out.lost == 8
+        assert np.max(np.abs(projected[rows] - left)) < 1e-9 * size
+        assert np.allclose(onto[k], fitted, rtol=1e-6, atol=1e-9 * np.abs(fitted).max())
+    assert eliminated == 8
 
 
 def test_a_joint_that_sticks_has_no_initial_speed_to_fit():
@@ -120,9 +94,9 @@ def test_a_joint_that_sticks_has_no_initial_speed_to_fit():
     assert np.allclose(found.states[:, 0], 1.0, atol=1e-9)
     # a speed v carries the joint no farther than v²/2a, a = 9 rad/s² and more
     assert np.abs(found.states[:, 1]).max() < 1e-5 / 18.0
-    out = Elimination(shooting, found.states, np.ones((200, 1)))
-    assert out.lost == 1
-    assert np.abs(out.projected).max() < 1e-12
+    projected, _, eliminated = eliminate_states(shooting, found.states, np.ones((200, 1)))
+    assert eliminated == 1
+    assert np.abs(projected).max() < 1e-12
 
 
 def test_substeps_are_as_few_as_the_encoder_allows(knee):
@@ -131,7 +105,7 @@ def test_substeps_are_as_few_as_the_encoder_allows(knee):
     finest = resolution(shooting.trajectories[0].position)
     assert error <= 0.01 * finest
     if substeps > 1:
-        assert step_error(shooting, VALUES, states, substeps // 2)[0] > 0.01 * finest
+        assert choose_substeps(shooting, VALUES, states, most=substeps // 2)[1] > 0.01 * finest
     exact = shooting.positions(VALUES[None], states, 64)[0]
     plain = shooting.positions(VALUES[None], states, substeps)[0]
     # the estimate is one of the order, not a bound

@@ -9,11 +9,12 @@ from bayesfric.estimates.assemble import units_of
 from bayesfric.estimates.least_squares import (
     TotalsProjection,
     least_squares,
+    sizes_at,
     starting_values,
     total_label,
     totals_regressors,
+    typical_sizes,
 )
-from bayesfric.estimates.sizes import sizes_at, typical_sizes
 from bayesfric.estimates.torque import places, torque_jacobian, weighted_torque
 from bayesfric.estimates.torque_form import minimum_norm, torque_form
 from bayesfric.mechanism.element import Element, Load
@@ -158,42 +159,6 @@ def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter():
     found = least_squares(geared, observed(geared, v, added_mass=1.0))
     assert wave not in found
     assert found[f"total.{wave}"].value == pytest.approx(v[wave] / 0.5, rel=1e-9)
-
-
-TERMS = {
-    "inertia": True,
-    "viscous": True,
-    "coulomb": "symmetric",
-    "quadratic": True,
-    "cogging": (2,),
-}
-
-
-@pytest.mark.parametrize("term", TERMS)
-@pytest.mark.parametrize("owners", [("motor",), ("joint",), ("motor", "joint")])
-def test_a_number_by_a_parameter_s_name_is_that_parameter_s(term, owners):
-    """One owner's at the motor, or a column of its own: all else is a total."""
-    options = {owner: {term: TERMS[term]} for owner in owners}
-    chain = Joint(
-        (
-            Element("motor", **{"inertia": term == "viscous"} | options.get("motor", {})),
-            Element("joint", ratio=3.0),
-            Element("arm", ratio=2.0, **options.get("joint", {})),
-        ),
-        Load(first_moment=True),
-        offset=True,
-    )
-    v = values_of(chain)
-    found = least_squares(chain, observed(chain, v))
-    for one in found.values:
-        if one.name in v:
-            assert one.value == pytest.approx(v[one.name], rel=1e-8), one.name
-    named = {one.name for one in found.values if one.quantity.startswith(term)}
-    if term == "cogging":
-        assert named == {name for name in v if term in name}
-    else:
-        assert named == {f"motor.{term}" if owners == ("motor",) else f"total.{term}"}
-    assert {"offset", "total.gravity"} <= {one.name for one in found.values}
 
 
 def test_a_known_mass_is_a_regressor_of_its_own_where_no_total_has_it():
