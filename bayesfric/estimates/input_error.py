@@ -29,8 +29,14 @@ from bayesfric.estimates.least_squares import (
     typical_sizes,
 )
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
-from bayesfric.estimates.torque import filtered_torque, places, torque_jacobian
-from bayesfric.estimates.torque_form import VariableProjection, scale_known, torque_form
+from bayesfric.estimates.torque import (
+    VariableProjection,
+    filtered_torque,
+    places,
+    scale_known,
+    torque_form,
+    torque_jacobian,
+)
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array

@@ -14,13 +14,13 @@ import numpy as np
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
-from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import (
+from bayesfric.estimates.torque import (
     OPEN,
     column_names,
     columns,
     filled_columns,
     minimum_norm,
+    places,
 )
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along

@@ -21,8 +21,9 @@ from scipy import optimize
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates import assemble as fitted
 from bayesfric.estimates.information import LEAST_GROUPS, Information
+from bayesfric.estimates.input_error import TorqueProblem
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
-from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags
@@ -78,8 +79,7 @@ def output_error(
     Raises
     ------
     BadInput
-        If the joint has no inertia or cannot be simulated, or there are not more samples than
-        unknowns.
+        If the joint has no inertia or cannot be simulated.
 
     Notes
     -----
@@ -89,7 +89,14 @@ def output_error(
     a longer one is taken where it clearly lowers the robust standard deviations. The search begins
     at the input error.
     """
-    _check(chain, trajectories, knowledge)
+    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
+    inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
+    if not inertias and not all(t.inputs.added_mass for t in trajectories):
+        raise BadInput(
+            "mechanism",
+            "has no inertia, so a torque does not determine a motion to compare with",
+            "give an element or the load inertia, or use the input error",
+        )
     problem = OutputError(chain, trajectories, observations, knowledge, options)
     values = chain.vector({**dict(start.point), **knowledge.fixed})
     fits: list[Fit] = []
@@ -296,10 +303,6 @@ def choose_substeps(
         substeps, coarse = 2 * substeps, fine
 
 
-class _Late(Exception):
-    """The time for the search is over."""
-
-
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fit with segments of one length."""
@@ -337,7 +340,8 @@ class OutputError:
     ) -> None:
         self.chain, self.knowledge, self.options = chain, knowledge, options
         self.trajectories, self.observations = tuple(trajectories), tuple(observations)
-        self.columns = np.array([chain.names.index(n) for n in knowledge.free(chain)], dtype=int)
+        self.torque = TorqueProblem(chain, observations, knowledge)
+        self.columns = self.torque.columns
         self.deadline = time.process_time() + options.max_seconds
         # sd of the rounding to counts, of each recording, rad or m
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
@@ -376,8 +380,7 @@ class OutputError:
         pairs = zip(self.trajectories, self.observations, strict=True)
         parts = [divided(t, o, length) for t, o in pairs]
         shooting = Shooting(self.chain, parts, self.options.substeps or 1)
-        values = values.copy()
-        values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
+        values = self.torque.vector(self.torque.inside(values))
         states, residual = self._with_states(shooting, values)
         if not np.isfinite(residual).all():
             return None
@@ -401,11 +404,10 @@ class OutputError:
                 if late or (before - after)[better].sum() <= 1e-6 * before.sum():
                     break
                 states = np.where(better[:, None], restarted, states)
-        values = fitted.centred(self.chain, self.knowledge, self.observations, values).copy()
-        values[self.columns] = self.knowledge.on_turn(self.chain, values[self.columns])
+        values = fitted.centred(self.chain, self.knowledge, self.observations, values)
+        values = self.torque.vector(self.knowledge.on_turn(self.chain, values[self.columns]))
         residual = shooting.measured - shooting.positions(values[None], states)[0]
-        limits = self.knowledge.limits(self.chain)
-        at_bound = fitted.bounds_met(values[self.columns], *limits, units)
+        at_bound = self._bounds_met(values[self.columns], units)
         projected, _, eliminated = self._linearised(shooting, values, states, weights, units)
         rows, _ = self.knowledge.rows(self.chain)
         information = Information(
@@ -452,7 +454,10 @@ class OutputError:
                 "longer recordings, may help)"
             )
             notes.insert(0, f"NOT CONVERGED, these numbers are not an estimate: {reason}")
-        before, after = self._torque_left(start), self._torque_left(fit.values)
+        before, after = (
+            float(np.sqrt(np.mean(self.torque.torque_error(v[self.columns]) ** 2)))
+            for v in (start, fit.values)
+        )
         if fit.converged and after > worse * before:
             notes.insert(
                 0,
@@ -471,13 +476,6 @@ class OutputError:
             point=tuple(zip(self.chain.names, fit.values.tolist(), strict=True)),
             converged=fit.converged,
         )
-
-    def _torque_left(self, values: Array) -> float:
-        """Root mean square of the unexplained torque."""
-        pairs = (
-            (o.measured, filtered_torque(self.chain, o, values[None])) for o in self.observations
-        )
-        return float(np.sqrt(np.mean(np.concatenate([y - x[0] for y, x in pairs]) ** 2)))
 
     def _with_states(self, shooting: Shooting, values: Array) -> tuple[Array, Array]:
         """Fit the initial states ``(K, 2)`` alone, from the measured ones; residuals ``(n,)``."""
@@ -506,13 +504,7 @@ class OutputError:
         ``(n,)``, and whether the time is over.
         """
         rows, targets = self.knowledge.rows(self.chain)
-        lower, upper = self.knowledge.limits(self.chain)
-
-        def vector(x: Array) -> Array:
-            full = values.copy()
-            full[self.columns] = x
-            return full
-
+        lower, upper, vector = self.torque.lower, self.torque.upper, self.torque.vector
         x = values[self.columns]
         left = shooting.measured - shooting.positions(values[None], states)[0]
         sd = float(np.sqrt(np.mean((weights * left) ** 2)))  # scale of the priors
@@ -523,7 +515,7 @@ class OutputError:
         def residual(x: Array) -> Array:
             nonlocal trial
             if self.late:
-                raise _Late
+                raise TimeoutError
             change = slopes[:, :, 0] - slopes[:, :, 1:] @ (x - point[0])
             trial = (x.copy(), *shooting.follow(vector(x), point[1], change, weights))
             return np.concatenate([weights * trial[2], sd * (targets - rows @ x)])
@@ -542,16 +534,13 @@ class OutputError:
                 residual, x, jacobian, (lower, upper), x_scale=units,
                 ftol=1e-9, xtol=1e-9, gtol=1e-15, max_nfev=100,
             )  # fmt: skip
-        except _Late:
+            # what ends next to a limit stands on it
+            met = self._bounds_met(best[0], units)
+            on_limits = np.where(met < 0, lower, np.where(met > 0, upper, best[0]))
+            ends = [(float(np.sum(residual(x) ** 2)), trial) for x in (best[0], on_limits)]
+            best = ends[1][1] if ends[1][0] <= (1.0 + 1e-9) * ends[0][0] else ends[0][1]
+        except TimeoutError:
             return vector(best[0]), best[1], best[2], True
-        # what ends next to a limit stands on it
-        met = fitted.bounds_met(best[0], lower, upper, units)
-        on_limits = np.where(met < 0, lower, np.where(met > 0, upper, best[0]))
-        if met.any() and np.sum(residual(on_limits) ** 2) <= (1.0 + 1e-9) * np.sum(
-            residual(best[0]) ** 2
-        ):
-            residual(on_limits)
-            best = trial
         return vector(best[0]), best[1], best[2], False
 
     def _linearised(
@@ -570,6 +559,9 @@ class OutputError:
         by_state = np.nan_to_num(simulated.states) * weights[:, None]
         columns = np.column_stack([shooting.measured - simulated.positions, jacobian / units])
         return eliminate_states(shooting, by_state, weights[:, None] * columns)
+
+    def _bounds_met(self, x: Array, units: Array) -> NDArray[np.int_]:
+        return fitted.bounds_met(x, self.torque.lower, self.torque.upper, units)
 
     def _open_directions(self, values: Array) -> Array:
         return fitted.open_directions(self.chain, self.knowledge, self.observations, values)
@@ -619,23 +611,3 @@ class OutputError:
         # a joint at standstill is simulated exactly, but measured to a count only
         sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
         return float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[recording]
-
-
-def _check(chain: Joint, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
-    """Refuse a mechanism without inertia, and fewer samples than unknowns."""
-    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
-    inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
-    if not inertias and not all(t.inputs.added_mass for t in trajectories):
-        raise BadInput(
-            "mechanism",
-            "has no inertia, so a torque does not determine a motion to compare with",
-            "give an element or the load inertia, or use the input error",
-        )
-    unknowns = len(knowledge.free(chain)) + 2 * len(trajectories)
-    samples = sum(t.samples.size for t in trajectories)
-    if samples <= unknowns:
-        raise BadInput(
-            ", ".join(f"recording '{t.name}'" for t in trajectories),
-            f"{samples} samples cannot determine {unknowns} unknowns",
-            "use a longer recording",
-        )

@@ -37,7 +37,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares, totals_regressors
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
-from bayesfric.estimates.torque_form import minimum_norm
+from bayesfric.estimates.torque import minimum_norm
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array

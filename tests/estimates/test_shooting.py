@@ -1,20 +1,207 @@
-"""Simulated positions, their derivatives, and initial states taken out of a fit."""
+"""Multiple shooting against SciPy: its integrator, its least squares, dense algebra of states."""
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares as scipy_least_squares
 
+from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.output_error import (
+    OutputError,
     Shooting,
     choose_substeps,
     eliminate_states,
+    output_error,
     resolution,
 )
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
+from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
-from tests.estimates.simulated import excite, move, prepare
+from tests.estimates.simulated import PERIOD, excite, move, prepare
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()
 VALUES = CHAIN.vector(KNEE.values)
+# smooth, so that SciPy follows it: inertia, viscous loss, gravity
+SMOOTH = Joint((Element("motor", inertia=True, viscous=True),), Load(first_moment=True))
+SMOOTH_VALUES = {"motor.inertia": 0.02, "motor.viscous": 0.1, "load.first_moment": 0.05}
+AT = SMOOTH.vector(SMOOTH_VALUES)
+NAMES = SMOOTH.names
+
+
+@pytest.fixture(autouse=True)
+def few():
+    with few_threads([]):
+        yield
+
+
+def moves(torque, values, state):
+    """Position from a torque that is linear between samples, by an integrator of order eight."""
+    time = PERIOD * np.arange(torque.size)
+    j, f, ml = (values[NAMES.index(n)] for n in SMOOTH_VALUES)
+
+    def slope(t, x):
+        driven = np.interp(t, time, torque)
+        return x[1], (driven - f * x[1] - 9.80665 * ml * np.sin(x[0])) / j
+
+    found = solve_ivp(
+        slope, (0.0, time[-1]), state, "DOP853", time, rtol=1e-9, atol=1e-11, max_step=PERIOD
+    )
+    return found.y[0]
+
+
+def recorded(seconds, sigma, seed, name="made-up"):
+    torque = excite(seconds, 0.6, seed=seed)
+    q = move(SMOOTH, SMOOTH_VALUES, torque).q
+    noise = sigma * np.random.default_rng(seed).standard_normal(q.size)
+    return prepare(q + noise, torque, name=name)
+
+
+PARTS = recorded(0.5, 1e-4, 1, "one"), recorded(0.3, 1e-3, 2, "two")
+START = Estimate("input-error", (), 0.0, 1, "", point=tuple(zip(NAMES, 1.1 * AT, strict=True)))
+
+
+def test_positions_and_derivatives_are_those_of_scipy_s_integrator():
+    trajectories = [t for t, _ in PARTS]
+    shooting = Shooting(SMOOTH, trajectories, 4)
+    states = np.array([[0.02, 0.1], [-0.3, 0.4]])
+    found = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
+    steps = 1e-4 * AT
+    for k, t in enumerate(trajectories):
+        here = shooting.segment_of == k
+        exact = moves(t.torque, AT, states[k])
+        np.testing.assert_allclose(found.positions[here], exact, atol=1e-8)
+        for j in range(3):
+            sides = [moves(t.torque, AT + s * steps * np.eye(3)[j], states[k]) for s in (1, -1)]
+            slope = (sides[0] - sides[1]) / (2.0 * steps[j])
+            np.testing.assert_allclose(
+                found.parameters[here, j], slope, atol=2e-4 * np.abs(slope).max()
+            )
+        for i in range(2):
+            sides = [moves(t.torque, AT, states[k] + s * 1e-3 * np.eye(2)[i]) for s in (1, -1)]
+            np.testing.assert_allclose(
+                found.states[here, i], (sides[0] - sides[1]) / 2e-3, rtol=1e-4, atol=1e-6
+            )
+
+
+CASES = {
+    "free": Knowledge(),
+    "fixed": Knowledge(fixed={"load.first_moment": 0.05}),
+    "one": Knowledge(fixed={"load.first_moment": 0.05, "motor.inertia": 0.02}),
+    "told": Knowledge(priors={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
+    "bound": Knowledge(bounds={"motor.viscous": (0.0, 0.09)}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_nearest_motion_is_scipy_s(case):
+    """One recording, cut into segments of 0.1 s, each from a state of its own."""
+    knowledge = CASES[case]
+    options = Estimation(substeps=1, segment=0.1)
+    problem = OutputError(SMOOTH, *zip(PARTS[0], strict=True), knowledge, options)
+    begin = dict(zip(NAMES, 1.2 * AT, strict=True)) | knowledge.fixed
+    fit = problem.fit(SMOOTH.vector(begin), 0.1)
+    shooting = fit.shooting
+    free = [NAMES.index(n) for n in knowledge.free(SMOOTH)]
+    assert fit.converged
+    assert len(shooting.initial) == 5
+    whole = AT.copy()
+    lower, upper = knowledge.limits(SMOOTH)
+    variance = float(np.mean(fit.residual**2))
+
+    def residual(x):
+        whole[free] = x[: len(free)] * AT[free]
+        states = x[len(free) :].reshape(-1, 2)
+        left = shooting.measured - shooting.positions(whole[None], states)[0]
+        told = [
+            np.sqrt(variance) * (mean - whole[NAMES.index(n)]) / sd
+            for n, (mean, sd) in knowledge.priors.items()
+        ]
+        return np.concatenate([left, told])
+
+    begin = np.concatenate([np.full(len(free), 0.85), shooting.initial.ravel()])
+    reach = np.full(shooting.initial.size, np.inf)
+    bounds = np.append(lower / AT[free], -reach), np.append(upper / AT[free], reach)
+    tight = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13}
+    theirs = scipy_least_squares(residual, begin, bounds=bounds, jac="2-point", **tight)
+    jacobian = theirs.jac[: shooting.measured.size]
+    # with the states taken out, and what is known besides
+    freedom = shooting.measured.size - len(free) - 2 * len(shooting.initial)
+    left = fit.residual
+    by, states = jacobian[:, : len(free)] / AT[free], jacobian[:, len(free) :]
+    by = by - states @ np.linalg.lstsq(states, by, rcond=None)[0]
+    sigma2 = left @ left / freedom
+    information = by.T @ by / sigma2
+    for name, (_, sd) in knowledge.priors.items():
+        information[free.index(NAMES.index(name)), free.index(NAMES.index(name))] += sd**-2
+    spread = np.sqrt(np.diag(np.linalg.inv(information)))
+    values = fit.values[free]
+    assert np.sum(residual(np.append(values / AT[free], fit.states)) ** 2) == pytest.approx(
+        2.0 * theirs.cost, rel=1e-3
+    )
+    # it ends where a step would lower the cost by less than 1e-4 variances
+    assert (np.abs(values - theirs.x[: len(free)] * AT[free]) < 0.02 * spread).all()
+    assert fit.information.freedom == freedom
+    assert fit.information.sigma == pytest.approx(np.sqrt(sigma2), rel=1e-6)
+    for row, sd in zip(np.eye(len(free)), spread, strict=True):
+        assert fit.information.sds(row)[0] == pytest.approx(sd, rel=2e-3)
+    assert fit.at_bound.tolist() == ([0, 1, 0] if case == "bound" else [0] * len(free))
+    if case in ("fixed", "one"):
+        assert fit.values[NAMES.index("load.first_moment")] == 0.05
+
+
+def test_recordings_are_weighed_by_what_each_leaves():
+    """Repeated until it settles: one over the root mean square of each recording's residuals."""
+    options = Estimation(substeps=1, segment=0.1)
+    fit = OutputError(SMOOTH, *zip(*PARTS, strict=True), Knowledge(), options).fit(AT, 0.1)
+    recording = fit.shooting.recording_of
+    sizes = np.array([np.sqrt(np.mean(fit.residual[recording == k] ** 2)) for k in (0, 1)])
+    weights = fit.weights * sizes[recording]
+    np.testing.assert_allclose(weights / weights[0], 1.0, rtol=1e-2)
+
+
+def test_segments_are_long_enough_to_say_something_and_many_enough_for_their_sums():
+    options = Estimation(substeps=1)
+    trajectories, observations = zip(*PARTS, strict=True)
+    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
+    total = sum(t.samples.size for t in trajectories) * PERIOD
+    for length in problem.lengths():
+        assert length >= 40 * PERIOD
+        assert total / length >= 2 * 3 or problem.lengths() == (length,)
+    fixed = OutputError(
+        SMOOTH, trajectories, observations, Knowledge(), Estimation(substeps=1, segment=0.17)
+    )
+    assert fixed.lengths() == (0.17,)
+
+
+@pytest.mark.parametrize(("of_torque", "of_position"), [(0.0, 1e-4), (0.3, 1e-6)])
+def test_a_longer_segment_is_taken_where_that_clearly_tells_more(of_torque, of_position):
+    """Fits of all lengths, one after the other; 0.2 in the mean logarithm of the robust sds."""
+    torque = excite(4.0, 0.6, seed=6)
+    rng = np.random.default_rng(7)
+    q = move(SMOOTH, SMOOTH_VALUES, torque).q + of_position * rng.standard_normal(torque.size)
+    # slow, so that what it makes of a motion grows with the square of time
+    slow = of_torque * np.sin(4.0 * PERIOD * np.arange(torque.size))
+    parts = [prepare(q, torque + slow)]
+    trajectories, observations = zip(*parts, strict=True)
+    options = Estimation(substeps=1)
+    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
+    assert problem.lengths() == (0.2, 0.5)
+    found = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
+    fits = [problem.fit(AT, length) for length in problem.lengths()]
+    sds = [[one.information.sds(row)[1] for row in np.eye(3)] for one in fits]
+    # of directions that are orthogonal in the Jacobian; their product is the determinant's
+    told = []
+    for one in fits:
+        d = one.information.directions
+        told.append(np.mean([np.log(one.information.sds(r / d.units)[1]) for r in d.rows]))
+    best = int(told[1] < told[0] - 0.2)
+    assert best == int(of_torque == 0.0)
+    for j, name in enumerate(NAMES):
+        assert found[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
+        assert abs(found[name].value - fits[best].values[j]) < 0.1 * sds[best][j]
+    assert found.n_outputs == fits[best].shooting.measured.size
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.estimates.torque import filtered_torque
-from bayesfric.estimates.torque_form import VariableProjection, columns, torque_form
+from bayesfric.estimates.torque import VariableProjection, columns, filtered_torque, torque_form
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
