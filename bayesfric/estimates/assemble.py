@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.point_estimate import Estimate, EstimatedValue, Kind, Knowledge
+from bayesfric.estimates.point_estimate import Bound, Estimate, EstimatedValue, Kind, Knowledge
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
@@ -126,8 +126,8 @@ def assemble(
         along: Callable[[Array], Array] | None = None,
     ) -> EstimatedValue:
         # a function of parameters on bounds alone is on a bound, too
-        by_free, bound, span = gradient[columns], None, None
-        sds = np.nan, np.nan
+        by_free, sds, span = gradient[columns], (np.nan, np.nan), None
+        bound: Bound | None = None
         if np.any(by_free) and not np.any(by_free[at_bound == 0]):
             bound = "lower" if by_free @ at_bound < 0 else "upper"
         else:

@@ -40,22 +40,22 @@ def inertia(model):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_band_ends_where_the_acceleration_is_noise(seed):
     recording = swinging(0.001, seed)
-    asked = bf.Model(AXIS, recording, processing={"decimate": 10})
+    requested = bf.Model(AXIS, recording, processing={"decimate": 10})
     chosen = bf.Model(AXIS, recording)
     (o,) = chosen.observations
     assert o.settings["band_by"] == "model"
     assert any("band: ends at" in step for step in o.steps)
-    lost, left = 1.0 - inertia(asked), abs(1.0 - inertia(chosen))
+    lost, left = 1.0 - inertia(requested), abs(1.0 - inertia(chosen))
     # the noise's power in a band grows at least with its width to the third, the motion's does not
     assert lost > 0.3
     assert left < 0.5 * lost
     # what was asked for is left as it is, and doubted
-    (doubt,) = [one for one in bf.check(asked).record["doubts"] if one["kind"] == "attenuated"]
+    (doubt,) = [row for row in bf.check(requested).record["doubts"] if row["kind"] == "attenuated"]
     ((used, narrower),) = doubt["bands"].values()
     assert used == pytest.approx(RATE / 20)
     assert narrower < used
     # with the torque's rate beside the totals, and without: they are near each other
-    assert doubt["times"] == pytest.approx(inertia(chosen) / inertia(asked), rel=0.5)
+    assert doubt["times"] == pytest.approx(inertia(chosen) / inertia(requested), rel=0.5)
 
 
 def test_white_noise_and_encoders_leave_the_band_alone():
@@ -63,4 +63,4 @@ def test_white_noise_and_encoders_leave_the_band_alone():
     for seed in range(20):
         model = bf.Model(AXIS, swinging(0.0, seed))
         assert model.observations[0].settings["band_by"] == "sampling"
-        assert not [one for one in bf.check(model).record["doubts"] if one["kind"] == "attenuated"]
+        assert not [row for row in bf.check(model).record["doubts"] if row["kind"] == "attenuated"]

@@ -1,4 +1,4 @@
-"""Input error: exact recovery, honest sds, limits, told values."""
+"""Input error: exact recovery, honest sds, limits, priors."""
 
 from dataclasses import replace
 
@@ -171,8 +171,8 @@ def test_a_fall_at_low_speed_of_a_slow_axis_is_found(make_observation, seed):
         assert value == pytest.approx(SLOW_VALUES[name], rel=1e-5), name
         assert estimate[name].at_bound is None
     reached, said = estimate.notes[0].split(" starts reached the minimum")
-    found, searched = map(int, reached.split(" of "))
-    assert 1 <= found <= searched
+    agreeing, searched = map(int, reached.split(" of "))
+    assert 1 <= agreeing <= searched
     assert "shapes held" in said
 
 
@@ -186,26 +186,26 @@ def test_a_shape_that_is_fixed_or_bounded_is_not_tried_elsewhere(make_observatio
     assert dict(bounded.point)[name] == pytest.approx(0.02)
 
 
-def test_told_values_set_the_scale_by_their_variances(knee):
+def test_priors_set_the_scale_by_their_variances(knee):
     """One factor on all that is behind the gearbox, by weighted least squares of one number."""
     chain, o = KNEE.chain(), knee(sigma=1e-5)
-    told = {
+    priors = {
         "load.first_moment": (0.41, 0.02),
         "load.inertia": (0.23, 0.02),
         "joint.viscous": (3.0, 1),
     }
-    found = input_error(chain, [o], Knowledge(priors=told), FEW)
-    true = np.array([KNEE.values[name] for name in told])
-    mean, sd = np.array(list(told.values())).T
+    estimate = input_error(chain, [o], Knowledge(priors=priors), FEW)
+    true = np.array([KNEE.values[name] for name in priors])
+    mean, sd = np.array(list(priors.values())).T
     factor = np.sum(true * mean / sd**2) / np.sum((true / sd) ** 2)
     for name in scalings(chain)[0].behind:
         spread = KNEE.values[name] / np.sqrt(np.sum((true / sd) ** 2))
         # what the motion tells of them is a hundred times as much
-        assert abs(found[name].value - factor * KNEE.values[name]) < 0.02 * spread, name
-        assert found[name].sd == pytest.approx(spread, rel=0.02), name
+        assert abs(estimate[name].value - factor * KNEE.values[name]) < 0.02 * spread, name
+        assert estimate[name].sd == pytest.approx(spread, rel=0.02), name
 
 
-def test_a_told_motor_value_is_weighed_against_the_data(make_observation):
+def test_a_prior_of_the_motor_is_weighed_against_the_data(make_observation):
     """Two independent measurements of one number average by their variances."""
     chain = MOTOR.chain()
     o = make_observation(chain, MOTOR.values, sigma=0.02)
@@ -213,7 +213,7 @@ def test_a_told_motor_value_is_weighed_against_the_data(make_observation):
     mean, sd = alone.value + 2.0 * alone.sd, alone.sd
     both = input_error(chain, [o], Knowledge(priors={"motor.inertia": (mean, sd)}), FEW)
     assert both["motor.inertia"].value == pytest.approx((alone.value + mean) / 2, rel=1e-6)
-    # sigma is taken anew from residuals that the told value has made a little larger
+    # sigma is taken again from residuals that the prior has made a little larger
     assert both["motor.inertia"].sd == pytest.approx(sd / np.sqrt(2), rel=5e-3)
 
 
@@ -281,7 +281,7 @@ CASES = {
             bounds={"joint.viscous": (3.3, 9.0), "motor.coulomb_positive": (0.0, 0.08)},
         ),
     ),
-    "knee, told": (
+    "knee, priors": (
         KNEE, noisy_knee,
         Knowledge(priors={"motor.inertia": (3.5e-4, 1e-6), "load.first_moment": (0.4, 0.01)}),
     ),
@@ -292,8 +292,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observation):
     """Along what stands on a limit it goes up inwards."""
-    preset, made, knowledge = CASES[case]
-    chain, o = preset.chain(), made(make_observation)
+    preset, recorded, knowledge = CASES[case]
+    chain, o = preset.chain(), recorded(make_observation)
     rng = np.random.default_rng(2)
     weights = rng.uniform(0.5, 2.0, o.measured.size)
     problem = TorqueProblem(chain, [o], knowledge).weighted(weights, 4e-3)
@@ -303,22 +303,24 @@ def test_no_vector_nearby_fits_better_and_the_gradient_is_none(case, make_observ
         values = chain.vector(dict(zip(names, x, strict=True)) | knowledge.fixed)
         torque = inverse_torque(chain, values[None], o.q, o.qd, o.qdd)[0]
         left = weights * (o.measured - o.filter.apply(torque))
-        told = [4e-3 * (m - x[names == name][0]) / sd for name, (m, sd) in knowledge.priors.items()]
-        return np.concatenate([left, told])
+        by_priors = [
+            4e-3 * (m - x[names == name][0]) / sd for name, (m, sd) in knowledge.priors.items()
+        ]
+        return np.concatenate([left, by_priors])
 
     begin = problem.inside(1.1 * chain.vector(preset.values))
     np.testing.assert_allclose(problem.residual(begin), squares(begin), atol=1e-12)
-    found = problem.minimise(begin)
-    assert 2.0 * found.cost == pytest.approx(np.sum(squares(found.x) ** 2), rel=1e-9)
-    size = np.maximum(np.abs(found.x), 1e-3)
+    minimum = problem.minimise(begin)
+    assert 2.0 * minimum.cost == pytest.approx(np.sum(squares(minimum.x) ** 2), rel=1e-9)
+    size = np.maximum(np.abs(minimum.x), 1e-3)
     for width in (1e-1, 1e-3, 1e-5):
-        near = found.x + width * size * rng.standard_normal((60, size.size))
+        near = minimum.x + width * size * rng.standard_normal((60, size.size))
         heights = [np.sum(squares(x) ** 2) for x in np.clip(near, problem.lower, problem.upper)]
-        assert min(heights) >= 2.0 * found.cost * (1.0 - 1e-9)
-    slope = -problem.jacobian(found.x).T @ problem.residual(found.x) * size
-    below, above = found.x == problem.lower, found.x == problem.upper
+        assert min(heights) >= 2.0 * minimum.cost * (1.0 - 1e-9)
+    slope = -problem.jacobian(minimum.x).T @ problem.residual(minimum.x) * size
+    below, above = minimum.x == problem.lower, minimum.x == problem.upper
     assert below.sum() + above.sum() == (2 if "bounds" in case else 0)
-    scale = np.linalg.norm(problem.jacobian(found.x) * size, axis=0) * (2.0 * found.cost) ** 0.5
+    scale = np.linalg.norm(problem.jacobian(minimum.x) * size, axis=0) * (2.0 * minimum.cost) ** 0.5
     assert (np.abs(slope / scale)[~below & ~above] < 1e-4).all()
     assert (slope[below] < 0.0).all()
     assert (slope[above] > 0.0).all()
@@ -341,9 +343,11 @@ def stated(estimate, chain, o, knowledge):
     labels = [v.name for v in least_squares(chain, [o]).values]
 
     def numbers(v):
-        made = dict(zip(labels, np.linalg.lstsq(regressors, torque(v), rcond=None)[0], strict=True))
-        made |= {d.name: float(d.values[0]) for d in derive(chain, v[None], load)}
-        return made | dict(zip(chain.names, v, strict=True))
+        named = dict(
+            zip(labels, np.linalg.lstsq(regressors, torque(v), rcond=None)[0], strict=True)
+        )
+        named |= {d.name: float(d.values[0]) for d in derive(chain, v[None], load)}
+        return named | dict(zip(chain.names, v, strict=True))
 
     def slopes(f):
         return [(f(values + s), f(values - s), 2.0 * w) for s, w in zip(steps, h, strict=True)]
@@ -356,24 +360,24 @@ def stated(estimate, chain, o, knowledge):
     variance = residual @ residual / freedom
     rows = np.array([[float(n == f) / sd for f in free] for n, (_, sd) in knowledge.priors.items()])
     rows = rows.reshape(-1, len(free))
-    whole = (jacobian.T @ jacobian + variance * rows.T @ rows) * np.outer(unit, unit)
-    inverse = np.linalg.inv(whole) * np.outer(unit, unit)
+    information = (jacobian.T @ jacobian + variance * rows.T @ rows) * np.outer(unit, unit)
+    inverse = np.linalg.inv(information) * np.outer(unit, unit)
     by = slopes(numbers)
-    found = {}
+    expected = {}
     for name, value in numbers(values).items():
         gradient = np.array([(a[name] - b[name]) / w for a, b, w in by])
         weight = inverse @ gradient
-        told = variance**2 * np.sum((rows @ weight) ** 2)
+        by_priors = variance**2 * np.sum((rows @ weight) ** 2)
         robust = long_run_variance(jacobian @ weight * residual, np.arange(residual.size))
-        robust = robust * residual.size / freedom + told
-        found[name] = value, np.sqrt(variance * gradient @ weight), np.sqrt(robust)
-    return found
+        robust = robust * residual.size / freedom + by_priors
+        expected[name] = value, np.sqrt(variance * gradient @ weight), np.sqrt(robust)
+    return expected
 
 
-@pytest.mark.parametrize("case", ["knee", "knee, told", "servo"])
+@pytest.mark.parametrize("case", ["knee", "knee, priors", "servo"])
 def test_every_number_has_the_sds_of_its_gradient(case, make_observation):
-    preset, made, knowledge = CASES[case]
-    chain, o = preset.chain(), made(make_observation)
+    preset, recorded, knowledge = CASES[case]
+    chain, o = preset.chain(), recorded(make_observation)
     estimate = input_error(chain, [o], knowledge, FEW)
     expected = stated(estimate, chain, o, knowledge)
     assert len(estimate.values) >= len(expected) - len(knowledge.fixed) - 3
@@ -395,14 +399,14 @@ def test_an_open_number_has_the_span_of_what_a_passive_gearbox_allows(make_obser
     ends = 1.0 - at["gearbox.load_back"], 1.0 + at["gearbox.load_drive"]
     family = scaling.scaled(values, np.geomspace(*ends, 101))
     load = typical_load(chain, [o], values)
-    made = {d.name: d.values for d in derive(chain, family, load)}
-    made |= dict(zip(chain.names, family.T, strict=True))
+    along = {d.name: d.values for d in derive(chain, family, load)}
+    along |= dict(zip(chain.names, family.T, strict=True))
     opened = [v for v in estimate.values if v.span is not None]
     assert {v.name for v in opened} >= {*scaling.names, "gearbox.alpha_drive", "gearbox.lambda_1"}
     for value in opened:
         assert np.isinf([value.sd, value.sd_robust]).all()
         assert not value.gauge_free
-        several = made[value.name][np.isfinite(made[value.name])]
+        several = along[value.name][np.isfinite(along[value.name])]
         assert value.span == pytest.approx((several.min(), several.max()), rel=1e-9), value.name
     # what does not change along it is as well known as with the scale
     known = input_error(
@@ -414,19 +418,19 @@ def test_an_open_number_has_the_span_of_what_a_passive_gearbox_allows(make_obser
             assert value.sd == pytest.approx(known[value.name].sd, rel=2e-3), value.name
 
 
-def test_recordings_and_told_values_are_weighed_by_their_variances(make_observation):
-    """A linear torque in closed form, weights taken anew until they stand."""
+def test_recordings_and_priors_are_weighed_by_their_variances(make_observation):
+    """A linear torque in closed form, weights taken again until they stand."""
     observations = [
         make_observation(AXIS, VALUES, n=n, sigma=s, seed=i, name=str(i), factor=1)
         for i, (n, s) in enumerate(((400, 0.02), (150, 0.2), (250, 0.05)))
     ]
-    told = {"motor.viscous": (0.1, 0.002), "offset": (0.06, 0.01)}
-    found = input_error(AXIS, observations, Knowledge(priors=told), FEW)
-    order = [AXIS.names.index(n) for n in told]
+    priors = {"motor.viscous": (0.1, 0.002), "offset": (0.06, 0.01)}
+    estimate = input_error(AXIS, observations, Knowledge(priors=priors), FEW)
+    order = [AXIS.names.index(n) for n in priors]
     xs = [filtered_torque(AXIS, o, np.eye(5)).T for o in observations]
     y = np.concatenate([o.measured for o in observations])
     x, counts = np.concatenate(xs), [o.measured.size for o in observations]
-    mean, sd = np.array(list(told.values())).T
+    mean, sd = np.array(list(priors.values())).T
     weights, known, at = np.ones(y.size), 0.0, np.linalg.lstsq(x, y, rcond=None)[0]
     for _ in range(30):
         hat = np.einsum("ni,ij,nj->n", x, np.linalg.inv((x.T * weights**2) @ x), x) * weights**2
@@ -443,8 +447,8 @@ def test_recordings_and_told_values_are_weighed_by_their_variances(make_observat
     variance = np.sum((weights * (y - x @ at)) ** 2) / (y.size - 5)
     normal[order, order] += (variance - known) / sd**2
     spread = np.sqrt(variance * np.diag(np.linalg.inv(normal)))
-    for name, value, one in zip(AXIS.names, at, spread, strict=True):
+    for name, value, sd in zip(AXIS.names, at, spread, strict=True):
         # weights stand still to a thousandth
-        assert abs(found[name].value - value) < 2e-3 * one, name
-        assert found[name].sd == pytest.approx(one, rel=1e-3), name
-    assert found.residual_rms == pytest.approx(np.sqrt(np.mean((y - x @ at) ** 2)), rel=1e-6)
+        assert abs(estimate[name].value - value) < 2e-3 * sd, name
+        assert estimate[name].sd == pytest.approx(sd, rel=1e-3), name
+    assert estimate.residual_rms == pytest.approx(np.sqrt(np.mean((y - x @ at) ** 2)), rel=1e-6)

@@ -50,7 +50,7 @@ def values_of(chain, seed=3):
 
 
 def observed(chain, values, *, names=("one", "two"), factor=3, sigma=0.0, added_mass=0.0):
-    made = []
+    observations = []
     for k, name in enumerate(names):
         rng = np.random.default_rng(k)
         n = 700
@@ -58,13 +58,13 @@ def observed(chain, values, *, names=("one", "two"), factor=3, sigma=0.0, added_
         inputs = Inputs(added_mass, 0.5 if added_mass else 0.0, name)
         torque = inverse_torque(chain, chain.vector(values), q, qd, qdd, inputs=inputs, time=time)
         torque = torque + sigma * rng.standard_normal(n)
-        taken = lay_windows(
+        windows = lay_windows(
             parallel_taps(factor, None, 500.0), ((0, n),), factor, np.ones(n, dtype=bool)
         )
-        made.append(
-            made_observation(name, time, (q, qd, qdd), torque, taken, factor / 500.0, inputs)
+        observations.append(
+            made_observation(name, time, (q, qd, qdd), torque, windows, factor / 500.0, inputs)
         )
-    return made
+    return observations
 
 
 @pytest.mark.parametrize("case", CHAINS)
@@ -72,7 +72,7 @@ def test_totals_are_those_of_every_owner_brought_through_the_ratios(case):
     """And a circular angle turns gravity into a sine and a cosine part."""
     chain = CHAINS[case]
     v = values_of(chain)
-    found = least_squares(chain, observed(chain, v))
+    totals = least_squares(chain, observed(chain, v))
     n1, n = 4.0, 10.0
     pairs = {
         "inertia": v["motor.inertia"] + v["belt.inertia"] + v["load.inertia"] / n**2,
@@ -92,16 +92,16 @@ def test_totals_are_those_of_every_owner_brought_through_the_ratios(case):
     sided = (v["motor.coulomb_positive"] - v["motor.coulomb_negative"]) / 2.0
     sided += (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2.0 * n1)
     for name, value in pairs.items():
-        assert found[f"total.{name}"].value == pytest.approx(value, rel=1e-9), name
+        assert totals[f"total.{name}"].value == pytest.approx(value, rel=1e-9), name
     offsets = [name for name in v if name.startswith("offset")]
     for name in offsets:
-        assert found[f"total.{name}"].value == pytest.approx(v[name] + sided, rel=1e-9), name
-    assert found["motor.quadratic"].value == pytest.approx(v["motor.quadratic"], rel=1e-9)
+        assert totals[f"total.{name}"].value == pytest.approx(v[name] + sided, rel=1e-9), name
+    assert totals["motor.quadratic"].value == pytest.approx(v["motor.quadratic"], rel=1e-9)
     # a term with a column of its own goes by its parameter's name, so that is what it is
     for name in ("joint.cogging_sin_3", "joint.cogging_cos_3"):
-        assert found[name].value == pytest.approx(v[name], rel=1e-9)
-    assert len(found.values) == len(pairs) + len(offsets) + 3
-    assert len({one.symbol for one in found.values}) == len(found.values)
+        assert totals[name].value == pytest.approx(v[name], rel=1e-9)
+    assert len(totals.values) == len(pairs) + len(offsets) + 3
+    assert len({value.symbol for value in totals.values}) == len(totals.values)
 
 
 @pytest.mark.parametrize("case", CHAINS)
@@ -115,14 +115,14 @@ def test_starts_make_the_totals_and_give_the_motor_its_share(case, share):
     start = starting_values(chain, totals, 0.1, share)
     projection = TotalsProjection(chain, observations)
 
-    def seen(owner):
+    def totals_of(owner):
         own = {k: x if k.startswith(owner) else 0.0 for k, x in start.items()}
         if "load.gravity_angle" in own:
             own["load.gravity_angle"] = start["load.gravity_angle"]
         torque = [filtered_torque(chain, o, chain.vector(own)[None])[0] for o in observations]
         return dict(zip(projection.names, projection.solve(np.concatenate(torque)), strict=True))
 
-    parts = {owner: seen(owner) for owner in ("motor", "belt", "joint", "load", "offset")}
+    parts = {owner: totals_of(owner) for owner in ("motor", "belt", "joint", "load", "offset")}
     owners = {
         "inertia": ("motor", "belt", "load"),
         "viscous": ("motor", "belt", "joint"),
@@ -136,11 +136,11 @@ def test_starts_make_the_totals_and_give_the_motor_its_share(case, share):
         if kind not in projection.names:
             continue
         label = projection.labels[projection.names.index(kind)]
-        whole = totals[label].value
-        found = np.array([parts[name][kind] for name in names])
+        total = totals[label].value
+        shares = np.array([parts[name][kind] for name in names])
         rest = (1.0 - share) / max(len(names) - 1, 1)
         expected = [share, *([rest] * (len(names) - 1))] if len(names) > 1 else [1.0]
-        np.testing.assert_allclose(found / whole, expected, rtol=1e-9, err_msg=kind)
+        np.testing.assert_allclose(shares / total, expected, rtol=1e-9, err_msg=kind)
 
 
 def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter():
@@ -148,18 +148,18 @@ def test_a_total_that_goes_by_a_parameter_s_name_is_that_parameter():
     wave = "joint.cogging_sin_3"
     lossy = Joint((*PARTS[:1], replace(PARTS[1], load_loss="one"), PARTS[2]), Load(inertia=True))
     v = values_of(lossy) | {"belt.load": 0.0}
-    found = least_squares(lossy, observed(lossy, v))
-    assert wave not in found
-    assert found[f"total.{wave}"].value == pytest.approx(v[wave], rel=1e-9)
+    totals = least_squares(lossy, observed(lossy, v))
+    assert wave not in totals
+    assert totals[f"total.{wave}"].value == pytest.approx(v[wave], rel=1e-9)
     sprung = replace(lossy, load=Load(inertia=True, spring=True), delay=True, gain=True)
     assert total_label(sprung, "load.spring") == "total.load.spring"
     assert total_label(sprung, "drive.delay") == "drive.delay"  # of the torque as it is measured
     assert total_label(replace(sprung, elements=PARTS, gain=False), "load.spring") == "load.spring"
     geared = Joint(PARTS, Load(inertia=True), gain=True)
     v = values_of(geared) | {"drive.gain": 0.5}
-    found = least_squares(geared, observed(geared, v, added_mass=1.0))
-    assert wave not in found
-    assert found[f"total.{wave}"].value == pytest.approx(v[wave] / 0.5, rel=1e-9)
+    totals = least_squares(geared, observed(geared, v, added_mass=1.0))
+    assert wave not in totals
+    assert totals[f"total.{wave}"].value == pytest.approx(v[wave] / 0.5, rel=1e-9)
 
 
 def test_a_known_mass_is_a_regressor_of_its_own_where_no_total_has_it():
@@ -263,11 +263,11 @@ def test_sizes_are_what_is_seen_where_outputs_are():
     assert typical_sizes(RICH, steady).acceleration == pytest.approx(1.0 / outputs)
     # speeds go with the ratio, torque against it
     for owner, before, behind in (("motor", 1.0, 10.0), ("joint", 4.0, 2.5), ("load", 10.0, 1.0)):
-        here = sizes_at(RICH, owner, scales)
-        assert here.torque == pytest.approx(scales.torque * before)
-        assert here.speed == pytest.approx(scales.speed * behind)
-        assert here.acceleration == pytest.approx(scales.acceleration * behind)
-        assert (here.gravity, here.lean, here.duration) == (9.80665, 1.0, scales.duration)
+        sizes = sizes_at(RICH, owner, scales)
+        assert sizes.torque == pytest.approx(scales.torque * before)
+        assert sizes.speed == pytest.approx(scales.speed * behind)
+        assert sizes.acceleration == pytest.approx(scales.acceleration * behind)
+        assert (sizes.gravity, sizes.lean, sizes.duration) == (9.80665, 1.0, scales.duration)
 
 
 def test_a_unit_of_a_parameter_is_itself_and_of_a_load_loss_one_over_alpha():

@@ -32,7 +32,7 @@ def knees(make_observation, *masses, sigma=0.01):
 
 
 @pytest.mark.parametrize(
-    ("fixed", "told", "masses", "is_open"),
+    ("fixed", "priors", "masses", "is_open"),
     [
         ({}, {}, (0.0,), True),
         ({"joint.viscous": 0.0}, {}, (0.0,), True),  # zero times any factor is zero
@@ -47,9 +47,9 @@ def knees(make_observation, *masses, sigma=0.01):
         ({"load.inertia": 0.0}, {}, (2.0,), False),
     ],
 )
-def test_what_fixes_the_scale(make_observation, fixed, told, masses, is_open):
+def test_what_fixes_the_scale(make_observation, fixed, priors, masses, is_open):
     observations = knees(make_observation, *masses)
-    assert bool(open_scalings(CHAIN, Knowledge(fixed, {}, told), observations)) is is_open
+    assert bool(open_scalings(CHAIN, Knowledge(fixed, {}, priors), observations)) is is_open
 
 
 def test_with_one_mass_in_all_load_and_mass_scale_as_one(make_observation):
@@ -72,11 +72,11 @@ def test_with_one_mass_in_all_load_and_mass_scale_as_one(make_observation):
 
 @pytest.mark.parametrize(("fixed", "masses"), [({"joint.viscous": 0.0}, (0.0,)), ({}, (2.0, 2.0))])
 def test_what_is_open_gets_no_sd(make_observation, fixed, masses):
-    found = input_error(
+    estimate = input_error(
         CHAIN, knees(make_observation, *masses), Knowledge(fixed), Estimation(starts=2)
     )
     for name in OPEN:
-        if name in found:
-            assert not found[name].determined, name
-    assert found["motor.inertia"].determined
-    assert found["total.inertia"].determined
+        if name in estimate:
+            assert not estimate[name].determined, name
+    assert estimate["motor.inertia"].determined
+    assert estimate["total.inertia"].determined

@@ -45,10 +45,10 @@ def moves(torque, values, state):
         driven = np.interp(t, time, torque)
         return x[1], (driven - f * x[1] - 9.80665 * ml * np.sin(x[0])) / j
 
-    found = solve_ivp(
+    solution = solve_ivp(
         slope, (0.0, time[-1]), state, "DOP853", time, rtol=1e-9, atol=1e-11, max_step=PERIOD
     )
-    return found.y[0]
+    return solution.y[0]
 
 
 def recorded(seconds, sigma, seed, name="made-up"):
@@ -66,22 +66,22 @@ def test_positions_and_derivatives_are_those_of_scipy_s_integrator():
     trajectories = [t for t, _ in PARTS]
     shooting = Shooting(SMOOTH, trajectories, 4)
     states = np.array([[0.02, 0.1], [-0.3, 0.4]])
-    found = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
+    derivatives = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
     steps = 1e-4 * AT
     for k, t in enumerate(trajectories):
-        here = shooting.segment_of == k
+        rows = shooting.segment_of == k
         exact = moves(t.torque, AT, states[k])
-        np.testing.assert_allclose(found.positions[here], exact, atol=1e-8)
+        np.testing.assert_allclose(derivatives.positions[rows], exact, atol=1e-8)
         for j in range(3):
             sides = [moves(t.torque, AT + s * steps * np.eye(3)[j], states[k]) for s in (1, -1)]
             slope = (sides[0] - sides[1]) / (2.0 * steps[j])
             np.testing.assert_allclose(
-                found.parameters[here, j], slope, atol=2e-4 * np.abs(slope).max()
+                derivatives.parameters[rows, j], slope, atol=2e-4 * np.abs(slope).max()
             )
         for i in range(2):
             sides = [moves(t.torque, AT, states[k] + s * 1e-3 * np.eye(2)[i]) for s in (1, -1)]
             np.testing.assert_allclose(
-                found.states[here, i], (sides[0] - sides[1]) / 2e-3, rtol=1e-4, atol=1e-6
+                derivatives.states[rows, i], (sides[0] - sides[1]) / 2e-3, rtol=1e-4, atol=1e-6
             )
 
 
@@ -89,7 +89,7 @@ CASES = {
     "free": Knowledge(),
     "fixed": Knowledge(fixed={"load.first_moment": 0.05}),
     "one": Knowledge(fixed={"load.first_moment": 0.05, "motor.inertia": 0.02}),
-    "told": Knowledge(priors={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
+    "priors": Knowledge(priors={"motor.viscous": (0.11, 0.002), "motor.inertia": (0.02, 1e-4)}),
     "bound": Knowledge(bounds={"motor.viscous": (0.0, 0.09)}),
 }
 
@@ -114,11 +114,11 @@ def test_the_nearest_motion_is_scipy_s(case):
         whole[free] = x[: len(free)] * AT[free]
         states = x[len(free) :].reshape(-1, 2)
         left = shooting.measured - shooting.positions(whole[None], states)[0]
-        told = [
+        by_priors = [
             np.sqrt(variance) * (mean - whole[NAMES.index(n)]) / sd
             for n, (mean, sd) in knowledge.priors.items()
         ]
-        return np.concatenate([left, told])
+        return np.concatenate([left, by_priors])
 
     begin = np.concatenate([np.full(len(free), 0.85), shooting.initial.ravel()])
     reach = np.full(shooting.initial.size, np.inf)
@@ -188,20 +188,20 @@ def test_a_longer_segment_is_taken_where_that_clearly_tells_more(of_torque, of_p
     options = Estimation(substeps=1)
     problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
     assert problem.lengths() == (0.2, 0.5)
-    found = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
+    estimate = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
     fits = [problem.fit(AT, length) for length in problem.lengths()]
-    sds = [[one.information.sds(row)[1] for row in np.eye(3)] for one in fits]
+    sds = [[fit.information.sds(row)[1] for row in np.eye(3)] for fit in fits]
     # of directions that are orthogonal in the Jacobian; their product is the determinant's
-    told = []
-    for one in fits:
-        d = one.information.directions
-        told.append(np.mean([np.log(one.information.sds(r / d.units)[1]) for r in d.rows]))
-    best = int(told[1] < told[0] - 0.2)
+    spreads = []
+    for fit in fits:
+        d = fit.information.directions
+        spreads.append(np.mean([np.log(fit.information.sds(r / d.units)[1]) for r in d.rows]))
+    best = int(spreads[1] < spreads[0] - 0.2)
     assert best == int(of_torque == 0.0)
     for j, name in enumerate(NAMES):
-        assert found[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
-        assert abs(found[name].value - fits[best].values[j]) < 0.1 * sds[best][j]
-    assert found.n_outputs == fits[best].shooting.measured.size
+        assert estimate[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
+        assert abs(estimate[name].value - fits[best].values[j]) < 0.1 * sds[best][j]
+    assert estimate.n_outputs == fits[best].shooting.measured.size
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +241,7 @@ def test_one_sided_differences_stay_within_the_limits(knee):
 
 def test_states_act_on_their_own_segment_only(knee):
     shooting, states = knee
-    found = shooting.sensitivities(VALUES, states, np.zeros(VALUES.size), (1e-6, 1e-5))
+    derivatives = shooting.sensitivities(VALUES, states, np.zeros(VALUES.size), (1e-6, 1e-5))
     for k in range(4):
         for i, step in enumerate((1e-6, 1e-5)):
             sides = np.stack([states, states])
@@ -250,21 +250,25 @@ def test_states_act_on_their_own_segment_only(knee):
             change = (there - back) / (2.0 * step)
             inside = shooting.segment_of == k
             assert not change[~inside].any()
-            assert np.allclose(change[inside], found.states[inside, i], atol=1e-9)
+            assert np.allclose(change[inside], derivatives.states[inside, i], atol=1e-9)
         first = np.flatnonzero(shooting.segment_of == k)[0]
-        assert found.states[first] == pytest.approx([1.0, 0.0], abs=1e-8)
+        assert derivatives.states[first] == pytest.approx([1.0, 0.0], abs=1e-8)
 
 
 def test_eliminating_states_is_fitting_them(knee):
     """Projected columns are the residuals of the states' own least squares, segment by segment."""
     shooting, states = knee
-    found = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    projected, onto, eliminated = eliminate_states(shooting, found.states, found.parameters)
+    derivatives = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
+    projected, onto, eliminated = eliminate_states(
+        shooting, derivatives.states, derivatives.parameters
+    )
     for k in range(4):
         rows = shooting.segment_of == k
-        fitted, *_ = np.linalg.lstsq(found.states[rows], found.parameters[rows], rcond=None)
-        left = found.parameters[rows] - found.states[rows] @ fitted
-        size = np.abs(found.parameters[rows]).max()
+        fitted, *_ = np.linalg.lstsq(
+            derivatives.states[rows], derivatives.parameters[rows], rcond=None
+        )
+        left = derivatives.parameters[rows] - derivatives.states[rows] @ fitted
+        size = np.abs(derivatives.parameters[rows]).max()
         assert np.max(np.abs(projected[rows] - left)) < 1e-9 * size
         assert np.allclose(onto[k], fitted, rtol=1e-6, atol=1e-9 * np.abs(fitted).max())
     assert eliminated == 8
@@ -277,11 +281,11 @@ def test_a_joint_that_sticks_has_no_initial_speed_to_fit():
     trajectory, _ = prepare(np.full(200, 0.1), torque, dead_zone=0)
     shooting = Shooting(CHAIN, [trajectory], 1)
     states = np.array([[0.1, 0.0]])
-    found = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    assert np.allclose(found.states[:, 0], 1.0, atol=1e-9)
+    derivatives = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
+    assert np.allclose(derivatives.states[:, 0], 1.0, atol=1e-9)
     # a speed v carries the joint no farther than v²/2a, a = 9 rad/s² and more
-    assert np.abs(found.states[:, 1]).max() < 1e-5 / 18.0
-    projected, _, eliminated = eliminate_states(shooting, found.states, np.ones((200, 1)))
+    assert np.abs(derivatives.states[:, 1]).max() < 1e-5 / 18.0
+    projected, _, eliminated = eliminate_states(shooting, derivatives.states, np.ones((200, 1)))
     assert eliminated == 1
     assert np.abs(projected).max() < 1e-12
 
