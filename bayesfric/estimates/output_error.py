@@ -30,13 +30,8 @@ from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
 
-# Segment lengths to try, s: short ones suit a fine encoder, as noise of the torque is integrated,
-# long ones a coarse one; measured: beyond 1 s drift dominates.
-LENGTHS = (0.2, 0.5, 1.0)
 # Relative steps of finite differences: measured, truncation and rounding are below 1e-7.
 _STEP = 1e-5
-# Shares of the states' step tried side by side; each segment takes its best.
-_SHARES = (1.0, 0.2, 0.0)
 # Repetitions: of weighing recordings and priors, of restarts from measured states, of fits of the
 # states alone.
 _WEIGHINGS, _RESTARTS, _STATE_STEPS = 4, 3, 20
@@ -112,12 +107,12 @@ def output_error(
                 "the joint cannot be simulated: the torque gives no bounded motion",
                 "check units and sign of the torque, bound the load_loss, or shorten 'segment'",
             )
-    # more segments make better sds, so a longer length must clearly gain; on other bounds it only
-    # seems to, as bounds count as certain
+    # more segments make better sds, so a longer length must clearly lower their logarithm; on other
+    # bounds it only seems to, as bounds count as certain
     chosen = fits[0]
     for longer in fits[1:]:
         same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.converged
-        if same and longer.spread() < chosen.spread() - problem.least_gain:
+        if same and longer.spread() < chosen.spread() - 0.2:
             chosen = longer
     return problem.estimate(chosen, values)
 
@@ -200,25 +195,24 @@ class Shooting:
         """
         moving = np.flatnonzero(steps)
         d, h = moving.size, steps[moving]
-        limits = np.array([(p.lower, p.upper) for p in self.chain.parameters]).reshape(-1, 2)
-        first_side = np.where(values[moving] - h < limits[moving, 0], 1.0, -1.0)
-        second_side = np.where(
-            first_side > 0, 2.0, np.where(values[moving] + h > limits[moving, 1], -2.0, 1.0)
-        )
-        # for each side a row a parameter and a row a state; then the middle
-        widths = np.array([[*(first_side * h), *state_steps], [*(second_side * h), *state_steps]])
+        lower, upper = np.array([(p.lower, p.upper) for p in self.chain.parameters])[moving].T
+        first = np.where(values[moving] - h < lower, 1.0, -1.0)
+        second = np.where(first > 0, 2.0, np.where(values[moving] + h > upper, -2.0, 1.0))
+        # (2 sides, d parameters and both states), then the middle
+        widths = np.array([[*(first * h), *state_steps], [*(second * h), *state_steps]])
         widths[1, d:] *= -1.0
-        rows = 2 * (d + 2) + 1
+        rows = widths.size + 1
         vectors, starts = np.tile(values, (rows, 1)), np.tile(states, (rows, 1, 1))
         for side, changes in enumerate(widths):
-            first = side * (d + 2)
-            vectors[first + np.arange(d), moving] += changes[:d]
+            begin = side * (d + 2)
+            vectors[begin + np.arange(d), moving] += changes[:d]
             for i in range(2):
-                starts[first + d + i, :, i] += changes[d + i]
+                starts[begin + d + i, :, i] += changes[d + i]
         *ends, middle = self.positions(vectors, starts)
-        slopes = np.stack(
-            [_slope(middle, ends[j], ends[d + 2 + j], *widths[:, j]) for j in range(d + 2)], axis=1
-        )
+        # slope at the middle of the parabola through the three
+        a, b = widths[:, :, None]
+        up, down = (np.array(ends) - middle).reshape(2, d + 2, -1)
+        slopes = ((up * b / a - down * a / b) / (b - a)).T
         return Sensitivities(middle, slopes[:, :d], slopes[:, d:])
 
     def follow(
@@ -229,22 +223,13 @@ class Shooting:
         States and residuals ``(n,)`` at a vector; NaN where no share gives a motion. Where a
         segment starts at standstill, Newton's steps only ever halve its speed: zero is tried, too.
         """
-        starts = np.array([states + share * change for share in _SHARES])
+        starts = np.array([states + share * change for share in (1.0, 0.2, 0.0)])
         starts = np.concatenate([starts, [(states + change) * (1.0, 0.0)]])
         residuals = self.measured - self.positions(np.tile(values, (len(starts), 1)), starts)
         costs = np.add.reduceat((residuals * weights) ** 2, self.borders[:-1], axis=1)
         best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
         left = residuals[best[self.segment_of], np.arange(self.measured.size)]
         return starts[best, np.arange(best.size)], left
-
-
-def _slope(middle: Array, first: Array, second: Array, a: float, b: float) -> Array:
-    """Differentiate at zero the parabola through 0, ``a`` and ``b``; a line if one is missing."""
-    if not np.isfinite(second).all():
-        return np.asarray((first - middle) / a)
-    if not np.isfinite(first).all():
-        return np.asarray((second - middle) / b)
-    return np.asarray(((first - middle) * b / a - (second - middle) * a / b) / (b - a))
 
 
 def eliminate_states(
@@ -327,9 +312,6 @@ class Fit:
 class OutputError:
     """Fits of simulated to measured position with segments of any length."""
 
-    # A longer segment is taken where it lowers the logarithm of robust sds by this much.
-    least_gain = 0.2
-
     def __init__(
         self,
         chain: Joint,
@@ -356,18 +338,22 @@ class OutputError:
         """Whether the time for the search is over."""
         return time.process_time() >= self.deadline
 
-    def lengths(self, least_samples: int = 40) -> tuple[float, ...]:
+    def lengths(
+        self, tried: Sequence[float] = (0.2, 0.5, 1.0), least_samples: int = 40
+    ) -> tuple[float, ...]:
         """Segment lengths to try, s: the configured one, or those with two segments a parameter.
 
-        ``sd_robust`` needs these; two states come off each segment, so none is below 40 samples.
+        Short ones suit a fine encoder, as noise of the torque is integrated, long ones a coarse
+        one; measured: beyond 1 s drift dominates. ``sd_robust`` needs two segments a parameter; two
+        states come off each, so none is below 40 samples.
         """
         if self.options.segment is not None:
             return (self.options.segment,)
         total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
         shortest = least_samples * max(t.period for t in self.trajectories)
         needed = LEAST_GROUPS * max(self.columns.size, 1)
-        fitting = [length for length in LENGTHS if length >= shortest and total >= needed * length]
-        return tuple(fitting) or (max(LENGTHS[0], shortest),)
+        fitting = [length for length in tried if length >= shortest and total >= needed * length]
+        return tuple(fitting) or (max(tried[0], shortest),)
 
     def fit(self, values: Array, length: float) -> Fit | None:
         """Fit from a start ``(n_parameters,)`` with segments of one length; ``None`` if unstable.

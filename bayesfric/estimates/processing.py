@@ -66,7 +66,8 @@ class Attenuated:
     recording: str  # its name
     band: float  # upper ends of the two bands, Hz
     narrower: float
-    growth: float  # inertia seen by the motor, by least squares, in the narrower over the wider
+    inertia: float  # inertia seen by the motor, by least squares in either, kg m² or kg
+    larger: float
 
 
 class _BandFit(NamedTuple):
@@ -103,8 +104,8 @@ def attenuations(
             if missed == misses:
                 break
         if best is not first:
-            growth = best.inertia / first.inertia
-            attenuated.append(Attenuated(recording.name, first.band, best.band, growth))
+            bands = first.band, best.band
+            attenuated.append(Attenuated(recording.name, *bands, first.inertia, best.inertia))
     return attenuated
 
 

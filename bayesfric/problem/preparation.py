@@ -146,10 +146,10 @@ def _note_attenuation(divided: Divided, attenuated: Sequence[Attenuated]) -> Div
         a.recording: {
             "band_doubted": a.band,
             "band_narrower": a.narrower,
-            "inertia_narrower": a.growth,
+            "inertia_narrower": a.larger / a.inertia,
         }
         for a in attenuated
-        if a.growth > _LARGER_INERTIA
+        if a.larger > _LARGER_INERTIA * a.inertia
     }
     observations = [
         replace(o, settings={**o.settings, **notes.get(o.name, {})}) for o in divided.observations

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.assemble import open_directions, open_scalings
-from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.point_estimate import Estimation, Knowledge
+from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.measurement import Inputs
 
 KNEE = PRESETS["rabbit-knee"]
 CHAIN = KNEE.chain()
-OPEN = ("load.first_moment", "load.inertia", "gearbox.load_drive", "joint.viscous")
 
 
 def knees(make_observation, *masses, sigma=0.01):
@@ -68,15 +66,3 @@ def test_with_one_mass_in_all_load_and_mass_scale_as_one(make_observation):
     np.testing.assert_allclose(scaling.tangent(values), change / (2 * step), rtol=1e-6, atol=1e-9)
     direction = open_directions(CHAIN, Knowledge(), [o], values)
     np.testing.assert_allclose(direction[0], scaling.tangent(values))
-
-
-@pytest.mark.parametrize(("fixed", "masses"), [({"joint.viscous": 0.0}, (0.0,)), ({}, (2.0, 2.0))])
-def test_what_is_open_gets_no_sd(make_observation, fixed, masses):
-    estimate = input_error(
-        CHAIN, knees(make_observation, *masses), Knowledge(fixed), Estimation(starts=2)
-    )
-    for name in OPEN:
-        if name in estimate:
-            assert not estimate[name].determined, name
-    assert estimate["motor.inertia"].determined
-    assert estimate["total.inertia"].determined

@@ -13,7 +13,6 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
-from bayesfric.recordings.measurement import Inputs
 from tests.estimates.simulated import excite, move, prepare
 
 # torque that moves each joint well, s of it
@@ -79,21 +78,6 @@ def test_what_a_scaling_leaves_open_has_no_sd():
     # the vector stands where alpha_1 alpha_2 = 1, in the middle of what a passive gearbox allows
     point = dict(estimate.point)
     assert (1 + point[scaling.drive]) * (1 - point[scaling.back]) == pytest.approx(1.0, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_a_known_mass_takes_the_scaling_away():
-    chain, values, torque, q = simulated("rabbit-knee")
-    heavy = 1.5 * excite(3.0, 0.8, seed=5)
-    q2 = move(chain, values, heavy, inputs=Inputs(2.0, 0.35)).q
-    parts = [
-        prepare(q, torque),
-        prepare(q2, heavy, name="loaded", added_mass=2.0, radius=0.35),
-    ]
-    estimate = fitted(chain, start(chain, values, 0.05), parts, substeps=1, segment=0.2)
-    for name in chain.names:
-        assert estimate[name].value == pytest.approx(values[name], rel=1e-5), name
-        assert estimate[name].determined, name
 
 
 def repeat(noise_of_position, noise_of_torque, segment, repeats):
