@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from itertools import cycle, islice
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -143,6 +144,13 @@ def contradicted(
     return far
 
 
+class Minimum(NamedTuple):
+    """Where a search ended."""
+
+    x: Array  # (d,) free parameters
+    cost: float  # half the sum of squares there
+
+
 class TorqueProblem:
     """Weighted residuals of the torque, and of priors, as a function of the free parameters."""
 
@@ -227,10 +235,8 @@ class TorqueProblem:
             return jacobian
         return np.concatenate([jacobian, -self.prior_weight * self.knowledge.rows(self.chain)[0]])
 
-    def minimise(
-        self, x: Array, *, held: Sequence[int] = (), steps: int = 100
-    ) -> optimize.OptimizeResult:
-        """Minimise the sum of squares from a start ``(d,)`` within the limits: ``x``, ``cost``.
+    def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> Minimum:
+        """Minimise the sum of squares from a start ``(d,)`` within the limits.
 
         SciPy's trust region reflects steps off the limits and ends a little inside them: what ends
         there is put exactly on its limit, unless that raises the sum of squares by more than
@@ -243,16 +249,19 @@ class TorqueProblem:
             full[moving] = part
             return full
 
-        def cost(x: Array) -> float:
-            return 0.5 * float(np.sum(self.residual(x) ** 2))
+        def residual(part: Array) -> Array:
+            return self.residual(point(part))
 
-        start = optimize.OptimizeResult(x=x, cost=cost(x))
+        def jacobian(part: Array) -> Array:
+            return self.jacobian(point(part))[:, moving]
+
+        start = Minimum(x, 0.5 * float(np.sum(self.residual(x) ** 2)))
         if not moving.size or not np.isfinite(start.cost):
             return start
         result = optimize.least_squares(
-            lambda part: self.residual(point(part)),
+            residual,
             x[moving],
-            lambda part: self.jacobian(point(part))[:, moving],
+            jacobian,
             (self.lower[moving], self.upper[moving]),
             x_scale="jac",
             ftol=1e-12,
@@ -260,13 +269,13 @@ class TorqueProblem:
             gtol=1e-12,
             max_nfev=steps + 1,
         )
-        result.x = point(result.x)
-        met = self.bounds_met(result.x)
+        minimum = Minimum(point(result.x), float(result.cost))
+        met = self.bounds_met(minimum.x)
         met[list(held)] = 0
-        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, result.x))
-        limited = optimize.OptimizeResult(x=on_limits, cost=cost(on_limits))
-        rise = 1e-9 * result.cost + 0.5 * self.rounding
-        return limited if limited.cost <= result.cost + rise else result
+        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, minimum.x))
+        limited = Minimum(on_limits, 0.5 * float(np.sum(self.residual(on_limits) ** 2)))
+        rise = 1e-9 * minimum.cost + 0.5 * self.rounding
+        return limited if limited.cost <= minimum.cost + rise else minimum
 
     def bounds_met(self, x: Array) -> NDArray[np.int_]:
         """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""
@@ -292,7 +301,7 @@ def few_threads(observations: Sequence[Observation], long: int = 200_000) -> Ite
 
 def _minima(
     problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
-) -> tuple[list[optimize.OptimizeResult], str]:
+) -> tuple[list[Minimum], str]:
     """Search from all starts without weights and priors: distinct minima, and a note on them."""
     subsample = problem.excerpt() if start is None else problem
     if start is None:
@@ -318,11 +327,9 @@ def _minima(
     return minima, note
 
 
-def _distinct(
-    minima: Sequence[optimize.OptimizeResult], limit: Callable[[float], float]
-) -> list[optimize.OptimizeResult]:
+def _distinct(minima: Sequence[Minimum], limit: Callable[[float], float]) -> list[Minimum]:
     """List minima, lowest first, whose costs are above the ``limit`` of the next lower one."""
-    distinct: list[optimize.OptimizeResult] = []
+    distinct: list[Minimum] = []
     for minimum in sorted(minima, key=lambda minimum: minimum.cost):
         if not distinct or minimum.cost > limit(distinct[-1].cost):
             distinct.append(minimum)
@@ -408,7 +415,7 @@ def _single_pass(problem: TorqueProblem) -> bool:
 
 
 def _refined(
-    problem: TorqueProblem, minima: Sequence[optimize.OptimizeResult], *, rounds: int = 8
+    problem: TorqueProblem, minima: Sequence[Minimum], *, rounds: int = 8
 ) -> tuple[TorqueProblem, Array]:
     """Second pass, if needed: recordings weighted by their own sd, and priors.
 

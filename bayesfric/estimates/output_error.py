@@ -596,4 +596,4 @@ class OutputError:
         sizes = np.sqrt(np.bincount(recording, residual**2) / np.bincount(recording))
         # a joint at standstill is simulated exactly, but measured to a count only
         sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
-        return float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[recording]
+        return np.asarray(np.sqrt(np.mean(residual**2)) / np.maximum(sizes, 1e-300)[recording])
