@@ -21,7 +21,14 @@ from scipy import optimize
 from threadpoolctl import threadpool_limits
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates import assemble as fitted
+from bayesfric.estimates.assemble import (
+    assemble,
+    bounds_met,
+    centred,
+    open_directions,
+    open_scalings,
+    units_of,
+)
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.least_squares import (
     least_squares,
@@ -279,7 +286,7 @@ class TorqueProblem:
 
     def bounds_met(self, x: Array) -> NDArray[np.int_]:
         """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""
-        return fitted.bounds_met(x, self.lower, self.upper, self.typical[self.columns])
+        return bounds_met(x, self.lower, self.upper, self.typical[self.columns])
 
 
 @contextmanager
@@ -500,7 +507,7 @@ def _prior_factor(
 def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
     """Make the estimate of a minimum ``(d,)``; ``note`` is on the search."""
     chain, observations, knowledge = problem.chain, problem.observations, problem.knowledge
-    values = fitted.centred(chain, knowledge, observations, problem.vector(x))
+    values = centred(chain, knowledge, observations, problem.vector(x))
     x = problem.inside(values)
     values = problem.vector(x)
     at_bound = problem.bounds_met(x)
@@ -513,10 +520,10 @@ def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
     information = Information(
         jacobian,
         problem.weights * error,
-        np.maximum(fitted.units_of(chain, problem.free, values), least_unit),
+        np.maximum(units_of(chain, problem.free, values), least_unit),
         places=places(observations),
         known=knowledge.rows(chain)[0],
-        known_null=fitted.open_directions(chain, knowledge, observations, values),
+        known_null=open_directions(chain, knowledge, observations, values),
     )
     assumption = "sd: uncorrelated residuals of equal variance"
     assumption += " within each recording" if np.ptp(problem.weights) else ""
@@ -526,7 +533,7 @@ def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
         assumption += f"; {', '.join(names)} on a bound: the sds of the others are those without it"
     return Estimate(
         method="input-error",
-        values=fitted.assemble(chain, observations, knowledge, values, information, at_bound),
+        values=assemble(chain, observations, knowledge, values, information, at_bound),
         residual_rms=_rms(error),
         n_outputs=error.size,
         assumption=assumption,
@@ -540,7 +547,7 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     """State what fixes the scale between leg and alpha, or that nothing does."""
     notes = []
     knowledge, free = problem.knowledge, np.array(problem.free)
-    still_open = fitted.open_scalings(problem.chain, knowledge, problem.observations)
+    still_open = open_scalings(problem.chain, knowledge, problem.observations)
     for scaling in scalings(problem.chain):
         scale = f"the scale between {scaling.element}.alpha and what is behind it"
         gradients = [(free == name).astype(np.float64) for name in scaling.names if name in free]

@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates import assemble as fitted
+from bayesfric.estimates.assemble import (
+    assemble,
+    bounds_met,
+    centred,
+    open_directions,
+    units_of,
+)
 from bayesfric.estimates.information import LEAST_GROUPS, Information
 from bayesfric.estimates.input_error import TorqueProblem
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
@@ -390,7 +396,7 @@ class OutputError:
                 if late or (before - after)[better].sum() <= 1e-6 * before.sum():
                     break
                 states = np.where(better[:, None], restarted, states)
-        values = fitted.centred(self.chain, self.knowledge, self.observations, values)
+        values = centred(self.chain, self.knowledge, self.observations, values)
         values = self.torque.vector(self.knowledge.on_turn(self.chain, values[self.columns]))
         residual = shooting.measured - shooting.positions(values[None], states)[0]
         at_bound = self._bounds_met(values[self.columns], units)
@@ -422,7 +428,7 @@ class OutputError:
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
         shooting, n = fit.shooting, len(fit.states)
         data = self.chain, self.observations, self.knowledge
-        values = fitted.assemble(*data, fit.values, fit.information, fit.at_bound)
+        values = assemble(*data, fit.values, fit.information, fit.at_bound)
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
         notes = [f"simulated in {n} segments of {length:.3g} s"]
         if n < LEAST_GROUPS * self.columns.size:
@@ -547,10 +553,10 @@ class OutputError:
         return eliminate_states(shooting, by_state, weights[:, None] * columns)
 
     def _bounds_met(self, x: Array, units: Array) -> NDArray[np.int_]:
-        return fitted.bounds_met(x, self.torque.lower, self.torque.upper, units)
+        return bounds_met(x, self.torque.lower, self.torque.upper, units)
 
     def _open_directions(self, values: Array) -> Array:
-        return fitted.open_directions(self.chain, self.knowledge, self.observations, values)
+        return open_directions(self.chain, self.knowledge, self.observations, values)
 
     def _at_minimum(
         self,
@@ -579,7 +585,7 @@ class OutputError:
 
     def _units(self, values: Array) -> Array:
         """Give the change of each free parameter that changes the torque by its rms."""
-        sizes = fitted.units_of(self.chain, self.chain.names, values)
+        sizes = units_of(self.chain, self.chain.names, values)
         steps = 1e-6 + 1e-4 * sizes
         jacobian = torque_jacobian(self.chain, self.observations, values, steps)
         torque = np.concatenate([o.measured for o in self.observations])

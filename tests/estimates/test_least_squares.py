@@ -187,13 +187,13 @@ def test_the_map_to_totals_is_the_same_before_the_filter_and_by_other_names():
     observations = observed(RICH, v, sigma=0.1)
     projection = TotalsProjection(RICH, observations)
     torque = np.concatenate([o.measured for o in observations])
-    found = projection.solve(torque)
+    totals = projection.solve(torque)
     np.testing.assert_allclose(
-        found, np.linalg.lstsq(projection.regressors, torque, rcond=None)[0], rtol=1e-9
+        totals, np.linalg.lstsq(projection.regressors, torque, rcond=None)[0], rtol=1e-9
     )
     weights = projection.of_samples()
     total = sum(w @ o.torque for w, o in zip(weights, observations, strict=True))
-    np.testing.assert_allclose(total, found, rtol=1e-9)
+    np.testing.assert_allclose(total, totals, rtol=1e-9)
     vectors = RICH.vector(v) * np.array([[1.0], [1.1]])
     weighed = sum(
         weighted_torque(RICH, o, w, vectors) for w, o in zip(weights, observations, strict=True)
@@ -209,9 +209,9 @@ def test_the_map_to_totals_is_the_same_before_the_filter_and_by_other_names():
     flat = RICH.vector(v | {"load.gravity_angle": 0.0})
     jacobian = torque_jacobian(RICH, observations, flat, 1e-3 * np.abs(flat))
     assert not jacobian[:, RICH.names.index("load.gravity_angle")].any()
-    made = observed(RICH, v | {"load.gravity_angle": 0.0})
+    flat_observations = observed(RICH, v | {"load.gravity_angle": 0.0})
     np.testing.assert_allclose(
-        jacobian @ flat, np.concatenate([o.measured for o in made]), rtol=1e-7
+        jacobian @ flat, np.concatenate([o.measured for o in flat_observations]), rtol=1e-7
     )
 
 
@@ -274,10 +274,10 @@ def test_a_unit_of_a_parameter_is_itself_and_of_a_load_loss_one_over_alpha():
     """Eq. (6): 1/alpha_1 is 1 + mu_1, and 1/alpha_2 is 1 - mu_2, whichever its sign."""
     chain = KNEE.chain()
     v = KNEE.values | {"joint.viscous": -3.0, "gearbox.load_back": 1.4}
-    found = dict(zip(chain.names, units_of(chain, chain.names, chain.vector(v)), strict=True))
-    assert found.pop("gearbox.load_drive") == pytest.approx(1.0 + v["gearbox.load_drive"])
-    assert found.pop("gearbox.load_back") == pytest.approx(0.4)
-    assert found == pytest.approx({name: abs(v[name]) for name in found})
+    units = dict(zip(chain.names, units_of(chain, chain.names, chain.vector(v)), strict=True))
+    assert units.pop("gearbox.load_drive") == pytest.approx(1.0 + v["gearbox.load_drive"])
+    assert units.pop("gearbox.load_back") == pytest.approx(0.4)
+    assert units == pytest.approx({name: abs(v[name]) for name in units})
     servo = PRESETS["servo-pendulum"].chain()  # one mu of both power flows has no alpha
     at = servo.vector(PRESETS["servo-pendulum"].values)
     np.testing.assert_allclose(units_of(servo, servo.names, at), np.abs(at))
@@ -289,20 +289,20 @@ def test_a_unit_of_a_parameter_is_itself_and_of_a_load_loss_one_over_alpha():
 
 def test_places_are_even_in_time_and_apart_between_segments_and_recordings():
     n = 600
-    taken = lay_windows(
+    windows = lay_windows(
         parallel_taps(4, None, 500.0), ((0, 300), (301, 600)), 4, np.arange(n) % 97 > 9
     )
     o = observed(RICH, values_of(RICH), names=("one",))[0]
-    number = (taken.starts > 300).astype(np.int64)
-    one = replace(o, filter=taken, segment_of=number)
-    found = places([one, o])
-    first, second = np.split(found, [taken.starts.size])
+    number = (windows.starts > 300).astype(np.int64)
+    halved = replace(o, filter=windows, segment_of=number)
+    at = places([halved, o])
+    first, second = np.split(at, [windows.starts.size])
     for part in (0, 1):
-        mine = number == part
-        assert np.array_equal(np.diff(first[mine]), np.diff(taken.starts[mine]) // 4)
+        rows = number == part
+        assert np.array_equal(np.diff(first[rows]), np.diff(windows.starts[rows]) // 4)
     assert np.array_equal(np.diff(second), np.ones(second.size - 1))
     # by a tenth of the recording and more
-    tenth = np.ptp(taken.starts) / 4 / 10
+    tenth = np.ptp(windows.starts) / 4 / 10
     assert np.diff(first)[np.flatnonzero(np.diff(number))[0]] > tenth
     assert second[0] - first[-1] > tenth
     assert first[0] == 0
@@ -328,9 +328,9 @@ def test_where_no_column_is_the_load_s_alone_the_scale_leaves_all_losses_positiv
     values |= {n: scale * (0.1 if n.startswith("motor") else 1.0) for n in own}
     form = torque_form(chain)
     thetas = form.thetas(chain.vector(values))
-    found = dict(zip(chain.names, form.parameters(*thetas).tolist(), strict=True))
-    assert all(found[name] > 0.0 for name in own)
-    for theta, again in zip(thetas, form.thetas(chain.vector(found)), strict=True):
+    restored = dict(zip(chain.names, form.parameters(*thetas).tolist(), strict=True))
+    assert all(restored[name] > 0.0 for name in own)
+    for theta, again in zip(thetas, form.thetas(chain.vector(restored)), strict=True):
         np.testing.assert_allclose(again, theta, rtol=1e-12)
 
 
