@@ -9,12 +9,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from bayesfric.report.comparison.comparison import comparison
-from bayesfric.report.figures.corner import corner_figure
+from bayesfric.report.figures.posterior import corner_figure
 from bayesfric.report.figures.forest import forest_figure
 from bayesfric.report.figures.friction import friction_figure
 from bayesfric.report.figures.prediction import prediction_figure
-from bayesfric.report.figures.residual import residual_figure
-from bayesfric.report.figures.ridge import ridge_figure
+from bayesfric.report.figures.prediction import residual_figure
+from bayesfric.report.figures.posterior import ridge_figure
 from bayesfric.report.figures.style import (
     COLUMN,
     PAGE,

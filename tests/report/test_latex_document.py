@@ -12,7 +12,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.source import Processing
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.figures.friction import friction_figure
-from bayesfric.report.figures.residual import residual_figure
+from bayesfric.report.figures.prediction import residual_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.paper import latex
 from bayesfric.report.paper.tables import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.report.figures.residual import binned, residuals
+from bayesfric.report.figures.prediction import binned, residuals
 from bayesfric.report.summary.summary import summarise
 
 from .conftest import NOISE

@@ -9,7 +9,7 @@ from scipy import stats
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
-from bayesfric.report.figures.ridge import ridge, ridge_figure
+from bayesfric.report.figures.posterior import ridge, ridge_figure
 
 KNEE = PRESETS["rabbit-knee"]
 # So wide that only the lower ends, zero, and mu_2 <= 1 are ever met.

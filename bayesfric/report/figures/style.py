@@ -18,7 +18,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.mathtext import MathTextParser
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
@@ -185,12 +184,9 @@ def paper_figure(width: float, height: float, *, apart: float = 0.03) -> Iterato
         figure.set_layout_engine(None)  # an engine that does nothing has all drawn twice
 
 
-def panel_grid(
-    figure: Figure, count: int, columns: int, inside: SubplotSpec | None = None
-) -> list[Axes]:
-    """Fill a figure, or a part of it, with panels of equal size, row by row."""
-    divide = figure.add_gridspec if inside is None else inside.subgridspec
-    grid = divide(-(-count // columns), columns)
+def panel_grid(figure: Figure, count: int, columns: int) -> list[Axes]:
+    """Fill a figure with panels of equal size, row by row."""
+    grid = figure.add_gridspec(-(-count // columns), columns)
     return [figure.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
 
 
@@ -211,34 +207,15 @@ def remark_below(figure: Figure, words: str) -> None:
     figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
-class _InnerLocator(MaxNLocator):
-    """Ticks away from the ends, where two panels' numbers would meet."""
-
-    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
-        """Choose ticks between ``vmin`` and ``vmax``."""
-        margin = 0.1 * (vmax - vmin)
-        low, high = vmin + margin, vmax - margin
-        ticks = np.asarray(super().tick_values(low, high))
-        return list(ticks[(ticks >= low) & (ticks <= high)])
-
-
-class _Plain(ScalarFormatter):
-    """Numbers whose power of ten is in the axis' label, and not in its corner."""
-
-    def get_offset(self) -> str:
-        """Say nothing."""
-        return ""
-
-
 def few_ticks(axis: Axis, most: int, *, inner: bool = False, exponent: int = 0) -> None:
-    """Put at most ``most`` plain numbers on an axis, never an offset in the corner.
+    """Put at most ``most`` plain numbers on an axis, over the power of ten in the axis' label.
 
-    ``inner`` ones are away from the ends, for panels that touch; ``exponent`` is the power of ten
-    in the axis' label.
+    ``inner`` ones are away from the ends, for panels that touch.
     """
-    locator = _InnerLocator if inner else MaxNLocator
-    axis.set_major_locator(locator(most, steps=[1, 2, 5, 10], min_n_ticks=2))
-    formatter = _Plain(useOffset=False)
+    prune = "both" if inner else None
+    axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10], min_n_ticks=2, prune=prune))
+    formatter = ScalarFormatter(useOffset=False)
     formatter.set_scientific(bool(exponent))
     formatter.set_powerlimits((exponent, exponent))
     axis.set_major_formatter(formatter)
+    axis.get_offset_text().set_visible(False)

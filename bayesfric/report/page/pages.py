@@ -15,9 +15,7 @@ from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
-from bayesfric.report.figures.forest import FOREST
-from bayesfric.report.figures.registry import read_captions, run_figures
-from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
+from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, read_captions
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
@@ -52,7 +50,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         methods=methods,
         friction=list(friction_cells(read.friction, HTML)),
         explained=list(explained(methods)),
-        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
+        figures=page_figures(folder, [*RUN_FIGURES.values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
         config=_text(folder / "config.toml"),
     )
