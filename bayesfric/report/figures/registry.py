@@ -67,7 +67,8 @@ def _corner_caption(run: FinishedRun) -> str:
         f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
         "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, "
         "has no interval and is not filled in its pairs: it shows prior and bounds. So is "
-        "everything where the sampling has not converged. A limit has one dotted end." + (widened if run.summary.widened else "")
+        "everything where the sampling has not converged. A limit has one dotted end."
+        + (widened if run.summary.widened else "")
     )
 
 

@@ -11,35 +11,23 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from html import escape
+from html import unescape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
-from unicodedata import combining
 from urllib.parse import quote
 
 from jinja2 import Environment
-from markupsafe import Markup
-from matplotlib.mathtext import get_unicode_index
+from markupsafe import Markup, escape
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import read_text
 from bayesfric.base.templates import environment
-from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
 from bayesfric.report.words import FILTERS, clause
 
-# Tokens of LaTeX; words in upright letters are a single token.
-_TOKEN = re.compile(r"\\(?:mathrm|text)\{(?:\\.|[^{}\\])*\}|\\[A-Za-z]+|[_^]\{|\\?.", re.DOTALL)
-_SCRIPT = re.compile(r"(?<!\\)([_^])(\\[A-Za-z]+|[^{])")
-_GROUPS = {"_{": "sub", "^{": "sup", "{": "span"}
-_SPACE = "\u2009"
-_SIGNS = {
-    " ": "", "-": "\u2212", r"\dot": "", r"\,": _SPACE,
-    r"\sin": f"{_SPACE}sin{_SPACE}", r"\cos": f"{_SPACE}cos{_SPACE}",
-}  # fmt: skip
 _SIZE = re.compile(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"')
 # Coordinates in points: a hundredth is finer than any printer, and halves the page.
 _COORDINATES = re.compile(r'\b[dxy]="[^"]*"')
@@ -72,12 +60,14 @@ def _asset(name: str) -> str:
 def _environment() -> Environment:
     templates = environment("bayesfric.report.page", escaped=True)
     templates.filters |= FILTERS | {
-        "spaced": numbers.spaced,
-        "unit": numbers.html_unit,
-        "interval": numbers.HTML.interval,
-        "p": numbers.html_p,
-        "sig": numbers.HTML.number,
-        "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
+        # a whole number with narrow spaces between thousands
+        "spaced": lambda x: f"{x:,.0f}".replace(",", "\u202f"),
+        # on one line; a dash where there is none
+        "unit": lambda unit: unit.replace(" ", "\u00a0") or "–",
+        "interval": HTML.interval,
+        "p": lambda p: Markup("= {}").format(HTML.number(p, 2)) if p else "< 1e-300",
+        "sig": HTML.number,
+        "fixed": lambda x, digits=2: f"{x:.{digits}f}".replace("-", "\u2212"),
         "named": clause,
     }
     templates.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
@@ -86,35 +76,17 @@ def _environment() -> Environment:
 
 def html_symbol(symbol: str, name: str) -> Markup:
     """Write a quantity's LaTeX symbol as HTML; its name as code where that cannot be."""
-    # as figures set it: words in subscripts upright, underscores of names kept
+    # as figures set it, which marks words and escapes underscores of names
     shown = mathtext(symbol, name) if symbol else ""
-    try:
-        html = _html(shown[1:-1]) if shown.startswith("$") else ""
-    except ValueError:
-        html = ""
-    if not html:
+    text = re.sub(r"\\mathrm\{([^{}]*)\}|\\dot|\\,", r"\1", shown.strip("$")).replace(r"\_", "_")
+    # LaTeX and HTML have the same names for Greek letters
+    text = unescape(re.sub(r"\\([A-Za-z]+) ?", r"&\1;", text))
+    html = str(escape(text))
+    for sign, tag in (("_", "sub"), ("^", "sup")):
+        html = re.sub(rf"\{sign}(?:\{{([^{{}}]*)\}}|(\w))", rf"<{tag}>\1\2</{tag}>", html)
+    if not shown.startswith("$") or set(text) & set("\\&") or set(html) & set("{}"):
         return Markup("<code>{}</code>").format(name)
-    return Markup(f'<span class="sym">{html.replace("</i><i>", "")}</span>')
-
-
-def _html(latex: str) -> str:
-    """Translate LaTeX with balanced braces; ``ValueError`` for more than scripts and signs."""
-    html, ends = "", []
-    for token in _TOKEN.findall(_SCRIPT.sub(r"\1{\2}", latex)):
-        if token in _SIGNS:
-            html += _SIGNS[token]
-        elif tag := _GROUPS.get(token):
-            html += f"<{tag}>"
-            ends.append(f"</{tag}>")
-        elif token == "}":
-            html += ends.pop()
-        elif token.endswith("}"):
-            html += escape(re.sub(r"\\(.)", r"\1", token[token.index("{") + 1 : -1]))
-        elif combining(sign := chr(get_unicode_index(token))):
-            raise ValueError(token)
-        else:
-            html += f"<i>{sign}</i>" if token.isalpha() else escape(sign)
-    return html
+    return Markup(f'<span class="sym">{html}</span>')
 
 
 @dataclass(frozen=True)
