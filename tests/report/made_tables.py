@@ -6,9 +6,9 @@ from decimal import Decimal
 
 def num(text):
     r"""Value and uncertainty of ``\num{1.23(45)e-6}``, and the weight of its last digit."""
-    found = re.fullmatch(r"\\num\{(-?[\d.]+)(?:\(([\d.]+)\))?(?:e(-?\d+))?\}", text)
-    assert found, text
-    shown, uncertainty, exponent = found.groups()
+    match = re.fullmatch(r"\\num\{(-?[\d.]+)(?:\(([\d.]+)\))?(?:e(-?\d+))?\}", text)
+    assert match, text
+    shown, uncertainty, exponent = match.groups()
     power = Decimal(10) ** int(exponent or 0)
     decimals = len(shown.partition(".")[2])
     last = Decimal(1).scaleb(-decimals) * power
@@ -22,29 +22,29 @@ def num(text):
 
 def ends(text):
     text = re.sub(r"\\num\{(-?[\d.]+)\}", r"\1", text)
-    found = re.fullmatch(r"\$\[(-?[\d.]+), (-?[\d.]+)\](?:\\times 10\^\{(-?\d+)\})?\$", text)
-    assert found, text
-    power = 10.0 ** int(found[3] or 0)
-    decimals = len(found[1].partition(".")[2])
-    return float(found[1]) * power, float(found[2]) * power, power * 10.0**-decimals
+    match = re.fullmatch(r"\$\[(-?[\d.]+), (-?[\d.]+)\](?:\\times 10\^\{(-?\d+)\})?\$", text)
+    assert match, text
+    power = 10.0 ** int(match[3] or 0)
+    decimals = len(match[1].partition(".")[2])
+    return float(match[1]) * power, float(match[2]) * power, power * 10.0**-decimals
 
 
 def skewed(text):
     text = re.sub(r"\\num\{(-?[\d.]+)\}", r"\1", text)
-    found = re.fullmatch(
+    match = re.fullmatch(
         r"\$\(?(-?[\d.]+)\^\{\+([\d.]+)\}_\{-([\d.]+)\}\)?(?:\\times 10\^\{(-?\d+)\})?\$", text
     )
-    assert found, text
-    power = 10.0 ** int(found[4] or 0)
-    decimals = len(found[1].partition(".")[2])
-    return (*(float(found[k]) * power for k in (1, 2, 3)), power * 10.0**-decimals)
+    assert match, text
+    power = 10.0 ** int(match[4] or 0)
+    decimals = len(match[1].partition(".")[2])
+    return (*(float(match[k]) * power for k in (1, 2, 3)), power * 10.0**-decimals)
 
 
 def lines(table):
     """Cells of every line of a LaTeX table."""
     body = table.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
-    found = []
-    for line in body.splitlines():
-        if line.endswith(r" \\") and not line.startswith(r"\multicolumn"):
-            found.append([cell.strip() for cell in line.removesuffix(r" \\").split(" & ")])
-    return found
+    return [
+        [cell.strip() for cell in line.removesuffix(r" \\").split(" & ")]
+        for line in body.splitlines()
+        if line.endswith(r" \\") and not line.startswith(r"\multicolumn")
+    ]

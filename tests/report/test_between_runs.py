@@ -22,14 +22,14 @@ def beside(**changes):
     """Pool two runs, of which the second says something else of the viscous loss."""
     runs = checked(a=knee(), b=loaded())
     runs["b"] = runs["b"].with_rows({"motor.viscous": changes})
-    return {one.name: one for one in between_runs(runs)}
+    return {pooled.name: pooled for pooled in between_runs(runs)}
 
 
 def test_only_what_the_data_of_two_runs_determine_is_pooled():
     other = copy.deepcopy(loaded())
     other["parameters"]["motor.viscous"]["verdict"] = "weak"
     del other["derived"]["total.offset"]
-    found = {one.name: one for one in between_runs(checked(a=knee(), b=other))}
+    found = {pooled.name: pooled for pooled in between_runs(checked(a=knee(), b=other))}
     assert "motor.inertia" in found
     assert {"motor.viscous", "total.offset", "noise.sigma", *LEG}.isdisjoint(found)
     assert found["total.inertia"].runs["b"].mean == other["derived"]["total.inertia"]["mean"]
@@ -45,7 +45,7 @@ def test_only_what_the_data_of_two_runs_determine_is_pooled():
 def test_what_another_motion_changes_is_not_pooled():
     other = loaded()
     other["derived"]["total.inertia"]["of_motion"] = True
-    found = {one.name for one in between_runs(checked(a=knee(), b=other))}
+    found = {pooled.name for pooled in between_runs(checked(a=knee(), b=other))}
     assert "total.inertia" not in found
     assert "total.viscous" in found
 
@@ -58,13 +58,13 @@ def weak_in_c():
 
 def test_a_run_whose_prior_has_a_say_counts_by_its_draws_only():
     runs = weak_in_c()
-    found = {one.name: one for one in between_runs(runs)}
+    found = {pooled.name: pooled for pooled in between_runs(runs)}
     assert set(found["motor.viscous"].runs) == {"a", "b"}
     row, rng = runs["c"].parameters["motor.viscous"], np.random.default_rng(1)
     drawn = row.mean + row.sd * rng.standard_normal(4000)
     prior = {"motor.viscous": row.mean + rng.standard_normal(2000)}
     with_draws = between_runs(runs, {"c": RunDraws({"motor.viscous": drawn}, prior)})
-    (viscous,) = (one for one in with_draws if one.name == "motor.viscous")
+    (viscous,) = (pooled for pooled in with_draws if pooled.name == "motor.viscous")
     assert set(viscous.runs) == {"a", "b", "c"}
 
 
@@ -78,7 +78,7 @@ def test_what_is_doubted_is_pooled_and_said_to_be():
 def test_room_for_the_models_error_is_pooled_too():
     sd = 10.0 * loaded()["parameters"]["motor.viscous"]["sd"]
     room = {"model_error_sd": sd, "model_error_interval": [0, 1]}
-    plain, wide = (one["motor.viscous"].pool.runs[1] for one in (beside(), beside(**room)))
+    plain, wide = (pooled["motor.viscous"].pool.runs[1] for pooled in (beside(), beside(**room)))
     assert wide.high - wide.low > 1.2 * (plain.high - plain.low)
 
 
@@ -101,8 +101,8 @@ def test_a_run_whose_ensembles_disagree_is_not_averaged_in():
     failed["sampler"] = {"status": "unusable", "problems": ["the ensembles disagree"]}
     both = checked(a=knee(), b=loaded())
     alone, three = between_runs(both), between_runs(both | checked(c=failed))
-    assert [one.pool for one in three] == [one.pool for one in alone]
-    assert all(set(one.runs) == {"a", "b"} for one in three)
+    assert [pooled.pool for pooled in three] == [pooled.pool for pooled in alone]
+    assert all(set(pooled.runs) == {"a", "b"} for pooled in three)
     assert between_runs(checked(a=knee(), c=failed)) == []
 
 
