@@ -11,6 +11,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from io import StringIO
+from itertools import groupby
 from typing import Any, Literal
 
 from bayesfric.base.errors import BadInput
@@ -28,13 +29,10 @@ from bayesfric.report.words import csv_text, filled, line_of, listed
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate disagrees.
 _FAR = 3.0
-# Of a terminal, and of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
-_WIDTH = 120
-_NARROWEST, _WIDEST = 24, 30
 _PLAIN = "†"
+# What CSV has of each ResultRow, and what JSON has.
 _CSV = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
     "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
-# What JSON has of each ResultRow.
 _JSON = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
     "at_bound", "bound", "remark", "disagreement", "converged", "doubted", "alike")  # fmt: skip
 
@@ -128,10 +126,17 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             rows = [s.parameters.get(quantity.name) for s in runs.values()]
             quantity.gauge_free = all(row.data_sd is not None for row in rows if row is not None)
     _check_common(quantities.values(), columns)
-    notes = list(_of_runs(runs, quantities))
+    notes = [
+        _note("unsure run", run=run, status=summary.sampler.status)
+        for run, summary in runs.items()
+        if summary.sampler.status != "reliable"
+    ]
+    if names := [name for name, quantity in quantities.items() if quantity.of_motion]:
+        notes.append(_note("of motion", names=names, several=len(runs) > 1))
     if sources := _add_references(quantities, runs, angles):
         columns.append(Column(REFERENCE, "reference", "", told=", ".join(sources)))
-    baseline = next((c for c in columns if c.kind == "posterior"), None)
+    posteriors = [column for column in columns if column.kind == "posterior"]
+    baseline = posteriors[0] if posteriors else None
     compared = [
         quantity
         for quantity in quantities.values()
@@ -140,17 +145,25 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     compared.sort(key=_order)  # keeps the order of the files within each group
     for quantity in compared:
         _measure(quantity, columns, baseline)
-    apart = _runs_apart(compared, columns)
-    if len(runs) > 1 and not any(_in_two_runs(quantity, columns) for quantity in compared):
+    if len(runs) > 1 and not any(_in_two_runs(quantity, posteriors) for quantity in compared):
         notes.insert(0, _note("nothing shared"))
-    far = _far_estimates(compared, columns, baseline)
-    notes += [_note("far estimate", label=label, names=names) for label, names in far.items()]
+    contested = []
+    for column in columns:
+        same = baseline is not None and column.run == baseline.run
+        if column.kind == "estimate" and same and (names := _far(compared, column, baseline)):
+            notes.append(_note("far estimate", label=column.label, names=names))
+            contested += names
+    apart = tuple(
+        _note("runs apart", run=column.run, first=posteriors[0].run, names=names)
+        for column in posteriors[1:]
+        if (names := _far(compared, column, baseline))
+    )
     return Comparison(
         tuple(columns),
         tuple(compared),
         baseline.label if baseline else None,
         (*apart, *notes),
-        tuple(q.name for q in compared if any(q.name in names for names in far.values())),
+        tuple(quantity.name for quantity in compared if quantity.name in contested),
         {run: summary.reasons for run, summary in runs.items() if summary.reasons},
         apart,
     )
@@ -173,20 +186,20 @@ def _order(quantity: Quantity) -> int:
 def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
     for method in METHODS:
         if (table := summary.estimates.get(method)) is not None:
-            residual = _residual(table.residual_rms, table.residual_unit)
-            words = "; ".join(filter(None, [table.assumption, *table.notes, residual]))
-            yield Column(f"{prefix}{method}", "estimate", run, method, words)
+            words = [table.assumption, *table.notes]
+            told = _told(words, table.residual_rms, table.residual_unit)
+            yield Column(f"{prefix}{method}", "estimate", run, method, told)
     if summary.parameters or summary.derived:
         lag = summary.noise.residual_lag1
-        parts = [summary.likelihood.method, f"noise {summary.noise.model}"]
-        parts += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
-        parts += [_residual(summary.fit.residual_rms, summary.fit.unit)]
-        words = "; ".join(filter(None, parts))
-        yield Column(f"{prefix}posterior", "posterior", run, None, words, summary.widened)
+        words = [summary.likelihood.method, f"noise {summary.noise.model}"]
+        words += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
+        told = _told(words, summary.fit.residual_rms, summary.fit.unit)
+        yield Column(f"{prefix}posterior", "posterior", run, None, told, summary.widened)
 
 
-def _residual(rms: float | None, unit: str) -> str:
-    return "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
+def _told(words: list[str], rms: float | None, unit: str) -> str:
+    residual = "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
+    return "; ".join(filter(None, [*words, residual]))
 
 
 def _file_rows(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
@@ -263,60 +276,29 @@ def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
 
 
-def _of_runs(runs: Mapping[str, Summary], quantities: Mapping[str, Quantity]) -> Iterator[str]:
-    """Say which runs are not reliable, and what depends on the motion."""
-    for run, summary in runs.items():
-        if summary.sampler.status != "reliable":
-            yield _note("unsure run", run=run, status=summary.sampler.status)
-    if names := [name for name, quantity in quantities.items() if quantity.of_motion]:
-        yield _note("of motion", names=names, several=len(runs) > 1)
-
-
-def _in_two_runs(quantity: Quantity, columns: list[Column]) -> bool:
+def _in_two_runs(quantity: Quantity, posteriors: list[Column]) -> bool:
     """Whether two runs determine a quantity, or its limit, and do not doubt it themselves."""
-    cells = [quantity.cells.get(c.label) for c in columns if c.kind == "posterior"]
+    cells = [quantity.cells.get(column.label) for column in posteriors]
     usable = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
     return len(usable) > 1
 
 
-def _far_estimates(
-    quantities: list[Quantity], columns: list[Column], baseline: Column | None
-) -> dict[str, list[str]]:
-    """Name what estimates of the first posterior's run give otherwise, by label."""
-    labels = [
-        c.label for c in columns if c.kind == "estimate" and baseline and c.run == baseline.run
-    ]
-    far = {
-        label: [
-            quantity.name
-            for quantity in quantities
-            if (cell := quantity.cells.get(label)) is not None
-            and cell.status == "determined"
-            and abs(cell.disagreement or 0.0) > _FAR
-        ]
-        for label in labels
-    }
-    return {label: names for label, names in far.items() if names}
-
-
-def _runs_apart(quantities: list[Quantity], columns: list[Column]) -> tuple[str, ...]:
-    """Say in what other runs' posteriors are too far from the first to be of one joint.
+def _far(quantities: list[Quantity], column: Column, baseline: Column | None) -> list[str]:
+    """Name what a column gives otherwise than the first posterior.
 
     What a run doubts itself, as for a delay or too wide a band, is no news of the joint.
     """
-    posteriors = [c for c in columns if c.kind == "posterior"]
-    notes = []
-    for column in posteriors[1:]:
-        first = posteriors[0]
-        far = [
-            f"{quantity.name} ({cell.disagreement:+.1f} sd)"
-            for quantity in quantities
-            if (cell := quantity.cells.get(column.label)) is not None
-            and abs(cell.disagreement or 0.0) > _FAR
-            and not (cell.doubted or quantity.cells[first.label].doubted)
-        ]
-        notes += [_note("runs apart", run=column.run, first=first.run, names=far)] if far else []
-    return tuple(notes)
+    names = []
+    for quantity in quantities:
+        cell = quantity.cells.get(column.label)
+        if cell is None or baseline is None or abs(cell.disagreement or 0.0) <= _FAR:
+            continue
+        if column.kind == "estimate" and cell.status == "determined":
+            names.append(quantity.name)
+        doubted = cell.doubted or quantity.cells[baseline.label].doubted
+        if column.kind == "posterior" and not doubted:
+            names.append(f"{quantity.name} ({cell.disagreement:+.1f} sd)")
+    return names
 
 
 def _add_references(
@@ -365,42 +347,41 @@ def _measure(quantity: Quantity, columns: list[Column], baseline: Column | None)
             quantity.cells[column.label] = replace(cell, disagreement=apart)
 
 
-def comparison_text(compared: Comparison, width: int = _WIDTH) -> Iterator[str]:
+def comparison_text(compared: Comparison, width: int = 120) -> Iterator[str]:
     """Lay a comparison out for a terminal; columns that do not fit come in further blocks."""
     from rich.box import SIMPLE_HEAD  # a page does without
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(width=width, file=StringIO(), color_system=None)
+    printed = StringIO()
+    console = Console(width=width, file=printed, color_system=None)
     left = max((len(row.name) for row in compared.rows), default=0)
-    across = max(1, (width - left) // (_NARROWEST + 2))
+    # at least [0.00046688, 0.00046933] fits
+    across = max(1, (width - left) // 26)
     for first in range(0, len(compared.columns), across):
         columns = compared.columns[first : first + across]
         table = Table(box=SIMPLE_HEAD, pad_edge=False)
         table.add_column(no_wrap=True)
         for column in columns:
-            table.add_column(Text(column.label), max_width=_WIDEST)
-        group = None
-        for row in compared.rows:
-            cells = ["\n".join(_cell_lines(row.cells.get(c.label))) for c in columns]
-            if not any(cells):
-                continue
-            if group is not None and group != (row.kind, row.gauge_free):
+            table.add_column(Text(column.label), max_width=30)
+        for _, rows in groupby(compared.rows, key=lambda row: (row.kind, row.gauge_free)):
+            if table.row_count:
                 table.add_row()
-            group = (row.kind, row.gauge_free)
-            name = f"{row.name}\n  {row.unit}" if row.unit else row.name
-            table.add_row(*map(Text, (name, *cells)))
-        with console.capture() as captured:
-            console.print(table)
-        yield from (line.rstrip() for line in captured.get().splitlines())
+            for row in rows:
+                cells = [_cell_text(row.cells.get(column.label)) for column in columns]
+                if any(cells):
+                    name = f"{row.name}\n  {row.unit}" if row.unit else row.name
+                    table.add_row(*map(Text, (name, *cells)))
+        console.print(table)
+    yield from (line.rstrip() for line in printed.getvalue().splitlines())
     for line in explained(compared):
         yield from textwrap.wrap(line, width, subsequent_indent="  ")
 
 
-def _cell_lines(cell: ResultRow | None) -> list[str]:
+def _cell_text(cell: ResultRow | None) -> str:
     parts = cell.parts(TEXT) if cell else ()
-    return [f"{text}{_PLAIN}" if kind == "plain" else text for kind, text in parts]
+    return "\n".join(text + _PLAIN * (kind == "plain") for kind, text in parts)
 
 
 def comparison_csv(compared: Comparison) -> str:
