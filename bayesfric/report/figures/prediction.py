@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -34,44 +34,22 @@ MOST = 3
 _BAND: Look = {"color": style.BAND, "linewidth": 0.0, "gid": "band"}
 
 
-class Predictive(NamedTuple):
-    """Posterior predictive of one recording, ``(n_outputs,)`` each."""
-
-    mean: Array
-    reach: Array  # half the 90 % interval, noise included
-    sigma: Array  # sd of the noise alone, root mean square over the draws
-
-
-def predictive(fit: Fit, budget: int = 20_000_000) -> list[Predictive]:
-    """Predict the outputs of every recording.
+def predictive(fit: Fit) -> list[tuple[Array, Array, Array]]:
+    """Predict every recording: mean, half the 90 % interval, and sd of the noise, ``(M,)`` each.
 
     The predictive is assumed normal: it is the normal noise, spread a little by the parameters.
-    Quantiles of a few hundred draws would be far rougher than that. ``budget`` bounds the numbers
-    held at once, windows of the filter: 160 MB.
+    Quantiles of a few hundred draws would be far rougher than that.
     """
-    flat = fit.predicting
-    n = len(flat)
-    values = fit.target.chain_values(flat)
-    scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
-    likelihood = fit.target.likelihood
-    # about one draw's prediction: squares of small differences lose no digits
-    origin = [f[0] for f in likelihood.predict(values[:1])]
-    first, second = ([np.zeros_like(f) for f in origin] for _ in range(2))
-    windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
-    at_once = max(1, budget // max(windows, 1))
-    for begin in range(0, n, at_once):
-        for r, f in enumerate(likelihood.predict(values[begin : begin + at_once])):
-            first[r] += (f - origin[r]).sum(axis=0)
-            second[r] += ((f - origin[r]) ** 2).sum(axis=0)
+    draws, likelihood = fit.predicting, fit.target.likelihood
+    scales = fit.target.noise.scales(draws[:, len(fit.target.free) :])
     # the noise changes little over the draws
-    sds = [likelihood.noise_sd(scales[i]) for i in range(0, n, max(n // 20, 1))]
-    predictives = []
-    for r in range(len(origin)):
-        variance = np.maximum(second[r] / n - (first[r] / n) ** 2, 0.0)
+    sds = [likelihood.noise_sd(scales[i]) for i in range(0, len(draws), max(len(draws) // 20, 1))]
+    predictions = []
+    for r, rows in enumerate(likelihood.predict(fit.target.chain_values(draws))):
         noise = np.mean([sd[r] ** 2 for sd in sds], axis=0)
-        reach = float(ndtri(0.5 + LEVEL / 2.0)) * np.sqrt(variance + noise)
-        predictives.append(Predictive(origin[r] + first[r] / n, reach, noise**0.5))
-    return predictives
+        half = float(ndtri(0.5 + LEVEL / 2.0)) * np.sqrt(rows.var(axis=0) + noise)
+        predictions.append((rows.mean(axis=0), half, noise**0.5))
+    return predictions
 
 
 def prediction_figure(fit: Fit) -> Figure:
@@ -90,7 +68,7 @@ def prediction_figure(fit: Fit) -> Figure:
         )
         recordings = zip(axes.T, shown, predictive(fit), fit.observations, strict=False)
         for (above, below), o, p, observation in recordings:
-            _predicted(above, below, o, p)
+            _predicted(above, below, o, *p)
             for ax in (above, below):
                 _hatch_excluded(ax, observation)
             below.set_xlabel("time (s)")
@@ -109,9 +87,9 @@ def prediction_figure(fit: Fit) -> Figure:
     return figure
 
 
-def _predicted(above: Axes, below: Axes, o: Outputs, p: Predictive) -> None:
+def _predicted(above: Axes, below: Axes, o: Outputs, *predicted: Array) -> None:
     """Draw measured outputs and the predictive, and below them the residuals."""
-    time, measured, mean, reach, sigma = _broken(o, o.measured, p.mean, p.reach, p.sigma)
+    time, measured, mean, reach, sigma = _broken(o, o.measured, *predicted)
     pixels = as_pixels(o.time)
     band = _BAND | {"rasterized": pixels}
     label = f"{100 * LEVEL:.0f} % predictive band"
