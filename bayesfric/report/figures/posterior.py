@@ -65,7 +65,7 @@ class Shown(NamedTuple):
         return max(low - margin, min(lower, low)), min(high + margin, max(upper, high))
 
 
-def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure:
+def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
     """Draw marginal and pairwise posteriors of at most ``most`` quantities, a page wide.
 
     What the data leave open is hatched, without an interval, and its pairs are not filled. Where
@@ -73,7 +73,10 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure:
     """
     import corner  # brings ArviZ along, which takes a second or more
 
-    shown = choice(fit.wide, summary)[:most]
+    # what never moved has no histogram
+    moved = [q for q in choice(fit.wide, summary) if np.ptp(q.draws) > 1e-12 * abs(q.draws).max()]
+    if not (shown := moved[:most]):
+        return None
     names = {quantity.row.name for quantity in shown}
     left_out = [
         mathtext(q.row.symbol, q.row.name)
@@ -145,16 +148,12 @@ def choice(fit: Fit, summary: Summary) -> list[Shown]:
 
 def _marginal(ax: Axes, quantity: Shown) -> None:
     """Fill a posterior density and draw the prior over it."""
-    (outline,) = ax.patches
-    outline.set_gid("outline")
-    heights = np.asarray(outline.get_path().vertices)[:, 1]
-    highest = peak = float(heights.max())
-    is_open = _is_open(quantity)
+    ax.patches[0].set_gid("outline")
     low, high = quantity.limits
-    ax.hist(
-        quantity.draws, bins=40, range=(low, high), density=True, histtype="stepfilled",
-        gid="open" if is_open else "posterior", **(_OPEN if is_open else _KNOWN),
-    )  # fmt: skip
+    density, edges = np.histogram(quantity.draws, 40, (low, high), density=True)
+    gid, look = ("open", _OPEN) if _is_open(quantity) else ("posterior", _KNOWN)
+    ax.stairs(density, edges, fill=True, gid=gid, **look)
+    highest = peak = float(density.max())
     if quantity.prior is not None:
         grid = np.linspace(low, high, 301)
         prior = np.exp(quantity.prior.log_density(grid))
@@ -182,14 +181,10 @@ def _handles() -> list[Artist]:
 
 
 def quantities(fit: Fit, summary: Summary) -> list[Shown]:
-    """List the sampled parameters of a fit that ever moved, noise scales last."""
+    """List the sampled parameters of a fit, noise scales last."""
     posterior, rows = fit.posterior, result_rows(summary)
     columns = zip(posterior.names, posterior.flat().T, posterior.priors, strict=True)
-    return [
-        Shown(rows[name], draws, prior)
-        for name, draws, prior in columns
-        if np.ptp(draws) > 1e-12 * np.abs(draws).max()
-    ]
+    return [Shown(rows[name], draws, prior) for name, draws, prior in columns]
 
 
 def combinations(fit: Fit, summary: Summary) -> list[Shown]:

@@ -76,28 +76,20 @@ def parameters_latex(table: ParameterTable) -> str:
 
     It needs the packages array, booktabs, siunitx (version 3) and tabularx.
     """
-    lines = []
-    for group, rows in table.groups.items():
-        for r in rows:
-            cells = [latex_symbol(r.symbol, r.name), escaped(r.meaning or r.name)]
-            cells += [*r.shown(LATEX), latex_unit(r.unit), escaped(r.verdict)]
-            lines.append((group, cells))
-    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}}"
-    head = ["Symbol", "Quantity", "Value", f"{share} interval", "Unit", "Determined by"]
-    columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    layout = {"columns": columns, "head": head, "lines": lines, "headings": _GROUPS}
-    return _table("Parameters of the joint", "parameters", table.notes(), layout)
-
-
-def _table(
-    caption: str,
-    label: str,
-    notes: Sequence[str],
-    layout: Mapping[str, Any],
-) -> str:
-    """Fill the template of tables."""
-    below = escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
-    return filled("table.tex.j2", caption=caption, label=label, notes=below, **layout) + "\n"
+    lines = [
+        (group, [
+            latex_symbol(r.symbol, r.name), escaped(r.meaning or r.name), *r.shown(LATEX),
+            latex_unit(r.unit), escaped(r.verdict),
+        ])
+        for group, rows in table.groups.items()
+        for r in rows
+    ]  # fmt: skip
+    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}} interval"
+    head = ["Symbol", "Quantity", "Value", share, "Unit", "Determined by"]
+    return _table(
+        "Parameters of the joint", "parameters", table.notes(), head=head, lines=lines,
+        columns=r"@{}l>{\raggedright\arraybackslash}Xllll@{}", headings=_GROUPS,
+    )  # fmt: skip
 
 
 def methods_latex(compared: Comparison) -> str:
@@ -114,11 +106,21 @@ def methods_latex(compared: Comparison) -> str:
         cells=[cell for row in compared.rows for cell in row.cells.values()],
         skewed=any("^{+" in text for _, texts in lines for text in texts),
     ).splitlines()
-    head = ["", "Unit", *(escaped(c.label) for c in compared.columns)]
-    columns = f"@{{}}ll{'l' * len(compared.columns)}@{{}}"
-    title = "Runs side by side" if compared.several else "Estimates by method"
-    label = "runs" if compared.several else "methods"
-    return _table(title, label, notes, {"columns": columns, "head": head, "lines": lines})
+    several = compared.several
+    return _table(
+        "Runs side by side" if several else "Estimates by method",
+        "runs" if several else "methods",
+        notes,
+        head=["", "Unit", *(escaped(column.label) for column in compared.columns)],
+        lines=lines,
+        columns=f"@{{}}ll{'l' * len(compared.columns)}@{{}}",
+    )
+
+
+def _table(caption: str, label: str, notes: Sequence[str], **layout: Any) -> str:
+    """Fill the template of tables."""
+    below = escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
+    return filled("table.tex.j2", caption=caption, label=label, notes=below, **layout) + "\n"
 
 
 def _cell(cell: ResultRow | None) -> str:
@@ -126,12 +128,10 @@ def _cell(cell: ResultRow | None) -> str:
         return ""
     if cell.status == "undetermined":
         return "---" if cell.converged else "n.c."
+    marks = {"b": cell.status == "bound", "d": cell.doubted, "s": not cell.alike}
+    marks[r"\dag"] = cell.plain
     shown, _ = cell.texts(LATEX)
-    if cell.status == "bound":
-        return shown + r"\textsuperscript{b}"
-    shown += r"\textsuperscript{d}" if cell.doubted else ""
-    shown += "" if cell.alike else r"\textsuperscript{s}"
-    return shown + (r"\textsuperscript{\dag}" if cell.plain else "")
+    return shown + "".join(rf"\textsuperscript{{{mark}}}" for mark, on in marks.items() if on)
 
 
 def summary_table(summary: Readable) -> str:
@@ -147,10 +147,9 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 
 def latex_texts(summary: Readable, run: str) -> dict[str, str]:
     """Write tables and references for a paper, by file name inside the run directory."""
-    table = parameter_table(summary, run)
     return {
         "text/references.bib": references(),
-        "tables/parameters.tex": parameters_latex(table),
+        "tables/parameters.tex": parameters_latex(parameter_table(summary, run)),
         "tables/estimates.tex": methods_latex(comparison({run: summary})),
     }
 
