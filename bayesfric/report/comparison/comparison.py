@@ -102,7 +102,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     recording are not independent, and disagree more than that says. An estimate of the same run
     used the same data, so variances do not add: the larger of the two sds counts.
     """
-    runs = {name: put_reported(Summary.read(one, name)) for name, one in summaries.items()}
+    runs = {name: put_reported(Summary.read(run, name)) for name, run in summaries.items()}
     with_estimates = len(runs) == 1 if estimates is None else estimates
     angles = first_angles(run.parameters for run in runs.values())
     quantities: dict[str, Quantity] = {}
@@ -114,12 +114,11 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             raise BadInput(run, "holds no result to compare", "name a finished run")
         columns += shown
         for column in every:
-            for name, row in _file_rows(column, summary):
+            for name, row, cell in _cells(column, summary, angles):
                 # estimates describe quantities even where they are not shown
                 quantity = _quantity(quantities, name, row, summary, run)
                 if column in shown:
-                    aligned = unwrapped(row, angles.get(name))
-                    quantity.cells[column.label] = _cell(name, aligned, column, summary)
+                    quantity.cells[column.label] = cell
     for quantity in quantities.values():
         if quantity.gauge_free is None:
             # the data alone leave what a scaling changes without any sd
@@ -184,42 +183,47 @@ def _order(quantity: Quantity) -> int:
 
 
 def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
+    def assumptions(*words: str, rms: float | None, unit: str) -> str:
+        residual = "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
+        return "; ".join(filter(None, (*words, residual)))
+
     for method in METHODS:
         if (table := summary.estimates.get(method)) is not None:
-            words = [table.assumption, *table.notes]
-            told = _told(words, table.residual_rms, table.residual_unit)
-            yield Column(f"{prefix}{method}", "estimate", run, method, told)
+            rms, unit = table.residual_rms, table.residual_unit
+            words = assumptions(table.assumption, *table.notes, rms=rms, unit=unit)
+            yield Column(f"{prefix}{method}", "estimate", run, method, words)
     if summary.parameters or summary.derived:
-        lag = summary.noise.residual_lag1
-        words = [summary.likelihood.method, f"noise {summary.noise.model}"]
-        words += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
-        told = _told(words, summary.fit.residual_rms, summary.fit.unit)
-        yield Column(f"{prefix}posterior", "posterior", run, None, told, summary.widened)
+        fit, noise = summary.fit, summary.noise
+        lag = "" if noise.residual_lag1 is None else f"{noise.residual_lag1:.2f}"
+        lag = lag and f"its residuals' lag-1 correlation is {lag}"
+        words = assumptions(
+            summary.likelihood.method,
+            f"noise {noise.model}",
+            lag,
+            rms=fit.residual_rms,
+            unit=fit.unit,
+        )
+        yield Column(f"{prefix}posterior", "posterior", run, None, words, summary.widened)
 
 
-def _told(words: list[str], rms: float | None, unit: str) -> str:
-    residual = "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
-    return "; ".join(filter(None, [*words, residual]))
-
-
-def _file_rows(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
-    """Give the rows of the file that a column is made of, by name; none of the noise."""
+def _cells(
+    column: Column, summary: Summary, angles: Mapping[str, float]
+) -> Iterator[tuple[str, Any, ResultRow]]:
+    """Give name, row of the file, and judgement of a column's numbers; none of the noise."""
     if column.method is not None:
-        yield from summary.estimates[column.method].parameters.items()
+        table = summary.estimates[column.method]
+        for name, row in table.parameters.items():
+            cell = estimate_row(name, unwrapped(row, angles.get(name)), table.converged)
+            if column.method == "least-squares" and (why := _not_alike(summary, name, row.unit)):
+                cell = replace(cell, alike=False, remark=cell.remark or why)
+            yield name, row, cell
         return
-    for name, row in (*summary.rows.items(), *summary.fixed.items()):
+    for name, row in summary.rows.items():
         if not of_noise(name):
-            yield name, row
-
-
-def _cell(name: str, row: Any, column: Column, summary: Summary) -> ResultRow:
-    if isinstance(row, PosteriorRow):
-        return posterior_row(name, row, summary.accounts)
-    if column.method is None:
-        return known_row(name, row.value, row)
-    cell = estimate_row(name, row, summary.estimates[column.method].converged)
-    why = _not_alike(summary, name, row.unit) if column.method == "least-squares" else ""
-    return replace(cell, alike=False, remark=cell.remark or why) if why else cell
+            aligned = unwrapped(row, angles.get(name))
+            yield name, row, posterior_row(name, aligned, summary.accounts)
+    for name, fixed in summary.fixed.items():
+        yield name, fixed, known_row(name, unwrapped(fixed, angles.get(name)).value, fixed)
 
 
 def _quantity(
@@ -269,9 +273,9 @@ def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None
             if cell is not None and cell.status != "known":
                 names[column.run].add(quantity.name)
     # of two, the second is the one out of place
-    for run, own in reversed(names.items()):
-        others = set[str]().union(*(theirs for other, theirs in names.items() if other != run))
-        if len(names) > 1 and not own & others:
+    for run, results in reversed(names.items()):
+        others = [theirs for other, theirs in names.items() if other != run]
+        if others and results.isdisjoint(set[str]().union(*others)):
             what = "has no quantity in common with the other runs"
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
 
