@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -81,39 +82,33 @@ class SharedQuantity:
         """In how many runs it is doubted."""
         return sum(bool(row.doubted) for row in self.runs.values())
 
-
-@dataclass(frozen=True)
-class PooledQuantity(SharedQuantity):
-    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
-
-    pool: Population
+    @cached_property
+    def pool(self) -> Population:
+        """The population that the runs are drawn from, cut at the quantity's bound."""
+        pool = population(list(self.likelihoods.values()), self.row.level)
+        row = QUANTITIES.get(quantity_of(self.name))
+        least = -np.inf if row is None else row.lower
+        # the normal model puts ends where the quantity cannot be; cut they hold the same
+        mean, following = (
+            Interval(**{end: max(x, least) for end, x in vars(interval).items()})
+            for interval in (pool.mean, pool.following)
+        )
+        return replace(pool, mean=mean, following=following)
 
 
 def between_runs(
     runs: Mapping[str, Summary], draws: Mapping[str, RunDraws] | None = None
-) -> list[PooledQuantity]:
-    """Pool every quantity that the data of two runs, on different recordings, determine.
+) -> list[SharedQuantity]:
+    """Give the quantities of runs on different recordings that can be pooled.
 
     See :func:`shared_quantities` for what counts. What another motion changes is not pooled: runs
     of one joint may differ in it.
     """
-    pooled = []
-    for quantity in shared_quantities(runs, draws):
-        if not any(row.of_motion for row in quantity.runs.values()):
-            pool = population(list(quantity.likelihoods.values()), quantity.row.level)
-            pooled.append(PooledQuantity(**vars(quantity), pool=_possible(quantity.name, pool)))
-    return pooled
-
-
-def _possible(name: str, pool: Population) -> Population:
-    """Cut ends that the normal model puts where a quantity cannot be; they hold the same."""
-    row = QUANTITIES.get(quantity_of(name))
-    least = -np.inf if row is None else row.lower
-    mean, following = (
-        Interval(**{end: max(x, least) for end, x in vars(interval).items()})
-        for interval in (pool.mean, pool.following)
-    )
-    return replace(pool, mean=mean, following=following)
+    return [
+        quantity
+        for quantity in shared_quantities(runs, draws)
+        if not any(row.of_motion for row in quantity.runs.values())
+    ]
 
 
 def shared_quantities(
@@ -173,7 +168,7 @@ def _likelihood(
     return likelihood(draws.values[name] + by, row.printed.sd, prior)
 
 
-def between_runs_csv(pooled: Sequence[PooledQuantity]) -> str:
+def between_runs_csv(pooled: Sequence[SharedQuantity]) -> str:
     """Write pooled values as CSV, every number in full."""
     lines = []
     for quantity in pooled:

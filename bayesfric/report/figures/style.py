@@ -131,7 +131,7 @@ def scaled_unit(exponent: int, unit: str) -> str:
 
 def axis_label(symbol: str, name: str, exponent: int, unit: str) -> str:
     """Write symbol and unit for an axis; the name where there is no LaTeX symbol."""
-    return f"{mathtext(symbol, name) if symbol else name} ({scaled_unit(exponent, unit)})"
+    return f"{mathtext(symbol, name)} ({scaled_unit(exponent, unit)})"
 
 
 @cache
@@ -141,6 +141,8 @@ def mathtext(symbol: str, name: str) -> str:
     Words in subscripts (names of elements) are upright. A symbol that cannot be set, as with odd
     characters in an element's name, is replaced by the parameter's name.
     """
+    if not symbol:
+        return name
     # an empty subscript is the paper's bare symbol
     symbol = symbol.replace("_{}", "")
     symbol = re.sub(r"_\{([^{}]*)\}", lambda m: "_{" + _upright(m[1]) + "}", symbol)

@@ -13,7 +13,7 @@ from pydantic import Field
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.recordings.moving import too_slow
-from bayesfric.report.comparison.between_runs import PooledQuantity
+from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, read_captions
 from bayesfric.report.messages import messages_of
@@ -126,7 +126,7 @@ def compare_page(
     folder: Path,
     compared: Comparison,
     runs: Mapping[str, Summary],
-    pooled: Sequence[PooledQuantity],
+    pooled: Sequence[SharedQuantity],
     provenance: Mapping[str, Provenance | None],
 ) -> str:
     """Write the page of a comparison; a figure that ``folder`` lacks is left out."""

@@ -77,7 +77,7 @@ def _environment() -> Environment:
 def html_symbol(symbol: str, name: str) -> Markup:
     """Write a quantity's LaTeX symbol as HTML; its name as code where that cannot be."""
     # as figures set it, which marks words and escapes underscores of names
-    shown = mathtext(symbol, name) if symbol else ""
+    shown = mathtext(symbol, name)
     text = re.sub(r"\\mathrm\{([^{}]*)\}|\\dot|\\,", r"\1", shown.strip("$")).replace(r"\_", "_")
     # LaTeX and HTML have the same names for Greek letters
     text = unescape(re.sub(r"\\([A-Za-z]+) ?", r"&\1;", text))

@@ -191,7 +191,7 @@ def latex_symbol(latex: str, name: str) -> str:
     """Write a quantity's symbol, or its name in typewriter."""
     from bayesfric.report.figures.style import mathtext  # with Matplotlib
 
-    shown = mathtext(latex, name) if latex else ""
+    shown = mathtext(latex, name)
     return shown if shown.startswith("$") else rf"\texttt{{{escaped(name)}}}"
 
 
