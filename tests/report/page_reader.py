@@ -15,22 +15,21 @@ class Node:
 
     @property
     def text(self):
-        if self.tag == "sup":
-            return "^" + "".join(c if isinstance(c, str) else c.text for c in self.children)
-        return "".join(c if isinstance(c, str) else c.text for c in self.children)
-
-    def all(self, tag, **wanted):
-        for child in self.children:
-            if isinstance(child, Node):
-                if child.tag == tag and all(child.attrs.get(k) == v for k, v in wanted.items()):
-                    yield child
-                yield from child.all(tag, **wanted)
+        text = "".join(c if isinstance(c, str) else c.text for c in self.children)
+        return f"^{text}" if self.tag == "sup" else text
 
     def every(self):
         for child in self.children:
             if isinstance(child, Node):
                 yield child
                 yield from child.every()
+
+    def all(self, tag, **wanted):
+        return (
+            node
+            for node in self.every()
+            if node.tag == tag and wanted.items() <= node.attrs.items()
+        )
 
 
 class _Reader(HTMLParser):
