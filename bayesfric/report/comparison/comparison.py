@@ -218,10 +218,10 @@ def _cells(
                 cell = replace(cell, alike=False, remark=cell.remark or why)
             yield name, row, cell
         return
-    for name, row in summary.rows.items():
+    for name, posterior in summary.rows.items():
         if not of_noise(name):
-            aligned = unwrapped(row, angles.get(name))
-            yield name, row, posterior_row(name, aligned, summary.accounts)
+            aligned = unwrapped(posterior, angles.get(name))
+            yield name, posterior, posterior_row(name, aligned, summary.accounts)
     for name, fixed in summary.fixed.items():
         yield name, fixed, known_row(name, unwrapped(fixed, angles.get(name)).value, fixed)
 

@@ -22,11 +22,16 @@ from bayesfric.report.summary.derived_quantities import LEVEL
 _LINE, _AXIS, _LEGEND = 0.155, 0.40, 0.3
 _MARGIN = 0.65  # lines above the first and below the last
 _REFERENCE = style.PALETTE[2]
-_THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt", "gid": "thick"}
-_THIN: Look = {
-    "linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7, "gid": "thin"
+_THICK: Look = {
+    "linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt",
+    "label": "90 %, correlated residuals", "gid": "thick",
 }  # fmt: skip
-_SPAN: Look = {"linewidth": 0.9, "linestyle": DOTTED}
+_THIN: Look = {
+    "linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7,
+    "label": "90 %, uncorrelated residuals", "gid": "thin",
+}  # fmt: skip
+_WIDE: Look = {"label": "90 %, with model discrepancy", "gid": "wide"}
+_OPEN: Look = {"markerfacecolor": "white", "label": "not determined", "gid": "open"}
 # Estimates in greys, posteriors in colours, each with its own shape; orange is a reference's.
 _ESTIMATES = {
     "least-squares": ("s", "#8c8c8c"),
@@ -103,8 +108,8 @@ def _panel(
         }  # fmt: skip
         at: float | None = cell.value
         if cell.span is not None:
-            ax.plot(cell.span, [y, y], color=colour, gid="span", **_SPAN)
-            ax.plot(cell.value, y, gid="open", **mark, markerfacecolor="white")
+            ax.plot(cell.span, [y, y], color=colour, gid="span", linewidth=0.9, linestyle=DOTTED)
+            ax.plot(cell.value, y, **mark, **_OPEN)
         elif cell.limit is not None:
             # an arrow to the bound
             end = cell.value if cell.bound is None else cell.bound
@@ -116,8 +121,7 @@ def _panel(
             at = None
         else:
             for ends, look in _bars(cell):
-                named = look | ({"gid": "wide"} if column.widened else {})
-                ax.plot(ends, [y, y], color=colour, **named)
+                ax.plot(ends, [y, y], color=colour, **look | (_WIDE if column.widened else {}))
             ax.plot(cell.value, y, gid="value", **mark)
         if cell.status == "undetermined":
             words.append((at, y, "not determined" if cell.converged else "not converged"))
@@ -168,7 +172,7 @@ def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
 def _reference(ax: Axes, cell: ResultRow) -> None:
     if cell.sd:
         ax.axvspan(*_around(cell, cell.sd), color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
-    ax.axvline(cell.value, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
+    ax.axvline(cell.value, color=_REFERENCE, linewidth=0.8, zorder=1, label="reference")
     side, away = ("left", 2.0) if cell.value < sum(ax.get_xlim()) / 2.0 else ("right", -2.0)
     look: Look = {"xycoords": ax.get_xaxis_transform(), "color": _REFERENCE, "va": "top"}
     look |= {"textcoords": "offset points", "ha": side, "fontsize": style.WORDS}
@@ -178,22 +182,10 @@ def _reference(ax: Axes, cell: ResultRow) -> None:
 
 def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
-    grey = style.MEASURED
-    open_: Look = {"marker": "o", "markersize": 4.0, "markeredgewidth": 0.7, "gid": "open"}
-    capped = Line2D([], [], label="90 %, uncorrelated residuals", color=grey, **_THIN)
-    blue = _THIN | {"gid": "wide", "color": style.POSTERIOR}
-    wide = Line2D([], [], label="90 %, with model discrepancy", **blue)
-    handles = [
-        Line2D([], [], label="90 %, correlated residuals", color=grey, **_THICK),
-        capped,
-        wide,
-        Line2D(
-            [], [], label="not determined", markerfacecolor="white", color=grey, **_SPAN, **open_
-        ),
-        Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference", gid="reference"),
-    ]
-    if shown := style.explained(figure, handles):
+    if handles := style.labelled(figure):
         ends = HandlerLine2D(numpoints=2)
-        look: Look = {"handler_map": {capped: ends, wide: ends}}
+        capped = {h: ends for h in handles if isinstance(h, Line2D) and h.get_marker() == "|"}
         across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
+        figure.legend(
+            handles=handles, loc="outside upper right", ncols=across, handler_map={**capped}
+        )

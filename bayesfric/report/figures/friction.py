@@ -52,7 +52,8 @@ def friction_figure(fit: Fit) -> Figure:
         few_ticks(ax.yaxis, 6)
         if len(curves) > 1:
             ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
-        style.legend_above(figure, style.explained(figure, handles), 2)
+        drawn = {artist.get_gid() for artist in ax.get_children()}
+        style.legend_above(figure, [h for h in handles if h.get_gid() in drawn], 2)
     return figure
 
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.prior.priors import Prior
@@ -40,13 +38,18 @@ from bayesfric.report.summary.record import Summary, of_noise
 # Share of the draws inside the contours.
 MASSES = (0.5, 0.9)
 _OPEN: Look = {
-    "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH
+    "facecolor": "none", "edgecolor": POSTERIOR, "linewidth": 0.0, "hatch": OPEN_HATCH,
+    "label": "posterior that the data leave open", "gid": "open",
 }  # fmt: skip
 _KNOWN: Look = {
-    "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3
+    "facecolor": POSTERIOR, "edgecolor": "none", "linewidth": 0.0, "alpha": 0.3,
+    "label": "posterior", "gid": "posterior",
 }  # fmt: skip
-_PRIOR: Look = {"color": PRIOR, "linestyle": DASHED}
-_END: Look = {"color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED}
+_PRIOR: Look = {"color": PRIOR, "linestyle": DASHED, "label": "prior", "gid": "prior", "zorder": 3}
+_END: Look = {
+    "color": POSTERIOR, "linewidth": 0.7, "linestyle": DOTTED,
+    "label": f"{100 * LEVEL:.0f} % interval", "gid": "interval",
+}  # fmt: skip
 
 
 class Shown(NamedTuple):
@@ -119,7 +122,9 @@ def corner_figure(fit: Fit, summary: Summary, most: int = 8) -> Figure | None:
                     for contours in axes[k, other].collections:
                         contours.set_visible(not getattr(contours, "filled", False))
         # in the empty upper triangle
-        handles = style.explained(figure, _handles())
+        share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
+        contours = Line2D([], [], color=POSTERIOR, label=f"around {share} % of the draws")
+        handles = [*style.labelled(figure), contours]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.985))
         if left_out and len(shown) > 1:
             below = 0.985 - 0.16 * (len(handles) + 1) / PAGE
@@ -148,36 +153,22 @@ def choice(fit: Fit, summary: Summary) -> list[Shown]:
 
 def _marginal(ax: Axes, quantity: Shown) -> None:
     """Fill a posterior density and draw the prior over it."""
-    ax.patches[0].set_gid("outline")
     low, high = quantity.limits
     density, edges = np.histogram(quantity.draws, 40, (low, high), density=True)
-    gid, look = ("open", _OPEN) if _is_open(quantity) else ("posterior", _KNOWN)
-    ax.stairs(density, edges, fill=True, gid=gid, **look)
+    ax.stairs(density, edges, fill=True, **(_OPEN if _is_open(quantity) else _KNOWN))
     highest = peak = float(density.max())
     if quantity.prior is not None:
         grid = np.linspace(low, high, 301)
         prior = np.exp(quantity.prior.log_density(grid))
         prior = np.where(np.isfinite(prior), prior, np.nan)
-        ax.plot(grid, prior, gid="prior", zorder=3, **_PRIOR)
+        ax.plot(grid, prior, **_PRIOR)
         # a prior may have a pole at its bound; it must not flatten the posterior
         highest = max(peak, min(2.0 * peak, float(np.nanmax(prior, initial=0.0))))
     # those of the tables, to the digit; of a limit the end away from the bound
     row = quantity.row
     for end in [row.limit] if row.limit is not None else row.interval or ():
-        ax.axvline(end, ymax=0.8, gid="interval", **_END)
+        ax.axvline(end, ymax=0.8, **_END)
     ax.set(xlim=(low, high), ylim=(0.0, 1.12 * highest))
-
-
-def _handles() -> list[Artist]:
-    """List what the legend explains."""
-    share = " and ".join(f"{100 * mass:.0f}" for mass in MASSES)
-    return [
-        Patch(label="posterior", gid="posterior", **_KNOWN),
-        Patch(label="posterior that the data leave open", gid="open", **_OPEN),
-        Line2D([], [], label="prior", gid="prior", **_PRIOR),
-        Line2D([], [], label=f"{100 * LEVEL:.0f} % interval", gid="interval", **_END),
-        Line2D([], [], color=POSTERIOR, label=f"contours around {share} %", gid="outline"),
-    ]
 
 
 def quantities(fit: Fit, summary: Summary) -> list[Shown]:

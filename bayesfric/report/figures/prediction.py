@@ -79,9 +79,7 @@ def prediction_figure(fit: Fit) -> Figure:
             few_ticks(ax.yaxis, most)
             ax.set_ylabel(f"{words} ({unit})")
         figure.align_ylabels(axes[:, 0])
-        labelled = [zip(*ax.get_legend_handles_labels(), strict=True) for ax in axes.T.flat]
-        named = {label: handle for pairs in labelled for handle, label in pairs}
-        legend_above(figure, list(named.values()))
+        legend_above(figure)
         if len(outputs) > MOST:
             remark_below(figure, f"first {MOST} of {len(outputs)} recordings")
     return figure
@@ -158,7 +156,7 @@ def residual_figure(fit: Fit) -> Figure | None:
             few_ticks(ax.xaxis, 5)
         few_ticks(axes[0].yaxis, 5, exponent=exponent)
         axes[0].set_ylabel(f"residual ({style.scaled_unit(exponent, outputs[0].unit)})")
-        legend_above(figure, axes[0].get_legend_handles_labels()[0])
+        legend_above(figure)
     return figure
 
 
@@ -218,6 +216,6 @@ def rollout_figure(rollout: RollOut) -> Figure:
             few_ticks(ax.yaxis, 4)
             few_ticks(ax.xaxis, 6)
         axes[-1].set_xlabel("time (s)")
-        legend_above(figure, axes[0].get_legend_handles_labels()[0])
+        legend_above(figure)
         figure.align_ylabels(list(axes))
     return figure

@@ -192,15 +192,20 @@ def panel_grid(figure: Figure, count: int, columns: int) -> list[Axes]:
     return [figure.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
 
 
-def explained(figure: Figure, handles: Sequence[Artist]) -> list[Artist]:
-    """Keep the handles of what a figure shows, by ``gid``."""
-    panels = figure.get_axes()
-    drawn = {artist.get_gid() for ax in panels for artist in (ax, *ax.get_children())}
-    return [handle for handle in handles if handle.get_gid() in drawn]
+def labelled(figure: Figure) -> list[Artist]:
+    """List the first artist that is drawn with each label."""
+    first: dict[str, Artist] = {}
+    for ax in figure.axes:
+        for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            first.setdefault(label, artist)
+    return list(first.values())
 
 
-def legend_above(figure: Figure, handles: Sequence[Artist], columns: int | None = None) -> None:
+def legend_above(
+    figure: Figure, handles: Sequence[Artist] | None = None, columns: int | None = None
+) -> None:
     """Put the legend above the panels, in one line if ``columns`` is left out."""
+    handles = labelled(figure) if handles is None else handles
     figure.legend(handles=handles, loc="outside upper left", ncols=columns or len(handles))
 
 
