@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
@@ -19,9 +17,9 @@ from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, rea
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
-from bayesfric.report.paper.tables import ParameterTable, parameter_table
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Readable, RemedyRow, Summary
+from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
 
@@ -42,7 +40,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         title=name,
         summary=read,
         messages=messages,
-        open=open_quantities(table, read),
         too_slow=too_slow(),
         brief=brief(read, messages),
         table=table,
@@ -62,27 +59,6 @@ def _text(path: Path) -> str:
         return read_text(path)
     except BadInput:
         return ""
-
-
-def open_quantities(table: ParameterTable, summary: Summary) -> dict[str, Any]:
-    """Gather what is open, why, and how to determine it, for the template to word."""
-    joint, directions = table.joint, summary.identifiability.directions
-    # and what no scaling changes
-    rows = [*joint, *table.groups["free"]]
-    steps: dict[str, RemedyRow] = {}
-    for direction in directions:
-        for remedy in direction.remedies:
-            steps.setdefault(remedy.text, remedy)
-    first = next((row.name for row in joint if row.by == "open" and row.converged), "")
-    command = f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(first)}"
-    return {
-        "lost": [r.name for r in rows if not r.converged],
-        "names": {r.name: r.meaning for r in rows if r.by == "open" and r.converged},
-        "why": [(direction.meaning, direction.reasons) for direction in directions],
-        # each remedy once, an experiment before a value from elsewhere, which has to be believed
-        "steps": sorted(steps.values(), key=lambda remedy: remedy.kind == "known value"),
-        "command": command if first else "",
-    }
 
 
 class Provenance(Part):
