@@ -9,6 +9,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from html import unescape
@@ -27,13 +28,6 @@ from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
 from bayesfric.report.words import FILTERS, clause
-
-_SIZE = re.compile(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"')
-# Coordinates in points: a hundredth is finer than any printer, and halves the page.
-_COORDINATES = re.compile(r'\b[dxy]="[^"]*"')
-_LONG = re.compile(r"(?<=\.\d\d)\d+")
-# Points; wider than a column of a paper, a figure needs a page's width to be read.
-_COLUMN = 300.0
 
 
 def render(template: str, **values: Any) -> str:
@@ -91,50 +85,48 @@ def html_symbol(symbol: str, name: str) -> Markup:
 
 @dataclass(frozen=True)
 class PageFigure:
-    """One figure."""
+    """One figure: its file's stem, its words, and the drawing as a data URL, sizes in points."""
 
-    stem: str  # its file's name, and its anchor behind `figure-`
-    # in words
+    stem: str
     title: str
     caption: str
     alt: str  # text for who cannot see it
-    source: str  # the drawing as a data URL
-    # in points
+    source: str
     width: float
     height: float
 
     @property
     def wide(self) -> bool:
-        """Whether it is made for the width of a page."""
-        return self.width > _COLUMN
+        """Whether it needs a page's width, being wider than a column of a paper."""
+        return self.width > 300.0
 
 
-def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str) -> PageFigure:
-    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none."""
+def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str = "") -> PageFigure:
+    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none.
+
+    The text for who cannot see it is its caption by default: the numbers are in the page's tables.
+    """
     text = read_text(folder / "figures" / f"{stem}.svg")
-    if (size := _SIZE.search(text)) is None:
+    if (size := re.search(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"', text)) is None:
         raise ValueError(f"{stem}.svg is no SVG with a view box")
-    text = _COORDINATES.sub(lambda match: _LONG.sub("", match[0]), text).replace("\n", " ")
+    # coordinates in points: a hundredth is finer than any printer, and halves the page
+    text = re.sub(
+        r'\b[dxy]="[^"]*"', lambda match: re.sub(r"(?<=\.\d\d)\d+", "", match[0]), text
+    ).replace("\n", " ")
     source = "data:image/svg+xml," + quote(text, safe=" :/;=,().-")
+    alt = alt or f"{title}. {caption}".strip()
     return PageFigure(stem, title, caption, alt, source, float(size[1]), float(size[2]))
 
 
 def page_figures(
     folder: Path, figures: Iterable[Declared], captions: Mapping[str, str]
 ) -> dict[str, list[PageFigure]]:
-    """Read the figures that the folder has, by section of the page.
-
-    ``captions``, by stem, replace what a figure declares. The text for who cannot see it is its
-    caption: the numbers are in the page's tables.
-    """
+    """Read the figures that the folder has, by section; ``captions`` replace those declared."""
     sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
     for declared in figures:
-        default = declared.caption if isinstance(declared.caption, str) else ""
-        stem, title = declared.stem, declared.title
-        caption = captions.get(stem, default)
-        try:
-            figure = page_figure(folder, stem, title, caption, f"{title}. {caption}".strip())
+        caption = declared.caption if isinstance(declared.caption, str) else ""
+        caption = captions.get(declared.stem, caption)
+        with suppress(BadInput, ValueError):
+            figure = page_figure(folder, declared.stem, declared.title, caption)
             sections[declared.section].append(figure)
-        except (BadInput, ValueError):
-            continue
     return sections
