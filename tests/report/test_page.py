@@ -12,9 +12,8 @@ from bayesfric.report.page.pages import run_page
 from bayesfric.report.page.rendering import html_symbol, page_figure
 from bayesfric.report.paper.tables import escaped, latex_unit, parameter_table, parameters_latex
 
-from . import made_tables
 from .made_summaries import FOUND, every_kind, knee, loaded
-from .page_reader import number, read_page
+from .page_reader import latex_lines, latex_number, number, read_page
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,7 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
     told = make() if make else request.getfixturevalue("summary")
     table = parameter_table(told)
     page = read_page(run_page(tmp_path if make else written_run, told, "run"))
-    rows, latex = lines(page), made_tables.lines(parameters_latex(table))
+    rows, latex = lines(page), latex_lines(parameters_latex(table))
     assert set(rows) == {r.name for r in table.rows}
     open_ = [r for r in table.rows if r.status == "undetermined"]
     assert bool(open_) == (make is not loaded)
@@ -72,7 +71,7 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
         row = rows[r.name]
         assert (escaped(r.verdict), latex_unit(r.unit)) == (verdict, unit)
         if r.posterior is None:  # a value that is known
-            known = made_tables.num(value)[0]
+            known = latex_number(value)[0][0]
             assert known == pytest.approx(told["fixed"][r.name]["value"], rel=1e-3)
             continue
         entry = told["parameters"].get(r.name) or told["derived"][r.name]
@@ -85,23 +84,23 @@ def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
         shown, last = number(cell(row, "value").text)
         if r.status == "limit":
             assert shown[0] == pytest.approx(r.limit, rel=5e-3)
-            assert shown[0] == pytest.approx(made_tables.num(value.split("$ ")[-1])[0], rel=1e-9)
+            assert shown[0] == pytest.approx(latex_number(value.split("$ ")[-1])[0][0], rel=1e-9)
             assert ends == "---"
             continue
         low, high = number(cell(row, "interval").text)[0]
-        assert [low, high] == pytest.approx(made_tables.ends(ends)[:2], rel=1e-9)
+        assert [low, high] == pytest.approx(latex_number(ends)[0], rel=1e-9)
         assert [low, high] == pytest.approx(entry["interval"], abs=0.51 * last)
         # a paper's table has the distances to the interval's ends in place of the sd
-        middle, up, down, digit = made_tables.skewed(value)
+        (middle, up, down), digit = latex_number(value)
         assert shown[0] == pytest.approx(entry["median"], abs=0.51 * last)
         assert shown[0] == pytest.approx(middle, rel=1e-9)
-        assert [middle - down, middle + up] == pytest.approx(entry["interval"], abs=1.001 * digit)
+        assert [middle + down, middle + up] == pytest.approx(entry["interval"], abs=1.001 * digit)
         # two digits of the sd, whatever its size
         assert 10 <= round(entry["sd"] / digit) <= 99 or digit == 1.0
         if len(shown) == 2:
             assert shown[1] == pytest.approx(entry["sd"], abs=0.51 * last)
         else:
-            assert shown == pytest.approx([middle, up, -down], rel=1e-9)
+            assert shown == pytest.approx([middle, up, down], rel=1e-9)
     bracket = re.compile(r"\[\s*(\S+?),\s*(\S+?)\]")
     ends = {tuple(f"{end:.3g}" for end in r.posterior.interval) for r in open_}
     for node in page.every():
