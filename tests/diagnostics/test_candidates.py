@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.along import Along, scales_of
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.disturbances import TARGET_DELAY, delay_columns
-from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
+from bayesfric.diagnostics.motion import (
+    Motion,
+    deflection,
+    in_gap,
+    resonating,
+    scales_of,
+    since_reversal,
+)
 from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import Inputs, Signal
 from bayesfric.recordings.timing import FAR_DELAYS
@@ -66,7 +72,7 @@ def along(
         )
     values = chain.vector({name: TRUTH.get(name, 0.0) for name in chain.names})
     scales = scales_of(chain, values, observations)
-    return Along(chain, values, observations[at], recordings[at], scales)
+    return Motion(chain, values, observations[at], recordings[at], scales)
 
 
 def test_scales_are_those_of_all_recordings_together():
@@ -78,7 +84,6 @@ def test_scales_are_those_of_all_recordings_together():
     one = a.scales
     rms = lambda x: np.sqrt(np.mean(x**2))  # noqa: E731
     assert one.speed == pytest.approx(np.quantile(np.abs(qd[at]), 0.95))
-    assert one.carried == pytest.approx(rms(carried))
     assert one.torque == pytest.approx(rms(1.5 * torque[at]))
     assert one.lost == pytest.approx(rms((torque - carried)[at]))
     assert one.duration == pytest.approx(PERIOD * (N - 1))
@@ -124,7 +129,7 @@ def test_waves_are_those_that_the_motion_goes_through_once(ratio):
         motion = swing(time, ((0.5, span / 2.0),))
         taken = ParallelFilter.every_sample(N)
         o = made_observation("one", time, motion, time, taken, PERIOD, Inputs(), settings=FILTERS)
-        found = dict(scales_of(chain, np.ones(2), [o]).cycles)
+        found = scales_of(chain, np.ones(2), [o]).cycles
         sides = {"motor": ratio, "joint": 1.0} if ratio > 1.0 else {"joint": 1.0}
         for side, turn in sides.items():
             told = [int(name.split()[0]) for name in found if name.endswith(side)]
@@ -144,7 +149,7 @@ def test_what_slides_goes_through_no_waves():
         "one", time, swing(time, ((0.5, 9.0),)), time, ParallelFilter.every_sample(N), PERIOD,
         Inputs(), settings=FILTERS,
     )  # fmt: skip
-    one = Along(
+    one = Motion(
         screw,
         np.ones(1),
         o,
@@ -152,7 +157,7 @@ def test_what_slides_goes_through_no_waves():
         scales_of(screw, np.ones(1), [o]),
     )
     assert not one.scales.cycles
-    columns = {kind.name: kind.columns(one) for kind in KINDS}
+    columns = {kind.name: kind.shapes(one) for kind in KINDS}
     for name in ("gravity", "inertia_by_angle", "repeating"):
         assert not columns[name]
     np.testing.assert_allclose(columns["friction_by_angle"][""], [np.sign(o.qd) * o.q])
@@ -169,7 +174,7 @@ def expected(a, k):
         f"{x:.0%} of the inertia behind it": weight + x * (carried - weight)
         for x in (0, 1 / 3, 2 / 3, 1)
     }
-    turns = {name: [np.sin(x * q), np.cos(x * q)] for name, x in one.cycles}
+    turns = {name: [np.sin(x * q), np.cos(x * q)] for name, x in one.cycles.items()}
     warm = {
         f"{x * one.duration:.3g}": 1.0 - np.exp(-o.stamps / (x * one.duration))
         for x in (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)
@@ -289,7 +294,7 @@ def test_columns_are_their_formulas(k):
     assert set(columns) == {kind.name for kind in KINDS}
     for kind in KINDS:
         looked = kind.name in ("temperature", "load_torque", "another_signal")
-        found = kind.columns(given if looked else a)
+        found = kind.shapes(given if looked else a)
         assert list(found) == list(columns[kind.name]), kind.name
         for shape, exact_ones in columns[kind.name].items():
             compare(found[shape], exact_ones, f"{kind.name} {shape}")
@@ -313,7 +318,7 @@ def test_friction_is_what_rests_with_the_joint_and_must_be_positive_where_it_can
     # of which a joint may have less than its model, or lose less as it warms
     either = "coulomb", "viscous", "coulomb_warming", "viscous_warming", "temperature"
     for kind in (kind for kind in KINDS if kind.name != TARGET_DELAY):
-        some = np.array([x for columns in kind.columns(a).values() for x in columns])
+        some = np.array([x for columns in kind.shapes(a).values() for x in columns])
         every = np.array([*some, *kind.nuisance(a)])
         assert np.isfinite(every).all(), kind.name
         rests = kind.name in by_size or not every[:, resting].any()
@@ -333,7 +338,7 @@ def between(kind, a):
         "coulomb_warming": lambda tau: s * np.exp(-o.stamps / tau),
         "viscous_warming": lambda tau: o.qd * np.exp(-o.stamps / tau),
     }[kind]
-    told = [float(x.strip("%")) / (100.0 if "%" in x else 1.0) for x in BY_NAME[kind].columns(a)]
+    told = [float(x.strip("%")) / (100.0 if "%" in x else 1.0) for x in BY_NAME[kind].shapes(a)]
     assert (np.diff(told) > 0.0).all()
     return [made(np.sqrt(x * y)) for x, y in pairwise(told)]
 
@@ -346,7 +351,7 @@ def test_a_shape_between_those_of_a_grid_is_what_stands_there(kind):
     a = along()
     s = np.sign(a.o.qd)
     model = [s, a.o.qd, a.o.qdd, np.sin(a.o.q), a.o.q, np.ones_like(s)]
-    sets, beside = [*BY_NAME[kind].columns(a).values()], [*BY_NAME[kind].nuisance(a)]
+    sets, beside = [*BY_NAME[kind].shapes(a).values()], [*BY_NAME[kind].nuisance(a)]
 
     def left(y, *columns):
         x = np.column_stack([*model, *columns])
@@ -360,11 +365,11 @@ def test_a_shape_between_those_of_a_grid_is_what_stands_there(kind):
 
 def test_signals_that_were_not_recorded_have_no_columns():
     a = along()
-    assert not BY_NAME["temperature"].columns(a)
-    assert not BY_NAME["load_torque"].columns(a)
-    assert not BY_NAME["another_signal"].columns(a)
+    assert not BY_NAME["temperature"].shapes(a)
+    assert not BY_NAME["load_torque"].shapes(a)
+    assert not BY_NAME["another_signal"].shapes(a)
     # of one recording alone there is one delay
-    assert list(BY_NAME["delay"].columns(along(names=("one",)))) == [""]
+    assert list(BY_NAME["delay"].shapes(along(names=("one",)))) == [""]
 
 
 def test_columns_of_rates_pass_the_positions_filter():
@@ -373,15 +378,15 @@ def test_columns_of_rates_pass_the_positions_filter():
     a = along(settings=told, inputs=(felt(0), felt(1)))
     smooth = lambda x: lowpass(x, a.recording.segments, 500.0, 4.0, 3)  # noqa: E731
     rate = lambda x: derivative(x, a.recording.segments, PERIOD, 8)  # noqa: E731
-    compare(BY_NAME["delay"].columns(a)[""], [rate(smooth(a.torque))], "delay")
-    far = BY_NAME["elastic"].columns(a)["far above the band"]
+    compare(BY_NAME["delay"].shapes(a)[""], [rate(smooth(a.torque))], "delay")
+    far = BY_NAME["elastic"].shapes(a)["far above the band"]
     compare(far, [rate(rate(smooth(a.carried)))], "elastic")
     x = smooth(np.sin(2.0 * a.o.stamps))
-    compare(BY_NAME["another_signal"].columns(a)["q2"], [x, rate(x), rate(rate(x))], "signal")
+    compare(BY_NAME["another_signal"].shapes(a)["q2"], [x, rate(x), rate(rate(x))], "signal")
     need = smooth(a.carried) / a.scales.inertia
     half = a.scales.need * (1.4 / (2 * np.pi * 12.0)) ** 2 / 2.0
     flown = in_gap(need, PERIOD, half, np.array(a.recording.segments))
-    found = BY_NAME["backlash"].columns(a)[f"100% of the inertia behind it, {half:.2g}"]
+    found = BY_NAME["backlash"].shapes(a)[f"100% of the inertia behind it, {half:.2g}"]
     compare(found, [rate(rate(smooth(flown)))], "backlash")
 
 
@@ -389,14 +394,14 @@ def test_of_a_load_without_weight_one_share_of_the_inertia_stands_for_all():
     """The others are only a factor, and nothing is carried without any."""
     a = along(joint(bf.Load()))
     assert [share for _, share, _ in a.behind()] == [1.0]
-    assert {name.split(",")[0] for name in BY_NAME["backlash"].columns(a)} == {
+    assert {name.split(",")[0] for name in BY_NAME["backlash"].shapes(a)} == {
         "100% of the inertia behind it"
     }
     # whatever the weight of a replicate, which has the shares of the recordings
     weighing = replace(a, scales=replace(a.scales, weighs=True))
     assert [share for _, share, _ in weighing.behind()] == [0.0, 1 / 3, 2 / 3, 1.0]
     massless = replace(a, scales=replace(a.scales, need=0.0))
-    assert not BY_NAME["backlash"].columns(massless)
+    assert not BY_NAME["backlash"].shapes(massless)
 
 
 def test_a_far_delay_is_what_the_torque_changed_by_since():
@@ -442,5 +447,5 @@ def test_a_log_that_was_smoothed_lacks_what_reversals_hold(hertz):
     )  # fmt: skip
     values = np.array([0.05, 0.3])
     scales = scales_of(chain, values, [o])
-    a = Along(chain, values, o, made_recording(time, q, torque, PERIOD), scales)
+    a = Motion(chain, values, o, made_recording(time, q, torque, PERIOD), scales)
     assert 0.5 * hertz <= a.smoothed_at() <= hertz

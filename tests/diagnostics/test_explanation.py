@@ -9,7 +9,7 @@ import bayesfric as bf
 from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import KINDS
 from bayesfric.diagnostics.explanation import setting_of
-from bayesfric.diagnostics.regression import Regression
+from bayesfric.diagnostics.regression import regression_of
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
@@ -105,14 +105,14 @@ def test_a_delay_with_a_rival_is_not_put_in(monkeypatch):
 
 def test_the_same_seed_gives_the_same_answer(right):
     values = right.chain.vector(dict(right.estimates(["input-error"])[0].point))
-    seen = right.recordings, right.observations, right.config.tables.processing
+    processing = right.config.tables.processing
+    seen = right.chain, right.recordings, right.observations, processing, values
 
-    def score_candidates(seed):
-        (step,) = Regression(right.chain, *seen, values, seed=seed, number=12).steps(1)
-        return step.kind, step.shape, step.z
+    def best(seed):
+        (effect,) = regression_of(*seen, seed=seed, number=12)[0].effects(1)
+        return effect.kind, effect.shape, effect.z
 
-    assert score_candidates(5) == score_candidates(5)
-    assert score_candidates(5) != score_candidates(6)
+    assert best(5) == best(5) != best(6)
 
 
 def test_a_joint_without_inertia_lacks_it():

@@ -9,11 +9,11 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.templates import placed
-from bayesfric.diagnostics.along import Along, scales_of
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
-from bayesfric.diagnostics.explanation import Explanation, finding, setting_of, too_few_outputs
+from bayesfric.diagnostics.explanation import Explanation, finding_of, setting_of, too_few_outputs
+from bayesfric.diagnostics.motion import Motion, scales_of
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
-from bayesfric.diagnostics.regression import Step
+from bayesfric.diagnostics.regression import Effect
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs, Signal
@@ -21,29 +21,29 @@ from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 from tests.diagnostics.bench import axis
 
-STEP = Step(
+EFFECT = Effect(
     "quadratic", "0.5", columns=[0], significant=True, z=6.0, p=0.04, largest=7.0, limit=4.0,
-    worth=np.zeros(1), share=0.1, recording="in one", span=(1.0, 2.0),
+    share=0.1, recording="in one", span=(1.0, 2.0),
     coefficients=np.array([1.0]), collinear=("power",),
     moves={"a": 0.5, "b": -MOVES - 0.01, "c": MOVES + 5.0, "d": MOVES - 0.01},
 )  # fmt: skip
 
 
 def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
-    found = finding(axis(), STEP)
+    found = finding_of(axis(), EFFECT)
     assert (found.kind, found.shape, found.statistic, found.p) == ("quadratic", "0.5", 6.0, 0.04)
     assert (found.share, found.rivals, found.recording) == (0.1, ("power",), "in one")
     assert found.span == (1.0, 2.0)
     assert (found.severity, found.parameters) == ("doubt", ("c", "b"))  # the most first
     assert found.physical
     assert found.hint == found.setting == "mechanism.elements.motor.quadratic = true"
-    near = finding(axis(), replace(STEP, moves={"a": 0.5, "d": -MOVES + 0.01}))
+    near = finding_of(axis(), replace(EFFECT, moves={"a": 0.5, "d": -MOVES + 0.01}))
     assert (near.severity, near.moves) == ("note", {})
     told = found.as_dict()
     assert (told["parameters"], told["span"]) == (["c", "b"], [1.0, 2.0])
-    assert finding(axis(), replace(STEP, span=None)).as_dict()["span"] is None
+    assert finding_of(axis(), replace(EFFECT, span=None)).as_dict()["span"] is None
     # what is no candidate of the table has no setting
-    tone = finding(axis(), replace(STEP, kind="tone"))
+    tone = finding_of(axis(), replace(EFFECT, kind="tone"))
     assert (tone.kind, tone.setting, tone.physical) == ("tone", "", True)
 
 
@@ -61,7 +61,9 @@ def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
     ],
 )
 def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, named, hint):
-    found = finding(axis(), replace(STEP, kind=kind, coefficients=np.array(sizes), collinear=alike))
+    found = finding_of(
+        axis(), replace(EFFECT, kind=kind, coefficients=np.array(sizes), collinear=alike)
+    )
     assert found.kind == named
     assert found.hint == (
         f"mechanism.{'' if hint.startswith('load.') else 'elements.'}{hint}" if hint else ""
@@ -73,7 +75,9 @@ def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, n
 
 @pytest.mark.parametrize("kind", ["smoothed", "current_column", "torque_constant_by_angle"])
 def test_a_fault_of_the_recording_is_a_doubt_whatever_it_moves_and_however_wide_intervals_are(kind):
-    fault, term = (finding(axis(), replace(STEP, kind=k, moves={})) for k in (kind, "quadratic"))
+    fault, term = (
+        finding_of(axis(), replace(EFFECT, kind=k, moves={})) for k in (kind, "quadratic")
+    )
     assert (fault.severity, term.severity) == ("doubt", "note")
     room = SimpleNamespace(kinds={kind: (), "quadratic": ()})
     found = Explanation((fault, replace(term, severity="doubt")), missing=room)
@@ -154,9 +158,9 @@ def test_the_line_that_a_finding_gives_adds_its_candidates_columns(name, chain):
     o = made_observation("one", TIME, MOTION, TIME, taken, 0.002, WARM, settings=told)
     values = np.array([VALUES.get(p.quantity, 0.0) for p in chain.parameters])
     scales = scales_of(chain, values, [o])
-    along = Along(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
+    along = Motion(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
     kind, some = BY_NAME[name], 0
-    every = [*kind.columns(along).items()]
+    every = [*kind.shapes(along).items()]
     for shape, columns in (*every[:1], *every[-1:]):  # terms that are new take their compilation
         line = setting_of(chain, kind, shape)
         if not line:
@@ -250,7 +254,7 @@ def test_recordings_are_asked_of_enough_outputs():
 
 
 def test_an_explanation_is_told_as_json_and_as_a_table():
-    found = finding(axis(), STEP)
+    found = finding_of(axis(), EFFECT)
     one = Explanation((found,), ("a",), ("b",), (None,) * 3, 5.0, 4.0, 2.0)
     assert one.answered
     assert one.as_json() == {

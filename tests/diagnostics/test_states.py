@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
+from bayesfric.diagnostics.motion import deflection, in_gap, resonating, since_reversal
 
 
 def test_a_bristle_bends_exponentially_and_turns_about():
