@@ -62,21 +62,10 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of ``summary.json``."""
-        return {
-            "kind": self.kind,
-            "severity": self.severity,
-            "parameters": list(self.parameters),
-            "p": self.p,
-            "hint": self.hint,
-            "statistic": self.statistic,
-            "shape": self.shape,
-            "share": self.share,
-            "rivals": list(self.rivals),
-            "moves": dict(self.moves),
-            "physical": self.physical,
-            "recording": self.recording,
-            "span": None if self.span is None else list(self.span),
-        }
+        fields = {name: value for name, value in vars(self).items() if name != "setting"}
+        span = None if self.span is None else list(self.span)
+        lists = {"parameters": list(self.parameters), "rivals": list(self.rivals), "span": span}
+        return fields | lists | {"hint": self.hint, "moves": dict(self.moves)}
 
 
 @dataclass(frozen=True)
@@ -109,7 +98,7 @@ class Explanation:
     def applicable(self) -> tuple[Finding, ...]:
         """Findings whose setting may be applied; none if the recording is faulty."""
         faulty = bool(self.findings) and of_recording(self.findings[0].kind)
-        return () if faulty else tuple(finding for finding in self.findings if finding.applicable)
+        return tuple(finding for finding in self.findings if finding.applicable and not faulty)
 
     def with_severity(self, *, widened: bool) -> tuple[Finding, ...]:
         """Return findings; marginalised ones are notes if intervals are ``widened`` for them.

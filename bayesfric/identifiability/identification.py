@@ -12,7 +12,7 @@ may determine even where they leave single parameters open.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,8 +20,7 @@ import numpy as np
 from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.templates import percent
 from bayesfric.estimates.assemble import bounds_met
-from bayesfric.estimates.information import Directions
-from bayesfric.identifiability.coverage import Coverage, back_driving_shares, coverage_of
+from bayesfric.identifiability.coverage import Coverage, back_driving, coverage_of
 from bayesfric.identifiability.local import (
     WEAK,
     LocalInformation,
@@ -107,11 +106,9 @@ class Identification:
     def determined(self) -> list[Prospect]:
         """Combinations with a ``data_sd`` below half the value; no limits."""
         return [
-            combination
-            for combination in self.combinations
-            if combination.data_sd < WEAK * abs(combination.value)
-            and combination.status != "unidentified"
-            and not combination.on_bound
+            p
+            for p in self.combinations
+            if p.data_sd < WEAK * abs(p.value) and p.status != "unidentified" and not p.on_bound
         ]
 
     @property
@@ -124,9 +121,8 @@ class Identification:
         """Describe how often the load drives an element."""
         share, loss = self.back_driving[element], f"{element}.load_back"
         sentence = f"the load drives {element} in {percent(share)} % of the moving outputs"
-        row = next((prospect for prospect in self.parameters if prospect.name == loss), None)
-        open_loss = share < HARDLY and row is not None and row.status == "unidentified"
-        return f"{sentence}: {loss} rests on its prior" if open_loss else sentence
+        is_open = any(p.name == loss and p.status == "unidentified" for p in self.parameters)
+        return f"{sentence}: {loss} rests on its prior" if is_open and share < HARDLY else sentence
 
     def as_json(self) -> dict[str, Any]:
         """Give what ``bayesfric identify --json`` prints; what is infinite is ``None``."""
@@ -163,98 +159,57 @@ def identify(target: Target, estimate: Array, *, speed: SpeedTerm | None = None)
     """
     chain, observations = target.likelihood.chain, target.likelihood.observations
     local = in_natural_units(target, estimate, local_information(target, estimate))
-    values = target.chain_values(estimate[None])
-    coverage = coverage_of(chain, observations, values[0])
-    shares = back_driving_shares(chain, observations, values)
-    back = {name: float(share[0]) for name, share in shares.items()}
-    rare = any(share < HARDLY for share in back.values())
-    open_ = any(open_rows(local))
-    tried = trials(target, estimate, local, rare=rare) if open_ else []
-    free = [p for p in chain.parameters if p.name in target.free]
-    bounds = _bounds_met(target, estimate)
+    values = target.chain_values(estimate[None])[0]
+    coverage = coverage_of(chain, observations, values)
+    back = back_driving(chain, observations, values)
+    rare, free = any(share < HARDLY for share in back.values()), len(target.free)
+    tried = trials(target, estimate, local, rare=rare) if any(open_rows(local)) else []
     both = joined(local.directions.identified, prior_rows(target, local))
-    parameters = _parameters(target, estimate, local, bounds, both)
+    # ends of the priors that the estimate is on
+    limits, sds = zip(*((p.limits, p.sd()) for p in target.priors[:free]), strict=True)
+    low, high = np.array(limits).T
+    met = bounds_met(estimate[:free], low, high, np.where(np.isfinite(sds), sds, 0.0))
+    bounds = [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
+    parameters = [p for p in chain.parameters if p.name in target.free]
+    known = {
+        name
+        for name, prior, value in zip(target.names, target.priors, estimate, strict=True)
+        if not prior.default and prior.sd() < KNOWN * abs(value)
+    }
+    prospects = []
+    for j, (p, sd, bound) in enumerate(zip(parameters, sds, bounds, strict=True)):
+        data_sd, expected = float(local.data_sd[j]), both.sd(np.eye(free)[j] * local.units)
+        status = _status(verdict(expected, float(sd), data_sd), bound)
+        row = p.name, p.unit, p.meaning, float(estimate[j]), data_sd, expected, float(sd)
+        prospects.append(Prospect(*row, status, bound))
+    combinations = []
+    for q, value, gradient in derived_gradients(target, estimate, local):
+        if not np.isfinite([value, *gradient]).all() or not gradient.any():
+            continue  # undefined, or of fixed values
+        data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)
+        ends = [bound for bound, x in zip(bounds, gradient, strict=True) if x]
+        end = ends[0] if all(ends) else None
+        # without a prior of its own
+        status = _status(verdict(expected, float("inf"), data_sd), end)
+        row = q.name, q.unit, q.meaning, value, data_sd, expected, float("nan")
+        combinations.append(Prospect(*row, status, end))
+    combinations.sort(key=lambda p: p.data_sd / max(abs(p.value), 1e-300))
     return Identification(
         target.likelihood.method,
         target.likelihood.noise.description,
         target.likelihood.noise.accounts_for_correlation,
         local,
-        tuple(
-            open_directions(local, free, coverage, back, tried, _known_parameters(target, estimate))
-        ),
-        parameters,
-        _combinations(target, estimate, local, parameters, both),
+        tuple(open_directions(local, parameters, coverage, back, tried, known)),
+        tuple(prospects),
+        tuple(combinations),
         coverage,
         back,
         speed,
     )
 
 
-def _bounds_met(target: Target, estimate: Array) -> list[str | None]:
-    """Give the end of its prior that the estimate of each free parameter is on, if any."""
-    k = len(target.free)
-    low, high = np.array([p.limits for p in target.priors[:k]]).T
-    sds = np.array([p.sd() for p in target.priors[:k]])
-    met = bounds_met(estimate[:k], low, high, np.where(np.isfinite(sds), sds, 0.0))
-    return [{-1: "lower", 1: "upper"}.get(int(end)) for end in met]
-
-
-def _parameters(
-    target: Target,
-    estimate: Array,
-    local: LocalInformation,
-    bounds: Sequence[str | None],
-    both: Directions,
-) -> tuple[Prospect, ...]:
-    """Give the sds of every free parameter from data, data and prior, and prior."""
-    described = {p.name: p for p in target.likelihood.chain.parameters}
-    rows = []
-    for j, (name, prior, bound) in enumerate(zip(target.free, target.priors, bounds, strict=False)):
-        p, gradient = described[name], np.eye(len(target.free))[j] * local.units
-        data_sd, expected, prior_sd = float(local.data_sd[j]), both.sd(gradient), float(prior.sd())
-        sds = data_sd, expected, prior_sd
-        status = _status(verdict(expected, prior_sd, data_sd), bound)
-        rows.append(Prospect(name, p.unit, p.meaning, float(estimate[j]), *sds, status, bound))
-    return tuple(rows)
-
-
 def _status(determined: Determined, bound: str | None) -> Status:
     return "limit" if bound and determined != "prior" else KNOWN_BY[determined]
-
-
-def _known_parameters(target: Target, estimate: Array) -> set[str]:
-    """Name parameters with an informative prior."""
-    return {
-        name
-        for name, prior, value in zip(target.names, target.priors, estimate, strict=True)
-        if not prior.default and prior.sd() < KNOWN * abs(value)
-    }
-
-
-def _combinations(
-    target: Target,
-    estimate: Array,
-    local: LocalInformation,
-    parameters: Sequence[Prospect],
-    both: Directions,
-) -> tuple[Prospect, ...]:
-    """Give the derived quantities, best known first; undefined and fixed ones are left out."""
-    combinations = []
-    for q, value, gradient in derived_gradients(target, estimate, local):
-        if not np.isfinite([value, *gradient]).all() or not gradient.any():
-            continue
-        data_sd, expected = local.data_sd_of(gradient / local.units), both.sd(gradient)
-        ends = [p.on_bound for p, x in zip(parameters, gradient, strict=True) if x]
-        on_bound = ends[0] if all(ends) else None
-        # without its prior
-        status = _status(verdict(expected, float("inf"), data_sd), on_bound)
-        prospect = Prospect(q.name, q.unit, q.meaning, value, data_sd, expected)
-        combinations.append(replace(prospect, status=status, on_bound=on_bound))
-    return tuple(sorted(combinations, key=lambda p: p.data_sd / max(abs(p.value), 1e-300)))
-
-
-# Sine of the angle below which two columns of a Jacobian are collinear.
-_COLLINEAR = 1e-6
 
 
 @dataclass(frozen=True)
@@ -285,13 +240,14 @@ class SpeedTerm:
 
 
 def speed_term(
-    target: Target, parameters: Array, recordings: Sequence[Measurement]
+    target: Target, parameters: Array, recordings: Sequence[Measurement], collinear: float = 1e-6
 ) -> SpeedTerm | None:
     """Project a torque proportional to speed on the effects of the parameters.
 
     With ``V = R I + kt w`` the torque computed from a voltage is ``kt V/R - kt² w/R`` at the
     motor's speed w; an error of the nominal ``kt²/R`` adds a term proportional to speed. That,
-    filtered and whitened as the torque is, is projected on the columns of the Jacobian.
+    filtered and whitened as the torque is, is projected on the columns of the Jacobian;
+    ``collinear`` is the sine of the angle below which two columns are.
     """
     observations = target.likelihood.observations
     nominal = {r.name: r.nominal_back_emf for r in recordings if r.nominal_back_emf}
@@ -299,22 +255,20 @@ def speed_term(
     if not names:
         return None
     at, values = units_of(target, parameters), target.chain_values(parameters[None])[0]
-    noise = [torque_noise(target, parameters, r) for r in range(len(observations))]
-    pairs = list(zip(observations, noise, strict=True))
-    blocks = [scaled_jacobian(target, o, values, at, n) for o, n in pairs]
-    jacobian = np.concatenate(blocks)
-    term = np.concatenate(
-        [n.whitened(o.filter.apply(o.qd) * (o.name in names), o) for o, n in pairs]
-    )
+    noises = [torque_noise(target, parameters, r) for r in range(len(observations))]
+    pairs = list(zip(observations, noises, strict=True))
+    jacobian = np.concatenate([scaled_jacobian(target, o, values, at, n) for o, n in pairs])
+    terms = [n(o.filter.apply(o.qd) * (o.name in names), o) for o, n in pairs]
+    term = np.concatenate(terms)
     term /= np.linalg.norm(term)
     sizes = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / np.where(sizes > 0.0, sizes, 1.0)
     apart = np.linalg.norm(unit - np.outer(term, term @ unit), axis=0)
-    same = np.flatnonzero((sizes > 0.0) & (apart < _COLLINEAR))
+    same = np.flatnonzero((sizes > 0.0) & (apart < collinear))
     coefficients = np.linalg.lstsq(unit, term, rcond=1e-9)[0]
     residual = term - unit @ coefficients
-    if not same.size and np.linalg.norm(residual) < _COLLINEAR:  # as of friction by direction
-        same = np.flatnonzero(np.abs(coefficients) > _COLLINEAR)
+    if not same.size and np.linalg.norm(residual) < collinear:  # as of friction by direction
+        same = np.flatnonzero(np.abs(coefficients) > collinear)
     return SpeedTerm(
         names,
         max(nominal[name] for name in names),

@@ -36,14 +36,12 @@ RemedyKind = Literal["known value", "known mass", "excitation"]
 
 # Share of moving samples below which the load hardly ever drives an element.
 HARDLY = 0.01
-# Factor on the sd of a useful remedy; one more recording of the same kind gives 0.71.
-_USEFUL = 0.5
-# Least change of a parameter in a direction, relative to the largest, to be a remedy for it.
-_MEMBER = 0.3
-# Entries of a null direction smaller than this are rounding.
-_ROUNDING = 1e-5
 # Entries of a weak direction smaller than this share of the largest are not named.
 _NAMED = 0.2
+
+# Kind and text of one more recording, simulated at the estimate with the recordings' noise, and the
+# information (d, d) that its torque would add, in the local units.
+Trial = tuple[RemedyKind, str, Array]
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,8 @@ def open_directions(
 ) -> Iterator[OpenDirection]:
     """List null directions first, then weak ones, the weakest first."""
     for number, (row, null) in enumerate(open_rows(local)):
-        named = np.flatnonzero(np.abs(row) > (_ROUNDING if null else _NAMED)).tolist()
+        # smaller entries of a null direction are rounding
+        named = np.flatnonzero(np.abs(row) > (1e-5 if null else _NAMED)).tolist()
         in_units = {free[j].name: free[j].unit for j in named if local.shifted[j]}
         exponents = {
             local.labels[j]: float(row[j] * local.units[j])
@@ -97,16 +96,13 @@ def open_directions(
         }
         log_sd = np.inf if null else left_along(local.information, row)
         rest = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
+        meaning = meaning_of(exponents, in_units) if null else ""
+        meaning = meaning or _weak(exponents, in_units, log_sd, rest)
         theory = number < local.from_theory
-        yield OpenDirection(
-            "null" if null else "weak",
-            exponents,
-            in_units,
-            log_sd,
-            meaning_of(exponents, in_units) if null else _weak(exponents, in_units, log_sd, rest),
-            tuple(_scaling(coverage) if theory else _reasons(free, row, null, coverage, back)),
-            remedies(local, row, simulated, known),
-        )
+        reasons = _scaling(coverage) if theory else _reasons(free, row, null, coverage, back)
+        cures = remedies(local, row, simulated, known)
+        kind: Literal["null", "weak"] = "null" if null else "weak"
+        yield OpenDirection(kind, exponents, in_units, log_sd, meaning, tuple(reasons), cures)
 
 
 def _weak(
@@ -151,11 +147,11 @@ def _sparse_row(row: Array, null: Array) -> Array:
 def _scaling(coverage: Sequence[Coverage]) -> Iterator[str]:
     """Explain why leg and gearbox scale together (section 4.2 of the paper)."""
     mass = ", and every recording carries the same known mass, which counts as load"
+    loaded = all(recording.added_mass for recording in coverage)
     yield (
         "the torque at the motor holds only products of these (section 4.2 of the paper): a load "
-        "twice as heavy behind a gearbox that passes on twice as much makes the same torque"
-        + mass
-        * all(recording.added_mass for recording in coverage)
+        f"twice as heavy behind a gearbox that passes on twice as much makes the same torque"
+        f"{mass if loaded else ''}"
     )
 
 
@@ -182,10 +178,7 @@ def _reasons(
         )
     if undriven and len(members) > 1:
         yield f"while the motor always drives, effects on both sides of {undriven[0]} are collinear"
-    turn, steady = (
-        max(r.turn for r in coverage),
-        min(r.steady for r in coverage),
-    )
+    turn, steady = max(r.turn for r in coverage), min(r.steady for r in coverage)
     small = ("gravity" in shaped or any(p.circular for p in members)) and turn < 1.0
     slow = "inertia" in shaped and steady > 0.8
     if small:
@@ -205,15 +198,6 @@ def _reasons(
         yield "its effect on the output is small compared with the noise"
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One more recording, simulated at the estimate with the recordings' noise."""
-
-    kind: RemedyKind
-    text: str
-    information: Array  # (d, d) that its torque would add, in the local units
-
-
 def open_counts(information: Array) -> tuple[int, int]:
     """Count null, and all open, directions of a Fisher information ``(d, d)``."""
     if not information.size:
@@ -231,31 +215,30 @@ def trials(
     chain, observations = target.likelihood.chain, target.likelihood.observations
     values = target.chain_values(parameters[None])[0]
     longest = max(range(len(observations)), key=lambda r: observations[r].measured.size)
-    base = observations[longest]
-    noise = torque_noise(target, parameters, longest)
-    rotary = chain.load.motion == "rotary"
+    base, noise = observations[longest], torque_noise(target, parameters, longest)
     measured, period, hertz = base.torque[longest_stretch(base)], sample_period(base), base.pace
     time = period * np.arange(measured.size, dtype=np.float64)
     peak = float(np.quantile(np.abs(measured), 0.99))
     unit = "N m" if chain.motor_motion == "rotary" else "N"
-
     experiments: list[tuple[RemedyKind, str, Array, Inputs]] = []
-
-    def excite(form: str, shape: Array) -> None:
-        torque = excitation.current_loop(peak * shape, period, LAG)
-        text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
-        experiments.append(("excitation", text, torque, base.inputs))
-
     if len({replace(o.inputs, recording="") for o in observations}) == 1:
         mass, article = known_mass(chain, values), "another" if base.inputs.added_mass else "a"
         text = f"another recording with {article} known added mass (added_mass, radius), such as "
-        text += f"{mass.added_mass:g} kg" + (f" at {mass.radius:g} m" if rotary else "")
+        text += f"{mass.added_mass:g} kg"
+        text += f" at {mass.radius:g} m" if chain.load.motion == "rotary" else ""
         experiments.append(("known mass", text, measured, mass))
+    signals = {
+        "of many frequencies, such as a square wave plus a multisine": square_with_sines(
+            time, hertz, hertz * LINES
+        )
+    }
     if rare:
         wave = excitation.square(time, 1.0, hertz)
-        excite("in which the load drives the motor, such as a square wave", wave)
-    shape = square_with_sines(time, hertz, hertz * LINES)
-    excite("of many frequencies, such as a square wave plus a multisine", shape)
+        signals = {"in which the load drives the motor, such as a square wave": wave} | signals
+    for form, shape in signals.items():
+        text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
+        torque = excitation.current_loop(peak * shape, period, LAG)
+        experiments.append(("excitation", text, torque, base.inputs))
     simulated = []
     for kind, text, torque, bolted in experiments:
         try:
@@ -263,9 +246,8 @@ def trials(
         except ValueError:
             continue  # it cannot be simulated, or stays at standstill
         rows = scaled_jacobian(target, recording, values, local, noise)
-        information = rows.T @ rows
-        if np.isfinite(information).all():
-            simulated.append(Trial(kind, text, information))
+        if np.isfinite(information := rows.T @ rows).all():
+            simulated.append((kind, text, information))
     return simulated
 
 
@@ -278,25 +260,26 @@ def remedies(
     nulls, opens = open_counts(information)
     null = not np.isfinite(before)
     useful = []
-    members = np.flatnonzero(np.abs(row) >= _MEMBER * np.abs(row).max())
+    # parameters that change least, relative to the largest, are no remedy
+    members = np.flatnonzero(np.abs(row) >= 0.3 * np.abs(row).max())
     helping = {}
-    for j in members:
+    for j in members.tolist():
         others = np.delete(np.delete(information, j, axis=0), j, axis=1)
         counts = open_counts(others)
         if local.names[j] not in known and (counts[1] < opens or (null and counts[0] < nulls)):
-            helping[int(j)] = counts[1]
+            helping[local.names[j]] = counts[1]
     if helping:
-        names = tuple(local.names[j] for j in helping)
         ways = "fix {}, or give it a prior from a data sheet or CAD"
-        if len(names) > 1:
+        if len(helping) > 1:
             ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
-        text = ways.format(", ".join(names))
+        text, names = ways.format(", ".join(helping)), tuple(helping)
         useful.append(Remedy("known value", text, names, None, min(helping.values())))
-    for trial in simulated:
-        along = left_along(information + trial.information, row)
-        if along < WEAK and along < _USEFUL * before:
-            count = open_counts(information + trial.information)[1]
-            useful.append(Remedy(trial.kind, trial.text, (), along, count))
+    for kind, text, added in simulated:
+        along = left_along(information + added, row)
+        # one more recording of the same kind leaves 0.71 of the sd
+        if along < WEAK and along < 0.5 * before:
+            count = open_counts(information + added)[1]
+            useful.append(Remedy(kind, text, (), along, count))
     return tuple(useful)
 
 
@@ -306,6 +289,4 @@ def left_along(information: Array, row: Array) -> float:
     information_along = float(row @ information @ row)
     # of a null direction squaring leaves rounding
     rounding = 1e-14 * float(np.trace(information)) * float(row @ row)
-    return (
-        size / float(np.sqrt(information_along)) if information_along > rounding else float("inf")
-    )
+    return size / float(np.sqrt(information_along)) if information_along > rounding else np.inf

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.base.templates import placed
-from bayesfric.diagnostics.candidates import KINDS
-from bayesfric.diagnostics.explanation import setting_of
 from bayesfric.diagnostics.regression import regression_of
 from bayesfric.fit.model import Model
-from bayesfric.mechanism.presets import PRESETS
 from tests.axis import recording_of
 from tests.diagnostics.bench import QUICK, axis, model, recording, table
 from tests.estimates.test_delay import PENDULUM, SERVO, servo
@@ -92,17 +88,6 @@ def test_how_late_a_target_acts_is_unknown_by_default():
     assert right or row.reported.status != "identified"
 
 
-def test_a_delay_with_a_rival_is_not_put_in(monkeypatch):
-    late = Model(PROMPT, servo(100.0, 40.0, 2.0))
-    plain = late.explain()
-    rivalled = [replace(one, rivals=("elastic",)) for one in plain.findings]
-    monkeypatch.setattr(Model, "explain", lambda *_, **__: replace(plain, findings=rivalled))
-    model, taken, left = late.completed()
-    assert not model.chain.delay
-    assert not taken
-    assert left.findings
-
-
 def test_the_same_seed_gives_the_same_answer(right):
     values = right.chain.vector(dict(right.estimates(["input-error"])[0].point))
     processing = right.config.tables.processing
@@ -148,18 +133,6 @@ def test_an_excerpt_too_short_for_the_filters_is_not_asked(right, monkeypatch):
 
 def test_few_outputs_are_not_asked():
     assert Model(axis(), recording(table()[:400])).explain().reason == "few"
-
-
-@pytest.mark.parametrize("preset", ["rabbit-knee", "motor-axis", "servo-pendulum"])
-def test_every_candidate_has_columns_and_a_setting_that_a_joint_takes(preset):
-    """A hint is a line of a configuration: written down, it must be one."""
-    chain = PRESETS[preset].chain()
-    for kind in KINDS:
-        line = setting_of(chain, kind, "12 a turn of the motor" if kind.name == "repeating" else "")
-        if line:
-            where, text = placed(line)
-            assert where.startswith("mechanism")
-            assert " = " in text
 
 
 @pytest.mark.parametrize("times", [1.0, 1.3])

@@ -4,7 +4,6 @@ Simulated knee, Table 3 of the paper, and a plain axis whose torque is linear.
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from bayesfric.identifiability.next_recording import (
     candidates,
     fastest,
     limits_of,
-    longest,
     ranking,
     try_out,
 )
@@ -136,8 +134,7 @@ def test_every_limit_is_kept(square):
     options = AdviceOptions(torque_limit=0.7, speed_limit=1.2, angle_limits=(-0.4, 0.9))
     found = ranked("load.inertia", square, options=options)
     assert found.advices
-    # the recording there is was faster: one more like it would break the limits, too
-    assert square.torque.max() > 0.7
+    # the recording there is had more torque: another one just like it is left out
     dropped = [(one.kind, why) for one, why in found.dropped if one.made is not None]
     assert dropped == [("longer", "the torque limit"), ("known mass", "the torque limit")]
     for one in found.advices:
@@ -152,37 +149,14 @@ def test_every_limit_is_kept(square):
 def test_what_cannot_move_is_dropped_and_said_so(square):
     """Friction of Table 3 at rest is 0.087 N m + 5.03 N m/(50 alpha_1) = 0.22 N m at the motor."""
     at_rest = 0.087 + 5.03 / 50.0 / 0.7432
-    options = AdviceOptions(torque_limit=0.99 * at_rest)
-    found = ranked("load.inertia", square, options=options)
+    found = ranked("load.inertia", square, options=AdviceOptions(torque_limit=0.99 * at_rest))
     assert found.advices == ()
     assert not found.determined
     assert not found.worth
-    reasons = {one.kind: reason for one, reason in found.dropped}
-    assert set(reasons) == {"longer", "excitation", "known mass"}
-    assert reasons.pop("longer") == "the torque limit"
-    assert set(reasons.values()) == {"the joint hardly moves"}
+    reasons = {(one.kind, reason) for one, reason in found.dropped}
+    assert reasons >= {("longer", "the torque limit"), ("excitation", "the joint hardly moves")}
     assert set(found.left_out) == {"the torque limit", "the joint hardly moves"}
     assert found.left_out.total() == len(found.dropped) > 8
-
-
-def test_a_flat_improper_prior_leaves_no_sd_without_a_mass(square):
-    target, point = problem(square)
-    local = local_information(target, point)
-    flat = SimpleNamespace(sd=lambda: np.inf)
-    open_ = SimpleNamespace(
-        free=target.free,
-        priors=(flat,) * len(target.priors),
-        likelihood=target.likelihood,
-        noise=target.noise,
-        chain_values=target.chain_values,
-    )
-    options = AdviceOptions(masses=())
-    found = ranking(open_, point, local, options, "load.inertia")
-    assert found.now.sd == np.inf
-    assert {one.after.sd for one in found.advices} == {np.inf}
-    assert not found.worth
-    with_mass = ranking(open_, point, local, AdviceOptions(), "load.inertia")
-    assert np.isfinite(with_mass.advices[0].after.sd)
 
 
 def test_the_mass_that_is_there_already_is_no_news():
@@ -223,11 +197,9 @@ def test_only_what_has_gone_round_has_no_stops(square):
     assert limits_of(AdviceOptions(), CHAIN, [far], VALUES).angles is None
     motor = replace(AXIS.chain().elements[0], motion="linear")
     slide = Joint([motor], load=Load(motion="linear"), offset=True)
-    limits = limits_of(AdviceOptions(), slide, [far], slide.vector(AXIS.values))
-    assert not limits.held
-    assert limits.angles == (far.q.min(), far.q.max())
-    wider = AdviceOptions(angle_limits=(-9.0, 9.0))
-    assert limits_of(wider, slide, [far], slide.vector(AXIS.values)).angles == (-9.0, 9.0)
+    for wanted, angles in ((None, (far.q.min(), far.q.max())), ((-9.0, 9.0),) * 2):
+        options = AdviceOptions(angle_limits=wanted)
+        assert limits_of(options, slide, [far], slide.vector(AXIS.values)).angles == angles
 
 
 def test_limits_left_out_come_from_the_recordings(square):
@@ -241,12 +213,9 @@ def test_limits_left_out_come_from_the_recordings(square):
     assert limits.start == 0.0
     # no longer than what was recorded; trimming takes a little off its ends
     assert 0.95 * N * PERIOD < limits.duration <= N * PERIOD
-    assert longest([square, quick]) is square
-    told = limits_of(AdviceOptions(duration=1.0, masses=()), CHAIN, [square], VALUES)
-    lengths = {
-        one.command.size for one in candidates(CHAIN, VALUES, [square], told) if one.made is None
-    }
-    assert lengths == {1000}
+    short = limits_of(AdviceOptions(duration=1.0, masses=()), CHAIN, [square], VALUES)
+    every = candidates(CHAIN, VALUES, [square], short)
+    assert {one.command.size for one in every if one.made is None} == {1000}
 
 
 def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
@@ -257,14 +226,11 @@ def test_the_recording_itself_keeps_the_limits_that_are_taken_from_it(square):
         used[first : first + length] = True
     (unused,) = np.nonzero(~used)
     pushed = replace(square, qd=np.where(np.arange(used.size) == unused[0], 99.0, square.qd))
-    # and where no output is at the fastest sample
-    between = replace(pushed, speed=0.5 * pushed.speed)
-    for recording in (square, pushed, between):
+    for recording in (square, pushed):
         limits = limits_of(AdviceOptions(), CHAIN, [recording], VALUES)
         first = next(iter(candidates(CHAIN, VALUES, [recording], limits)))
         assert first.kind == "longer"
-        tried, _ = try_out(CHAIN, VALUES, recording, first, limits)
-        assert tried is first
+        assert try_out(CHAIN, VALUES, recording, first, limits)[0] is first
 
 
 def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):
@@ -276,69 +242,43 @@ def test_a_joint_that_was_held_is_asked_for_its_own_motion_only(square):
     assert not limits_of(AdviceOptions(), CHAIN, [square], VALUES).held
     fed_back = replace(square, settings=square.settings | {"feedback": "position"})
     assert limits_of(AdviceOptions(), CHAIN, [fed_back], VALUES).held
-    forms = {one.form for one in candidates(CHAIN, VALUES, [held], limits)}
-    assert forms == {"another recording just like 'made-up'", "the motion of 'made-up' again"}
+    longer, carrying = candidates(CHAIN, VALUES, [held], limits)
+    assert (longer.kind, carrying.kind) == ("longer", "known mass")
     # with what is bolted on, its motion asks for the torque of a heavier leg
-    (carrying,) = [
-        one for one in candidates(CHAIN, VALUES, [held], limits) if one.kind == "known mass"
-    ]
     inertia, moment = carrying.inputs.load("rotary")
     more = {"load.inertia": inertia, "load.first_moment": moment}
     heavier = CHAIN.vector({k: v + more.get(k, 0.0) for k, v in KNEE.values.items()})
     expected = inverse_torque(CHAIN, heavier, held.q, held.qd, held.qdd)
     np.testing.assert_allclose(carrying.made.torque, expected, rtol=1e-9, atol=1e-12)
-    # which it may be too much for the drive as it was used
-    assert carrying.amplitude > limits.torque
+    # which may be too much for the drive as it was used
     tight = ranked("load.first_moment", held)
     assert [why for _, why in tight.dropped] == ["the torque limit"]
     found = ranked("load.first_moment", held, options=AdviceOptions(torque_limit=20.0))
     assert found.advices[0].candidate.kind == "known mass"
-    assert np.isfinite(found.advices[0].after.data_sd)
-    assert np.isinf(found.now.data_sd)
+    assert np.isinf(found.now.data_sd) > np.isinf(found.advices[0].after.data_sd)
 
 
 def test_what_was_recorded_is_tried_again_with_a_known_mass(square):
     """The cheapest experiment that parts alpha from the leg: bolt it on, run the program again."""
     limits = limits_of(AdviceOptions(), CHAIN, [square], VALUES)
-    assert not limits.held
-    (bolted,) = [one for one in limits.masses if one.added_mass]
-    again = {
-        one.form: one
-        for one in candidates(CHAIN, VALUES, [square], limits)
-        if one.kind == "known mass" and one.form.endswith(" again")
-    }
-    assert set(again) == {"the torque of 'made-up' again", "the motion of 'made-up' again"}
-    played = again["the torque of 'made-up' again"]
-    assert (played.inputs, played.lag, played.made) == (bolted, 0.0, None)
+    longer, *others = candidates(CHAIN, VALUES, [square], limits)
+    (played,) = [one for one in others if one.form == "the torque of 'made-up' again"]
+    assert played.inputs.added_mass
+    assert (played.lag, played.made) == (0.0, None)
     assert played.amplitude <= limits.torque
-    longer = next(iter(candidates(CHAIN, VALUES, [square], limits)))
     np.testing.assert_array_equal(played.command, longer.command)
-    # it takes no torque that was not there, and determines what no mass leaves open
+    # it determines what no mass leaves open
     found = ranked("load.inertia", square)
     (one,) = [a for a in found.advices if a.candidate.form == played.form]
-    assert np.isinf(found.now.data_sd)
-    assert np.isfinite(one.after.data_sd)
+    assert np.isinf(found.now.data_sd) > np.isinf(one.after.data_sd)
     # with the mass on the recording already it is what there is, and without it is another
-    carried = replace(square, inputs=bolted)
+    carried = replace(square, inputs=played.inputs)
     limits = limits_of(AdviceOptions(), CHAIN, [carried], VALUES)
-    masses = {
-        one.inputs.added_mass
-        for one in candidates(CHAIN, VALUES, [carried], limits)
-        if one.form.endswith(" again")
-    }
-    assert masses == {0.0}
+    every = candidates(CHAIN, VALUES, [carried], limits)
+    assert {one.inputs.added_mass for one in every if one.form.endswith(" again")} == {0.0}
 
 
-def test_no_mass_is_guessed_for_a_load_that_is_far_heavier(square):
-    heavy = CHAIN.vector(
-        {k: v * (1e3 if k.startswith("load") else 1) for k, v in KNEE.values.items()}
-    )
-    assert known_mass(CHAIN, heavy).added_mass == HEAVIEST
-    limits = limits_of(AdviceOptions(), CHAIN, [square], heavy)
-    assert [one.added_mass for one in limits.masses] == [0.0]
-
-
-def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is():
+def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is(square):
     """Inertia and moment of the leg; of the axis, which has no load, all its inertia."""
     inertia, moment = known_mass(CHAIN, VALUES).load("rotary")
     # both are rounded to two digits
@@ -347,6 +287,12 @@ def test_a_mass_is_proposed_that_weighs_about_as_much_as_there_is():
     chain = AXIS.chain()
     inertia, _ = known_mass(chain, chain.vector(AXIS.values)).load("rotary")
     assert inertia == pytest.approx(AXIS.values["motor.inertia"], rel=0.06)
+    # and none for a load that is far heavier than can be bolted on
+    factors = {name: 1e3 if name.startswith("load") else 1.0 for name in KNEE.values}
+    heavy = CHAIN.vector({name: x * factors[name] for name, x in KNEE.values.items()})
+    assert known_mass(CHAIN, heavy).added_mass == HEAVIEST
+    limits = limits_of(AdviceOptions(), CHAIN, [square], heavy)
+    assert [one.added_mass for one in limits.masses] == [0.0]
 
 
 def test_a_stribeck_velocity_on_its_bound_leaves_no_candidate_out():
