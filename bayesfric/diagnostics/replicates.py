@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -117,8 +118,8 @@ def _measure(
     position = _quantise(recording.position, q, noise if noisy_position else 0.0, rng)
     velocity = None if recording.velocity is None else _quantise(recording.velocity, qd, noise, rng)
     # the replicate's torque passes no filter of the drive
-    raw = {"torque": torque, "held": None, "torque_lag": None, "velocity_lag": None}
-    return replace(recording, position=position, velocity=velocity, **raw)
+    raw: dict[str, Any] = {"held": None, "torque_lag": None, "velocity_lag": None}
+    return replace(recording, position=position, velocity=velocity, torque=torque, **raw)
 
 
 def _with_target(

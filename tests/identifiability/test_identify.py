@@ -8,13 +8,12 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.identifiability.coverage import coverage_of
-from bayesfric.identifiability.identification import identify, speed_term
+from bayesfric.identifiability.identification import identify, left_along, open_counts, speed_term
 from bayesfric.identifiability.local import (
     WEAK,
     estimate_point,
     local_information,
 )
-from bayesfric.identifiability.open_directions import left_along, open_counts
 from bayesfric.identifiability.simulated_recording import simulate_recording
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
