@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import ndtri
 
+from bayesfric.diagnostics import policy
 from bayesfric.diagnostics.autocorrelation import (
     WHITE,
     Autocorrelation,
@@ -45,15 +46,6 @@ from bayesfric.diagnostics.disturbances import (
     tune_frequency,
 )
 from bayesfric.diagnostics.motion import Motion, Scales, scales_of
-from bayesfric.diagnostics.policy import (
-    BETTER,
-    COLLINEAR,
-    FALSE_ALARMS,
-    LEAST_OUTPUTS,
-    MAX_EFFECTS,
-    REPLICATES,
-    TESTABLE,
-)
 from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     HALF,
@@ -192,7 +184,7 @@ class Regression:
         """Kinds that are collinear with the model's own columns on this motion."""
         return tuple(dict.fromkeys(k.kind for k in self.data.keys if k.kind not in self.kinds))
 
-    def effects(self, most: int = MAX_EFFECTS) -> list[Effect]:
+    def effects(self, most: int = policy.MAX_EFFECTS) -> list[Effect]:
         """Forward-select missing effects; the last one may be the best that is not significant."""
         effects = [effect for effect, _ in self._forward_selection(most)]
         self.included = [effect for effect in effects if effect.significant]
@@ -235,9 +227,9 @@ class Regression:
         simulated = [score_candidates(replicate, *arguments) for replicate in self.replicates]
         z, null = standard_normal_scores(recorded, simulated)
         largest = null.max(axis=1)
-        limit = float(np.quantile(largest, 1.0 - FALSE_ALARMS, method="higher"))
+        limit = float(np.quantile(largest, 1.0 - policy.FALSE_ALARMS, method="higher"))
         # few replicates give it to 0.3: at least that of as many independent normals (Bonferroni)
-        limit = max(limit, -float(ndtri(0.5 * FALSE_ALARMS / z.size)))
+        limit = max(limit, -float(ndtri(0.5 * policy.FALSE_ALARMS / z.size)))
         # a shape, or the place of a search, is one more parameter
         shapes = Counter(key.kind for key, _ in self.groups)
         parameters = [len(columns) - 1 + (shapes[key.kind] > 1) for key, columns in self.groups]
@@ -329,8 +321,8 @@ class Regression:
             if key.kind in yielded or BY_NAME[key.kind].of_recording:
                 continue
             cosines = np.linalg.svd(basis.T @ basis_of(z[:, columns]), compute_uv=False)
-            collinear = cosines.size > 0 and float(cosines.min()) > COLLINEAR
-            if gain > best - BETTER or (collinear and gain > 0.5 * best):
+            collinear = cosines.size > 0 and float(cosines.min()) > policy.COLLINEAR
+            if gain > best - policy.BETTER or (collinear and gain > 0.5 * best):
                 yielded.add(key.kind)
                 yield key.kind
 
@@ -396,7 +388,7 @@ class Regression:
         remainder = project_out(base, project_out(base, white))
         residual = project_out(base, d.residual)
         unit, total = np.linalg.norm(remainder, axis=0), np.linalg.norm(white, axis=0)
-        identified = unit > TESTABLE * total
+        identified = unit > policy.TESTABLE * total
         groups = [(k.kind, tuple(i)) for k, i in self.groups if not BY_NAME[k.kind].least]
         groups += [(e.kind, tuple(e.columns)) for e in self.included if e.scan is not None]
         # shapes between those of a grid
@@ -433,7 +425,7 @@ def regression_of(
     values: Array,
     known: Collection[str] = (),
     seed: int = 0,
-    number: int = REPLICATES,
+    number: int = policy.REPLICATES,
 ) -> tuple[Regression, tuple[Replicate, ...]]:
     """Set up the regression at parameters ``(n_parameters,)``, and simulate its replicates."""
     draws, others, noise = np.random.SeedSequence(seed).spawn(3)
@@ -465,7 +457,7 @@ def regression_of(
     for vector, repeated in zip(vectors, zip(*parts, strict=True), strict=True):
         usable = [o for o in repeated if o is not None]
         outputs = sum(o.measured.size for o in usable)
-        if len(usable) == len(repeated) and outputs >= len(chain.names) + LEAST_OUTPUTS:
+        if len(usable) == len(repeated) and outputs >= len(chain.names) + policy.LEAST_OUTPUTS:
             simulated.append((vector, columns_at(vector, usable)))
     if len(simulated) < 0.5 * number:
         raise ReplicateError("with parameters like these it hardly moves")

@@ -198,13 +198,19 @@ def candidates(
     present = replace(base.inputs, recording="")
     # measured torque has passed the current loop
     signal = peak, command, period, 0.0
-    form = f"another recording just like {base.name!r}"
-    yield Candidate("longer", form, *signal, present, *state, base)
+    again = f"another recording just like {base.name!r}"
+    yield Candidate("longer", again, *signal, present, *state, base)
     for bolted in limits.masses:
         if (bolted.added_mass, bolted.radius) == (present.added_mass, present.radius):
             continue
-        carrying = _carrying(chain, values, base, bolted)
-        moved = float(np.abs(carrying.measured).max()), carrying.torque[stretch], period, 0.0
+        # the motion of the recording with another known mass
+        warm = replace(bolted, temperature=base.inputs.temperature)
+        torque = inverse_torque(
+            chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps
+        )
+        measured = base.filter.apply(torque)
+        carrying = replace(base, torque=torque, measured=measured, inputs=warm)
+        moved = float(np.abs(measured).max()), torque[stretch], period, 0.0
         form = f"the motion of {base.name!r} again"
         yield Candidate("known mass", form, *moved, bolted, *state, carrying)
         if not limits.held and peak <= limits.torque:
@@ -213,21 +219,13 @@ def candidates(
     if limits.held:
         return
     time = period * np.arange(max(round(limits.duration / period), 1), dtype=np.float64)
-    unloaded = not any(o.inputs.added_mass for o in observations)
+    loaded = any(o.inputs.added_mass for o in observations)
     for bolted in limits.masses:
-        kind: CandidateKind = "known mass" if bolted.added_mass or not unloaded else "excitation"
+        kind: CandidateKind = "known mass" if bolted.added_mass or loaded else "excitation"
         for form, shape in _shapes(time, hertz):
-            # end without a torque
-            shape[-1] = 0.0
+            shape[-1] = 0.0  # end without a torque
             signal = limits.torque, limits.torque * shape, period, limits.lag
             yield Candidate(kind, form, *signal, bolted, limits.start, 0.0)
-
-
-def _carrying(chain: Joint, values: Array, base: Observation, bolted: Inputs) -> Observation:
-    """Repeat the motion of a recording with another known mass."""
-    warm = replace(bolted, temperature=base.inputs.temperature)
-    torque = inverse_torque(chain, values, base.q, base.qd, base.qdd, inputs=warm, time=base.stamps)
-    return replace(base, torque=torque, measured=base.filter.apply(torque), inputs=warm)
 
 
 def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
@@ -475,14 +473,14 @@ def _quantity(
     if name in target.free:
         j, p = target.free.index(name), parameters[name]
         return p.unit, p.meaning, float(point[j]), np.eye(local.units.size)[j] * local.units
-    if name in parameters:
-        value = target.chain_values(point[None])[0, chain.names.index(name)]
-        problem = f"is fixed at {value:.6g} by its prior"
-        raise BadInput(where, problem, f"give priors.{name} a width, or choose another quantity")
     derived = {q.name: (q, value, x) for q, value, x in derived_gradients(target, point, local)}
-    if name not in derived:
+    if name not in derived | parameters:
         hint = nearest(name, [*parameters, *derived])
         raise BadInput(where, "no parameter or derived quantity has that name", hint)
+    if name in parameters:
+        value = target.chain_values(point[None])[0, chain.names.index(name)]
+        hint = f"give priors.{name} a width, or choose another quantity"
+        raise BadInput(where, f"is fixed at {value:.6g} by its prior", hint)
     q, value, gradient = derived[name]
     if not np.isfinite(gradient).all() or not gradient.any():
         problem = "is not defined at the estimate, or made of fixed values only"

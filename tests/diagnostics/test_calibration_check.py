@@ -71,13 +71,13 @@ def test_a_joint_that_a_torque_can_move_in_two_ways_is_checked():
         bf.Element("gearbox", load_loss="two", ratio=50.0),
     ]
     joint = bf.Joint(elements, bf.Load(inertia=True, first_moment=True))
-    found = Model(
+    run = Model(
         joint,
         recording(),
         priors=irreversible,
         sampling={"min_ess": 200, "ensembles": 2, "walkers": 24, "max_steps": 500},
     ).fit(seed=1)
-    check = found.summary.self_check
+    check = run.summary.self_check
     assert check.reason is None
     assert check.made == check.asked
-    assert found.summary.parameters["load.inertia"].sd > 0.0
+    assert run.summary.parameters["load.inertia"].sd > 0.0

@@ -28,10 +28,10 @@ def of_table(change, **more):
 
 
 def test_a_right_model_lacks_nothing(right):
-    found = right.explain()
-    assert found.answered
-    assert len(found.replicates) >= 20
-    assert not found.findings
+    explained = right.explain()
+    assert explained.answered
+    assert len(explained.replicates) >= 20
+    assert not explained.findings
 
 
 def test_a_torque_constant_that_sags_is_named_and_moves_what_it_moves():
@@ -125,14 +125,11 @@ def test_of_a_long_recording_an_excerpt_is_asked(monkeypatch):
     assert (apart < close + 0.3 * np.abs(one.mean / sds)).all()
 
 
-def test_an_excerpt_too_short_for_the_filters_is_not_asked(right, monkeypatch):
+def test_recordings_too_short_for_the_filters_are_not_asked(right, monkeypatch):
     """As of thousands of short recordings, of which each has its share."""
+    assert Model(axis(), recording(table()[:400])).explain().reason == "few"
     monkeypatch.setattr("bayesfric.diagnostics.explanation.LONGEST", 200)
     assert right.explain().reason == "still"
-
-
-def test_few_outputs_are_not_asked():
-    assert Model(axis(), recording(table()[:400])).explain().reason == "few"
 
 
 @pytest.mark.parametrize("times", [1.0, 1.3])
@@ -148,13 +145,13 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
         )  # fmt: skip
         made["torque"] *= times
         recordings.append(recording_of(made, name=f"{seed}", **more))
-    found = Model(replace(full, gain=False), recordings).explain().findings
-    assert [one.kind for one in found[:1]] == ["torque_constant"] * (times != 1.0)
+    explained = Model(replace(full, gain=False), recordings).explain().findings
+    assert [one.kind for one in explained[:1]] == ["torque_constant"] * (times != 1.0)
 
 
 @pytest.mark.parametrize("coupled", [False, True])
 def test_another_joints_acceleration_is_named_where_it_takes_torque(coupled):
-    """SIMULATED: a second joint swings beside; the column is asked, and another is not found."""
+    """SIMULATED: a second joint swings beside; its column is tested, and another is not found."""
     made = table().copy()
     time = made["time"].to_numpy()
     for name, hertz in (("q2", (0.31, 0.53, 0.83, 1.09, 1.37)), ("q3", (0.23, 0.61, 0.97, 1.51))):
@@ -165,6 +162,6 @@ def test_another_joints_acceleration_is_named_where_it_takes_torque(coupled):
     source = bf.Recording.from_dataframe(
         made, time="time", position="position", torque="torque", side="motor", others=("q2", "q3")
     )
-    found = Model(axis(), source).explain()
-    assert "another_signal" in found.kinds
-    assert [(f.kind, f.shape) for f in found.findings] == [("another_signal", "q2")] * coupled
+    explained = Model(axis(), source).explain()
+    assert "another_signal" in explained.kinds
+    assert [(f.kind, f.shape) for f in explained.findings] == [("another_signal", "q2")] * coupled

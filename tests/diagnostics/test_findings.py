@@ -30,13 +30,18 @@ EFFECT = Effect(
 
 
 def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
-    found = finding_of(axis(), EFFECT)
-    assert (found.kind, found.shape, found.statistic, found.p) == ("quadratic", "0.5", 6.0, 0.04)
-    assert (found.share, found.rivals, found.recording) == (0.1, ("power",), "in one")
-    assert found.span == (1.0, 2.0)
-    assert (found.severity, found.parameters) == ("doubt", ("c", "b"))  # the most first
-    assert found.physical
-    assert found.hint == found.setting == "mechanism.elements.motor.quadratic = true"
+    result = finding_of(axis(), EFFECT)
+    assert (result.kind, result.shape, result.statistic, result.p) == (
+        "quadratic",
+        "0.5",
+        6.0,
+        0.04,
+    )
+    assert (result.share, result.rivals, result.recording) == (0.1, ("power",), "in one")
+    assert result.span == (1.0, 2.0)
+    assert (result.severity, result.parameters) == ("doubt", ("c", "b"))  # the most first
+    assert result.physical
+    assert result.hint == result.setting == "mechanism.elements.motor.quadratic = true"
     near = finding_of(axis(), replace(EFFECT, moves={"a": 0.5, "d": -MOVES + 0.01}))
     assert (near.severity, near.moves) == ("note", {})
     # what is no candidate of the table has no setting
@@ -58,16 +63,16 @@ def test_a_finding_tells_what_a_step_found_and_doubts_what_it_moves_far():
     ],
 )
 def test_a_sign_that_cannot_be_stands_for_what_may_have_it(kind, sizes, alike, named, hint):
-    found = finding_of(
+    result = finding_of(
         axis(), replace(EFFECT, kind=kind, coefficients=np.array(sizes), collinear=alike)
     )
-    assert found.kind == named
-    assert found.hint == (
+    assert result.kind == named
+    assert result.hint == (
         f"mechanism.{'' if hint.startswith('load.') else 'elements.'}{hint}" if hint else ""
     )
-    assert found.physical == (bool(hint) or kind == "drift")
-    assert found.shape == ("0.5" if named == kind else "")
-    assert found.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
+    assert result.physical == (bool(hint) or kind == "drift")
+    assert result.shape == ("0.5" if named == kind else "")
+    assert result.rivals == ((kind, *(x for x in alike if x != named)) if named != kind else alike)
 
 
 @pytest.mark.parametrize("kind", ["smoothed", "current_column", "torque_constant_by_angle"])
@@ -77,9 +82,9 @@ def test_a_fault_of_the_recording_is_a_doubt_whatever_it_moves_and_however_wide_
     )
     assert (fault.severity, term.severity) == ("doubt", "note")
     room = SimpleNamespace(kinds={kind: (), "quadratic": ()})
-    found = Explanation((fault, replace(term, severity="doubt")), missing=room)
-    assert [x.severity for x in found.with_severity(widened=True)] == ["doubt", "note"]
-    assert [x.severity for x in found.with_severity(widened=False)] == ["doubt", "doubt"]
+    result = Explanation((fault, replace(term, severity="doubt")), missing=room)
+    assert [x.severity for x in result.with_severity(widened=True)] == ["doubt", "note"]
+    assert [x.severity for x in result.with_severity(widened=False)] == ["doubt", "doubt"]
 
 
 # A line of a configuration adds the column of its candidate

@@ -173,8 +173,8 @@ def test_one_missing_effect_is_named_and_nothing_else(kind, noise):
         np.testing.assert_allclose(first.coefficients, exact, atol=sd)
     torque = d.others[:, first.columns] @ first.coefficients
     assert first.share == pytest.approx(np.sqrt(np.mean(torque**2)) / 2.0)
-    found = r.missing(()).kinds.get(kind, ())
-    assert (tuple(first.columns) in found) or exact is None
+    shapes = r.missing(()).kinds.get(kind, ())
+    assert (tuple(first.columns) in shapes) or exact is None
 
 
 def test_several_effects_are_included_one_after_the_other():

@@ -98,8 +98,8 @@ def test_a_joint_of_little_inertia_and_much_friction_has_its_motion():
 def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):
     values = draws_about(VALUES)
     values[1, made.chain.names.index("motor.viscous")] = np.nan
-    found = replayed(made, values)
-    assert [seen is None for seen in found] == [False, True, False, False]
+    result = replayed(made, values)
+    assert [seen is None for seen in result] == [False, True, False, False]
 
 
 def test_a_torque_beside_the_motion_is_sampled_when_the_motion_is(made):
@@ -153,8 +153,8 @@ def test_a_twin_moves_as_recorded_by_the_torque_that_this_needs(late, phase):
     chain, values, recording, o = bench(geared(delay=late is not None), late=late or 0.0)
     then = o.stamps - phase * PERIOD
     q, qd, torque = replicate_motion(chain, values, recording, o, phase)
-    for found, exact in zip((q, qd), swing(then, LINES), strict=False):
-        np.testing.assert_allclose(found, exact, atol=1e-6 * np.abs(exact).max())
+    for result, exact in zip((q, qd), swing(then, LINES), strict=False):
+        np.testing.assert_allclose(result, exact, atol=1e-6 * np.abs(exact).max())
     inner = np.r_[30:870, 930 : N - 30]
     size = np.abs(torque).max()
     exact = exact_torque(then + (late or 0.0))
@@ -174,6 +174,6 @@ def test_a_short_segment_is_one_polynomial(few):
 
 def test_twins_are_filtered_as_the_recording_was():
     *_, o = bench()
-    found = fixed_processing(Processing(lowpass="10 Hz", order=2), o)
-    assert (found.lowpass, found.decimate, found.dead_zone, found.trim) == (40.0, 5, 0.1, 0.02)
-    assert found.order == 2
+    result = fixed_processing(Processing(lowpass="10 Hz", order=2), o)
+    assert (result.lowpass, result.decimate, result.dead_zone, result.trim) == (40.0, 5, 0.1, 0.02)
+    assert result.order == 2
