@@ -90,11 +90,6 @@ class Explanation:
     missing: Missing | None = field(default=None, repr=False)
 
     @property
-    def answered(self) -> bool:
-        """Whether the regression was evaluated."""
-        return self.reason is None
-
-    @property
     def applicable(self) -> tuple[Finding, ...]:
         """Findings whose setting may be applied; none if the recording is faulty."""
         faulty = bool(self.findings) and of_recording(self.findings[0].kind)

@@ -76,7 +76,6 @@ class Remedy:
     text: str  # what to do
     parameters: tuple[str, ...]  # for a known value: any single one of these
     log_sd_after: float | None  # sd of the logarithm along the direction; None for a known value
-    open_after: int  # directions that remain open, with the best of the known values
 
 
 @dataclass(frozen=True)
@@ -452,24 +451,22 @@ def remedies(
     useful = []
     # parameters that change least, relative to the largest, are no remedy
     members = np.flatnonzero(np.abs(row) >= 0.3 * np.abs(row).max())
-    helping = {}
+    names = []
     for j in members.tolist():
-        others = np.delete(np.delete(information, j, axis=0), j, axis=1)
-        counts = open_counts(others)
+        counts = open_counts(np.delete(np.delete(information, j, axis=0), j, axis=1))
         if local.names[j] not in known and (counts[1] < opens or (null and counts[0] < nulls)):
-            helping[local.names[j]] = counts[1]
-    if helping:
+            names.append(local.names[j])
+    if names:
         ways = "fix {}, or give it a prior from a data sheet or CAD"
-        if len(helping) > 1:
+        if len(names) > 1:
             ways = "fix, or give a prior from a data sheet or CAD to, one of {}"
-        text, names = ways.format(", ".join(helping)), tuple(helping)
-        useful.append(Remedy("known value", text, names, None, min(helping.values())))
+        text = ways.format(", ".join(names))
+        useful.append(Remedy("known value", text, tuple(names), None))
     for kind, text, added in simulated:
         along = left_along(information + added, row)
         # one more recording of the same kind leaves 0.71 of the sd
         if along < WEAK and along < 0.5 * before:
-            count = open_counts(information + added)[1]
-            useful.append(Remedy(kind, text, (), along, count))
+            useful.append(Remedy(kind, text, (), along))
     return tuple(useful)
 
 

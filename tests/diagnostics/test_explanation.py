@@ -29,7 +29,7 @@ def of_table(change, **more):
 
 def test_a_right_model_lacks_nothing(right):
     explained = right.explain()
-    assert explained.answered
+    assert explained.reason is None
     assert len(explained.replicates) >= 20
     assert not explained.findings
 

@@ -7,7 +7,6 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.diagnostics.replicates import fixed_processing, replicate_motion, replicates
-from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.recordings.filters import lay_windows
 from bayesfric.recordings.measurement import Inputs, Signal
@@ -59,15 +58,6 @@ def test_a_replay_is_read_in_the_steps_of_the_recording(made):
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
-def test_a_gain_of_the_drive_divides_the_torque():
-    made = model(joint=axis(gain=True))
-    values = np.array([[{**TRUTH, "drive.gain": g}[n] for n in made.chain.names] for g in (1, 2)])
-    # of the same random numbers
-    (one,), (other,) = replayed(made, values[:1]), replayed(made, values[1:])
-    np.testing.assert_array_equal(one.q, other.q)
-    np.testing.assert_allclose(one.torque, 2.0 * other.torque, atol=1e-9 * np.std(one.torque))
-
-
 def test_a_measured_velocity_is_replayed_too(made):
     recording, observation = made.recordings[0], made.observations[0]
     rng = np.random.default_rng(2)
@@ -77,22 +67,6 @@ def test_a_measured_velocity_is_replayed_too(made):
     (seen,) = replayed(made, VALUES[None], fast, seen_so)
     assert seen.settings["noise_seen"] == pytest.approx(seen_so.settings["noise_seen"], rel=0.2)
     assert np.std(seen.qd - seen_so.qd) < 0.1 * np.std(seen_so.qd)
-
-
-def test_a_joint_of_little_inertia_and_much_friction_has_its_motion():
-    """A geared wrist: simulated under any torque that is a little off it jerks and sticks."""
-    light = axis()
-    t = np.arange(5000) / 500.0
-    q = 0.3 * np.sin(2 * np.pi * 0.7 * t) + 0.1 * np.sin(2 * np.pi * 1.9 * t)
-    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    values = VALUES * np.where([n == "motor.inertia" for n in light.names], 1e-3, 1.0)
-    torque = inverse_torque(light, values, q, qd, qdd)
-    torque += 0.1 * np.std(torque) * np.random.default_rng(1).standard_normal(t.size)
-    wrist = Model(light, bf.Recording.from_arrays(t, q, torque, side="joint"))
-    recorded = wrist.observations[0]
-    for seen in replayed(wrist, draws_about(values, 0.05)):
-        assert np.std(seen.q - recorded.q) < 0.01 * np.std(recorded.q)
-        assert np.std(seen.qdd) == pytest.approx(np.std(recorded.qdd), rel=0.01)
 
 
 def test_parameters_without_a_torque_have_no_twin_and_spoil_no_other(made):

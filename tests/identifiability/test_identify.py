@@ -8,9 +8,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.identifiability.coverage import coverage_of
-from bayesfric.identifiability.identification import identify, left_along, open_counts, speed_term
+from bayesfric.identifiability.identification import identify, speed_term
 from bayesfric.identifiability.local import (
-    WEAK,
     estimate_point,
     local_information,
 )
@@ -219,16 +218,6 @@ def test_facts_of_a_recording():
     (facts,) = coverage_of(CHAIN, [o], VALUES)
     assert facts.load_drives["gearbox"] == np.mean(((leg + bearing) * o.qd)[at] < 0)
     assert facts.turn == np.ptp(o.q[at])
-
-
-def test_open_directions_are_counted_by_what_they_leave():
-    sharp, weak = 100.0, 0.9 / WEAK
-    rotation = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
-    assert open_counts(np.diag([sharp, sharp, 0.0]) ** 2) == (1, 1)
-    assert open_counts(np.diag([sharp, weak, 0.0]) ** 2) == (1, 2)
-    assert open_counts(rotation @ np.diag([sharp, sharp, 0.0]) ** 2 @ rotation.T) == (1, 1)
-    assert left_along(np.diag([4.0, 1.0]), np.array([1.0, 0.0])) == pytest.approx(0.5)
-    assert left_along(np.diag([4.0, 0.0]), np.array([0.0, 1.0])) == np.inf
 
 
 @pytest.mark.parametrize("sds", [0.5, 5.0])
