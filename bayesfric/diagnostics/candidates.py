@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from bayesfric.diagnostics.disturbances import DELAYS, delay_columns
-from bayesfric.diagnostics.motion import ORDER, Motion, deflection, in_gap
+from bayesfric.diagnostics.motion import ORDER, MotionSignals, deflection, in_gap
 from bayesfric.diagnostics.statistics import Key
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.recordings.arrays import Array
@@ -36,9 +36,9 @@ class Kind:
 
     name: str  # key of ``words.toml``
     # a column (N,), or several, or those of each shape; no shape if the recording has none
-    columns: Callable[[Motion], Array | Sequence[Array] | Sets]
+    columns: Callable[[MotionSignals], Array | Sequence[Array] | Sets]
     # nuisance columns for shapes between those of the grid
-    nuisance: Callable[[Motion], Sequence[Array]] = lambda _: ()
+    nuisance: Callable[[MotionSignals], Sequence[Array]] = lambda _: ()
     option: str = ""  # of the mechanism's configuration, that adds it; empty if none does
     choice: str | bool = True
     # whether its coefficients must be positive, as those of a growing loss
@@ -52,7 +52,7 @@ class Kind:
     # least share of the torque's rms
     least: float = 0.0
 
-    def shapes(self, motion: Motion) -> Sets:
+    def shapes(self, motion: MotionSignals) -> Sets:
         """Return its columns ``(N,)`` by shape; a kind of one shape has an empty name for it."""
         columns = self.columns(motion)
         if isinstance(columns, Mapping):
@@ -60,7 +60,7 @@ class Kind:
         return {"": [columns] if isinstance(columns, np.ndarray) else columns}
 
 
-def _delay(m: Motion) -> Sets:
+def _delay(m: MotionSignals) -> Sets:
     if m.chain.by_target:  # which comes with the position
         return {}
     names = m.scales.names if len(m.scales.names) > 1 else ()
@@ -68,7 +68,7 @@ def _delay(m: Motion) -> Sets:
     return {"": [m.torque_rate], **by_recording}
 
 
-def _of_table(name: str, m: Motion) -> Sets:
+def _of_table(name: str, m: MotionSignals) -> Sets:
     """Take a column from the table of quantities, at every value of its shape."""
     row, state = QUANTITIES[name], m.state(m.carried)
     assert row.column is not None
@@ -79,28 +79,30 @@ def _of_table(name: str, m: Motion) -> Sets:
     return {f"{x:.3g}": [row.column(state, x)] for x in tries(m.sizes)}
 
 
-def _stribeck(m: Motion) -> Sets:
+def _stribeck(m: MotionSignals) -> Sets:
     tries = QUANTITIES["stribeck_velocity"].tries
     assert tries is not None
     return {f"{v:.3g}": [m.direction * np.exp(-((m.o.qd / v) ** 2))] for v in tries(m.sizes)}
 
 
-def _intermediate_powers(m: Motion) -> Sequence[Array]:
+def _intermediate_powers(m: MotionSignals) -> Sequence[Array]:
     v = np.abs(m.o.qd) / m.scales.speed
     return [m.direction * v**0.25, m.direction * v**0.75]
 
 
-def _by_load(column: Callable[[Motion, Array], Sequence[Array]]) -> Callable[[Motion], Sets]:
+def _by_load(
+    column: Callable[[MotionSignals, Array], Sequence[Array]],
+) -> Callable[[MotionSignals], Sets]:
     return lambda m: {label: column(m, carried) for label, _, carried in m.behind()}
 
 
-def _by_power(m: Motion, carried: Array) -> Sequence[Array]:
+def _by_power(m: MotionSignals, carried: Array) -> Sequence[Array]:
     """Return the loss where the motor drives, and where the load does."""
     rows = QUANTITIES["load_drive"], QUANTITIES["load_back"]
     return [row.column(m.state(carried)) for row in rows if row.column]
 
 
-def _backlash(m: Motion) -> Sets:
+def _backlash(m: MotionSignals) -> Sets:
     """Return the load's acceleration in the gap, for shares of inertia behind it and gap widths.
 
     Half a gap is ``a t^2 / 2``, of the typical acceleration a and of t = 0.7, 1.4 and 2.8 over 2 pi
@@ -120,7 +122,7 @@ def _backlash(m: Motion) -> Sets:
     return {key: [column] for key, column in zip(places, columns, strict=True)}
 
 
-def _presliding(m: Motion) -> Sets:
+def _presliding(m: MotionSignals) -> Sets:
     """Return the deflection of bristles (Dahl), at shares of the distance between reversals."""
     return {
         f"{100 * x:.2g}%": [deflection(m.o.q, x * m.scales.reach) - m.direction]
@@ -128,17 +130,17 @@ def _presliding(m: Motion) -> Sets:
     }
 
 
-def _rotary(m: Motion, *columns: Array) -> Sets:
+def _rotary(m: MotionSignals, *columns: Array) -> Sets:
     """Return columns ``(N,)`` that a turning joint has."""
     return {"": columns} if m.chain.load.motion == "rotary" else {}
 
 
-def _inertia_by_angle(m: Motion) -> Sets:
+def _inertia_by_angle(m: MotionSignals) -> Sets:
     sine, cosine, turning = np.sin(m.o.q), np.cos(m.o.q), 0.5 * m.o.qd**2
     return _rotary(m, cosine * m.o.qdd - sine * turning, sine * m.o.qdd + cosine * turning)
 
 
-def _waves(m: Motion, factor: Array | float = 1.0) -> Sets:
+def _waves(m: MotionSignals, factor: Array | float = 1.0) -> Sets:
     """Return sine and cosine of the position, times a factor: cogging, or a gearbox's waves."""
     return {
         name: [factor * np.sin(k * m.o.q), factor * np.cos(k * m.o.q)]
@@ -146,7 +148,7 @@ def _waves(m: Motion, factor: Array | float = 1.0) -> Sets:
     }
 
 
-def _friction_by_angle(m: Motion) -> Sets:
+def _friction_by_angle(m: MotionSignals) -> Sets:
     s, q = m.direction, m.o.q
     if m.chain.load.motion != "rotary":
         return {"": [s * q]}
@@ -154,19 +156,19 @@ def _friction_by_angle(m: Motion) -> Sets:
     return {"1 a turn of the joint": [s * np.sin(q), s * np.cos(q)], **_waves(m, s)}
 
 
-def _load_torque(m: Motion) -> Sets:
+def _load_torque(m: MotionSignals) -> Sets:
     signal = m.o.inputs.load_torque
     return {} if signal is None else {"": [signal.at(m.o.stamps)]}
 
 
-def _temperature(m: Motion) -> Sets:
+def _temperature(m: MotionSignals) -> Sets:
     if m.o.inputs.temperature is None:
         return {}
     warm = m.o.inputs.temperature.at(m.o.stamps)
     return {"": [m.direction * warm, m.o.qd * warm]}
 
 
-def _another_signal(m: Motion) -> Sets:
+def _another_signal(m: MotionSignals) -> Sets:
     """Return further recorded columns, their rates, and the rates of those."""
     columns = {}
     for name in m.scales.others:
@@ -176,13 +178,13 @@ def _another_signal(m: Motion) -> Sets:
     return columns
 
 
-def _smoothed(m: Motion) -> Sets:
+def _smoothed(m: MotionSignals) -> Sets:
     """Return the effect of a low-passed log on Coulomb friction; other terms are smooth already."""
     segments, fs, way = m.recording.segments, 1.0 / m.recording.period, m.direction
     return {f"{f:.3g} Hz": [lowpass(way, segments, fs, f, ORDER) - way] for f in m.cutoffs}
 
 
-def _current_column(m: Motion) -> Sets:
+def _current_column(m: MotionSignals) -> Sets:
     """Return regressors times the difference of another current.
 
     The supply's current is the winding's times the duty cycle, which depends on speed and torque.
@@ -263,7 +265,7 @@ KINDS: tuple[Kind, ...] = (
 BY_NAME: Mapping[str, Kind] = {kind.name: kind for kind in KINDS}
 
 
-def columns_along(motion: Motion) -> Iterator[tuple[Key, Array]]:
+def columns_along(motion: MotionSignals) -> Iterator[tuple[Key, Array]]:
     """Yield the columns ``(N,)`` of all candidates along a motion."""
     for kind in KINDS:
         for shape, columns in kind.shapes(motion).items():

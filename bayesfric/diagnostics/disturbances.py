@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesfric.diagnostics.autocorrelation import Layout
-from bayesfric.diagnostics.motion import Motion
+from bayesfric.diagnostics.motion import MotionSignals
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.observation import target_torque
@@ -122,7 +122,7 @@ def tune_frequency(
     return hertz
 
 
-def delay_columns(m: Motion) -> Mapping[float, tuple[Array, Array]]:
+def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     """Return the change of the torque over each far delay, and its rate then, ``(N,)`` each.
 
     A position that is late by d belongs to the torque ``y(t - d)``, see

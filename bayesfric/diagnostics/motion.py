@@ -115,7 +115,7 @@ def _torque(chain: Joint, values: Array, o: Observation) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionSignals:
     """One recording's motion and the model's torque along it; signals are ``(N,)``."""
 
     chain: Joint

@@ -45,7 +45,7 @@ from bayesfric.diagnostics.disturbances import (
     transient_columns,
     tune_frequency,
 )
-from bayesfric.diagnostics.motion import Motion, Scales, scales_of
+from bayesfric.diagnostics.motion import MotionSignals, Scales, scales_of
 from bayesfric.diagnostics.replicates import ReplicateError, replicates
 from bayesfric.diagnostics.statistics import (
     HALF,
@@ -436,7 +436,7 @@ def regression_of(
         """Compute the model's and the candidates' columns."""
         blocks = []
         for o, r in zip(observed, recordings, strict=True):
-            columns = dict(columns_along(Motion(chain, vector, o, r, scales)))
+            columns = dict(columns_along(MotionSignals(chain, vector, o, r, scales)))
             blocks.append(filtered_columns(o, list(columns.values())))
         steps = free * _STEP * np.maximum(np.abs(vector), 1.0)
         base = torque_jacobian(chain, observed, vector, steps)
@@ -446,7 +446,7 @@ def regression_of(
 
     data = columns_at(values, observations)
     pairs = zip(observations, recordings, strict=True)
-    smoothed = max(Motion(chain, values, o, r, scales).smoothed_at() for o, r in pairs)
+    smoothed = max(MotionSignals(chain, values, o, r, scales).smoothed_at() for o, r in pairs)
     vectors = draw_parameters(chain, values, data, number, np.random.default_rng(draws))
     streams = zip(recordings, observations, others.spawn(len(recordings)), strict=True)
     parts = [

@@ -10,7 +10,7 @@ import bayesfric as bf
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.disturbances import TARGET_DELAY, delay_columns
 from bayesfric.diagnostics.motion import (
-    Motion,
+    MotionSignals,
     deflection,
     in_gap,
     resonating,
@@ -72,7 +72,7 @@ def along(
         )
     values = chain.vector({name: TRUTH.get(name, 0.0) for name in chain.names})
     scales = scales_of(chain, values, observations)
-    return Motion(chain, values, observations[at], recordings[at], scales)
+    return MotionSignals(chain, values, observations[at], recordings[at], scales)
 
 
 def test_scales_are_those_of_all_recordings_together():
@@ -126,7 +126,7 @@ def test_what_slides_goes_through_no_waves():
     motion = swing(time, ((0.5, 9.0),))
     o = made_observation("one", time, motion, time, windows, PERIOD, Inputs(), settings=FILTERS)
     scales, recording = scales_of(screw, np.ones(1), [o]), made_recording(time, o.q, time, PERIOD)
-    a = Motion(screw, np.ones(1), o, recording, scales)
+    a = MotionSignals(screw, np.ones(1), o, recording, scales)
     assert not a.scales.cycles
     for name in ("gravity", "inertia_by_angle", "repeating"):
         assert not BY_NAME[name].shapes(a)
@@ -332,5 +332,5 @@ def test_a_log_that_was_smoothed_lacks_what_reversals_hold(hertz):
     )  # fmt: skip
     values = np.array([0.05, 0.3])
     scales = scales_of(chain, values, [o])
-    a = Motion(chain, values, o, made_recording(time, q, torque, PERIOD), scales)
+    a = MotionSignals(chain, values, o, made_recording(time, q, torque, PERIOD), scales)
     assert 0.5 * hertz <= a.smoothed_at() <= hertz

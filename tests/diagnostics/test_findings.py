@@ -11,7 +11,7 @@ import bayesfric as bf
 from bayesfric.base.templates import placed
 from bayesfric.diagnostics.candidates import BY_NAME, KINDS
 from bayesfric.diagnostics.explanation import Explanation, finding_of, setting_of, too_few_outputs
-from bayesfric.diagnostics.motion import Motion, scales_of
+from bayesfric.diagnostics.motion import MotionSignals, scales_of
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, MOVES
 from bayesfric.diagnostics.regression import Effect
 from bayesfric.mechanism.inverse import inverse_torque
@@ -160,7 +160,7 @@ def test_the_line_that_a_finding_gives_adds_its_candidates_columns(name, chain):
     o = made_observation("one", TIME, MOTION, TIME, taken, 0.002, WARM, settings=told)
     values = np.array([VALUES.get(p.quantity, 0.0) for p in chain.parameters])
     scales = scales_of(chain, values, [o])
-    along = Motion(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
+    along = MotionSignals(chain, values, o, made_recording(TIME, o.q, TIME, 0.002), scales)
     kind, some = BY_NAME[name], 0
     every = [*kind.shapes(along).items()]
     for shape, columns in (*every[:1], *every[-1:]):  # terms that are new take their compilation

@@ -11,7 +11,7 @@ import bayesfric.diagnostics.regression as regression
 from bayesfric.diagnostics.autocorrelation import WHITE, Autocorrelation, choose_autocorrelation
 from bayesfric.diagnostics.candidates import KINDS, filtered_columns
 from bayesfric.diagnostics.disturbances import DELAY, SINUSOID, TRANSIENT, sinusoid_columns
-from bayesfric.diagnostics.motion import Motion
+from bayesfric.diagnostics.motion import MotionSignals
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.diagnostics.regression import (
     Regression,
@@ -396,7 +396,7 @@ def test_candidates_pass_the_filter_of_the_torque(monkeypatch):
     r, _ = built(monkeypatch)
     blocks = r.data.layout.split(r.data.others)
     for (o, recording), block in zip(PAIR, blocks, strict=True):
-        motion = Motion(AXIS, TRUTH, o, recording, r.scales)
+        motion = MotionSignals(AXIS, TRUTH, o, recording, r.scales)
         for kind in KINDS:
             for shape, raw in kind.shapes(motion).items():
                 at = [
