@@ -18,8 +18,7 @@ from bayesfric.estimates.torque_form import (
     minimum_norm,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter, effort_words
-from bayesfric.mechanism.quantities import SHAPES, TOTALS
+from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, effort_words
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 

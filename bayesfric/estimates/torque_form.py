@@ -14,8 +14,7 @@ import numpy as np
 
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import along
-from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import TOTALS, State
+from bayesfric.mechanism.quantities import TOTALS, Parameter, State
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation

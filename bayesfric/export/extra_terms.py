@@ -17,8 +17,7 @@ from bayesfric.export.joint_model import (
     stacked,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import Quantity
+from bayesfric.mechanism.quantities import Parameter, Quantity
 from bayesfric.recordings.arrays import Array
 
 # Numbers of link and drive, which a format of joints leaves to the surrounding model.

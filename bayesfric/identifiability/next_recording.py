@@ -47,11 +47,11 @@ from bayesfric.identifiability.simulated_recording import (
     torque_noise,
 )
 from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import TURN
+from bayesfric.mechanism.quantities import TURN
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs, steady
 from bayesfric.recordings.observation import Observation
@@ -252,12 +252,12 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
     """Make signals of peak one."""
     for pace in _PACES:
         f = pace * hertz
-        yield f"square wave at {f:.3g} Hz", excitation.square(time, 1.0, f)
-        yield f"sine at {f:.3g} Hz", excitation.sine(time, 1.0, f)
+        yield f"square wave at {f:.3g} Hz", experiment.square(time, 1.0, f)
+        yield f"sine at {f:.3g} Hz", experiment.sine(time, 1.0, f)
     for low, high in _CHIRPS:
         first, last = low * hertz, high * hertz
         form = f"chirp from {first:.3g} to {last:.3g} Hz"
-        yield form, excitation.chirp(time, 1.0, first, last)
+        yield form, experiment.chirp(time, 1.0, first, last)
     for name, multiples in _LINES.items():
         lines = hertz * multiples
         span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
@@ -286,7 +286,7 @@ def try_out(
             lowered=factor,
             because_of=violated_limit,
         )
-        torque = excitation.current_loop(trial.command, trial.period, trial.lag)
+        torque = experiment.current_loop(trial.command, trial.period, trial.lag)
         try:
             recording = simulate_recording(
                 chain, values, base, torque, trial.inputs, (trial.q0, trial.qd0)

@@ -27,8 +27,8 @@ from bayesfric.identifiability.simulated_recording import (
     torque_noise,
 )
 from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism import experiment
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs
 
@@ -242,7 +242,7 @@ def trials(
     experiments: list[tuple[RemedyKind, str, Array, Inputs]] = []
 
     def excite(form: str, shape: Array) -> None:
-        torque = excitation.current_loop(peak * shape, period, LAG)
+        torque = experiment.current_loop(peak * shape, period, LAG)
         text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
         experiments.append(("excitation", text, torque, base.inputs))
 
@@ -252,7 +252,7 @@ def trials(
         text += f"{mass.added_mass:g} kg" + (f" at {mass.radius:g} m" if rotary else "")
         experiments.append(("known mass", text, measured, mass))
     if rare:
-        wave = excitation.square(time, 1.0, hertz)
+        wave = experiment.square(time, 1.0, hertz)
         excite("in which the load drives the motor, such as a square wave", wave)
     shape = square_with_sines(time, hertz, hertz * LINES)
     excite("of many frequencies, such as a square wave plus a multisine", shape)

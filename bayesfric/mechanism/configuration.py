@@ -20,11 +20,9 @@ from pydantic import (
 
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.quantities import (
     CHOICES,
     CYCLES,
@@ -199,7 +197,7 @@ class MechanismOptions(_Options):
         except ValueError as error:
             raise BadInput("mechanism.elements", str(error), "rename the element") from None
 
-    def _elements(self) -> tuple[Chain, list[Element]]:
+    def _elements(self) -> tuple[Joint, list[Element]]:
         """Return the preset, or an empty one, and its elements with their changes."""
         if self.preset is None:
             elements = [Element(name, **o.model_dump()) for name, o in self.elements.items()]
@@ -207,14 +205,14 @@ class MechanismOptions(_Options):
                 raise BadInput(
                     "mechanism", "describes no joint", f"set preset to one of {', '.join(PRESETS)}"
                 )
-            return Chain((Element("motor"),)), elements
+            return Joint((Element("motor"),)), elements
         if self.preset not in PRESETS:
             raise BadInput(
                 "mechanism.preset",
                 f"there is no preset {self.preset!r}",
                 nearest(self.preset, PRESETS),
             )
-        base = PRESETS[self.preset].chain()
+        base = Joint.preset(self.preset)
         changes = {name: options.settings() for name, options in self.elements.items()}
         names = [element.name for element in base.elements]
         for name in changes:

@@ -14,10 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesfric.mechanism.chain import Chain
 from bayesfric.mechanism.element import Element
-from bayesfric.mechanism.parameter import Parameter, effort_words, parameter
-from bayesfric.mechanism.quantities import QUANTITIES, TOTALS, Quantity
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import (
+    QUANTITIES,
+    TOTALS,
+    Parameter,
+    Quantity,
+    effort_words,
+    parameter,
+)
 from bayesfric.recordings.arrays import Array
 
 # Gravity at the motor. Where an angle turns it, least squares has a sine and a cosine part, and
@@ -77,7 +83,7 @@ def efficiencies(
     return drive, np.where(back >= 0.0, back, np.nan)
 
 
-def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ...]:
+def derive(chain: Joint, values: Array, load_torque: float) -> tuple[Derived, ...]:
     """Derive everything the chain allows from parameter vectors.
 
     Parameters
@@ -116,7 +122,7 @@ def derive(chain: Chain, values: Array, load_torque: float) -> tuple[Derived, ..
     return (*_totals(chain, at, values.shape[0]), *coefficients)
 
 
-def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
+def _totals(chain: Joint, at: dict[str, Array], n: int) -> Iterator[Derived]:
     """Sum up what is seen at the motor, Theta1 +- Theta2 of eq. (13)."""
     lossy = [element for element in chain.elements if element.load_loss != "none"]
     if any(o.startswith("load_") and o not in _STEADY for e in lossy for o in e.choices):
@@ -161,7 +167,7 @@ def _totals(chain: Chain, at: dict[str, Array], n: int) -> Iterator[Derived]:
             )
 
 
-def _kinds(chain: Chain, p: Parameter) -> tuple[str, ...]:
+def _kinds(chain: Joint, p: Parameter) -> tuple[str, ...]:
     """Name the totals that a parameter adds to; most have one, some none."""
     # Load-dependent friction is in the factors, a low-speed rise vanishes at speed, and a term with
     # a separate shape adds to no other.
@@ -184,7 +190,7 @@ def _losses(element: Element, at: dict[str, Array]) -> tuple[Array | float, Arra
 
 
 def _of_loss(
-    chain: Chain, element: Element, at: dict[str, Array], load_torque: float
+    chain: Joint, element: Element, at: dict[str, Array], load_torque: float
 ) -> Iterator[Derived]:
     """Derive alphas, lambdas and efficiencies of one element, eqs. (4), (6) and (13)."""
     name, two = element.name, element.load_loss == "two"

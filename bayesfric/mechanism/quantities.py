@@ -10,13 +10,15 @@ that adds a torque is carried by its column. A quantity with neither is refused.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import ROOM
 
 Motion = Literal["rotary", "linear"]
@@ -24,8 +26,11 @@ Column = Callable[..., Any]  # of a State, and of the value of the parameter tha
 Choice = str | bool | int
 Units = tuple[str, str]  # where the element's input turns, where it slides
 
+Angle = TypeVar("Angle", float, Array)
+TURN = 2.0 * math.pi
 _INF = math.inf
-_BRIEF = 1e-9  # s, in place of a time constant of zero
+# The word alone, not as a part of a name such as noise.torque, torque_constant or torque-steps.
+_TORQUE_WORD = re.compile(r"(?<![\w.-])torque(s?)(?![\w]|[.-]\w)")
 
 
 class State(NamedTuple):
@@ -305,13 +310,13 @@ QUANTITIES: dict[str, Quantity] = {
             "viscous_warming", ("N m s", "N s/m"), r"\Delta f_{{{}}}",
             "change of viscous loss from the recording's begin until warm",
             option="warming", choice=("viscous", "both"), lower=-_INF, shape="warming_time",
-            column=lambda m, time: -m.speed * np.expm1(-m.time / np.maximum(time, _BRIEF)),
+            column=lambda m, time: -m.speed * np.expm1(-m.time / np.maximum(time, 1e-9)),
         ),
         Quantity(
             "coulomb_warming", _TORQUE, r"\Delta C_{{{}}}",
             "change of constant loss from the recording's begin until warm",
             option="warming", choice=("constant", "both"), lower=-_INF, shape="warming_time",
-            column=lambda m, time: -m.direction * np.expm1(-m.time / np.maximum(time, _BRIEF)),
+            column=lambda m, time: -m.direction * np.expm1(-m.time / np.maximum(time, 1e-9)),
         ),
         Quantity(
             "warming_time", ("s", "s"), r"\tau_{{{}}}", "time constant of warming up",
@@ -529,3 +534,89 @@ TOTALS: dict[str, Total] = {
         ),
     )
 }  # fmt: skip
+
+
+# --- parameters: quantities of one element --------------------------------------------
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of the joint."""
+
+    name: str  # element.quantity, for example motor.inertia
+    row: Quantity  # its row in the table of quantities
+    owner: str  # name of the element, load, drive, or empty for the whole chain
+    unit: str  # as printed, in SI
+    symbol: str  # LaTeX without dollar signs, the paper's where it has one
+    meaning: str  # one line for people
+
+    @property
+    def quantity(self) -> str:
+        """The part after the dot of its name: ``inertia`` of ``motor.inertia``."""
+        return self.row.name
+
+    @property
+    def lower(self) -> float:
+        """Lower end of its support; no prior may reach outside."""
+        return self.row.lower
+
+    @property
+    def upper(self) -> float:
+        """Upper end of its support."""
+        return self.row.upper
+
+    @property
+    def default(self) -> float:
+        """Value where it is not part of the model."""
+        return self.row.default
+
+    @property
+    def circular(self) -> bool:
+        """Whether values a turn apart are the same."""
+        return self.row.circular
+
+
+def parameter(
+    owner: str, row: Quantity, motion: Motion, subscript: str, *, alone: bool = False
+) -> Parameter:
+    """Describe one quantity of one element."""
+    meaning = row.alone.format(owner) if alone and row.alone else row.meaning
+    return Parameter(
+        name=f"{owner}.{row.name}" if owner else row.name,
+        row=row,
+        owner=owner,
+        unit=row.unit(motion),
+        symbol=row.symbol.format(subscript),
+        meaning=effort_words(meaning, motion),
+    )
+
+
+def turned(value: Angle, towards: float) -> Angle:
+    """Add whole turns to an angle until it lies at most half a turn from another one."""
+    out: Angle = value + TURN * np.round((towards - value) / TURN)
+    return out
+
+
+def scales_with_torque(unit: str) -> bool:
+    """Whether a wrong scale of the torque multiplies a number of this unit.
+
+    A wrong torque constant multiplies inertia, friction and offsets; not a loss per torque, a speed
+    or an angle.
+    """
+    return unit.startswith(("kg", "N"))
+
+
+def effort_words(words: str, motion: Motion) -> str:
+    """Say force in place of torque of what slides, and 2π m in place of a turn."""
+    if motion == "rotary":
+        return words
+    return _TORQUE_WORD.sub(r"force\1", words).replace("cycles a turn", "cycles in 2π m")
+
+
+def quantity_of(name: str) -> str:
+    """Give the quantity of a parameter or total: ``inertia`` of ``total.inertia``.
+
+    An offset may go by a recording's name, which says nothing: ``total.offset.<recording>``.
+    """
+    first, _, rest = name.removeprefix("total.").partition(".")
+    return first if first == "offset" or not rest else rest

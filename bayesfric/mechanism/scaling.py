@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesfric.mechanism.chain import Chain, slots_of
+from bayesfric.mechanism.joint import Joint, slots_of
 from bayesfric.recordings.arrays import Array
 
 
@@ -26,7 +26,7 @@ class Scaling:
     which is ``alpha_1 -> k alpha_1``, ``alpha_2 -> k alpha_2``. No torque changes.
     """
 
-    chain: Chain  # the mechanism
+    chain: Joint  # the mechanism
     # the element with load-dependent friction mu_1 (driving) and mu_2 (back-driving)
     element: str
     # of every parameter that takes part the shift and the power with which value + shift is
@@ -103,7 +103,7 @@ class Scaling:
 
 
 def scalings(
-    chain: Chain, added_inertia: float = 0.0, added_moment: float = 0.0
+    chain: Joint, added_inertia: float = 0.0, added_moment: float = 0.0
 ) -> tuple[Scaling, ...]:
     """Find the scalings a chain has while nothing behind the gearbox is known.
 

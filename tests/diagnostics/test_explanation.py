@@ -11,7 +11,7 @@ from bayesfric.diagnostics.candidates import KINDS
 from bayesfric.diagnostics.explanation import setting_of
 from bayesfric.diagnostics.regression import Regression
 from bayesfric.fit.model import Model
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from tests.axis import recording_of
 from tests.diagnostics.bench import QUICK, axis, model, recording, table
 from tests.estimates.test_delay import PENDULUM, SERVO, servo
@@ -169,7 +169,8 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     recordings = []
     for seed, kg in enumerate((0.0, 0.3)):
         more = {"added_mass": kg, "radius": 0.1} if kg else {}
-        made = replace(full, gain=False).simulate(
+        made = bf.simulate(
+            replace(full, gain=False),
             {}, rate=250, duration=8.0, excitation="multisine", torque_noise=0.01, amplitude=1.0,
             seed=seed + 1, **more,
         )  # fmt: skip

@@ -45,8 +45,8 @@ def test_losses_that_are_told_or_known_are_not():
 def test_they_are_refused_before_anything_is_sampled():
     """In order, one behind the other and nothing between, they are one."""
     options = {"rate": 200, "duration": 10, "excitation": "multisine", "torque_noise": 0.01}
-    made = bf.Joint.preset("servo-pendulum").simulate(
-        {"gearbox.load": 0.2}, encoder_side="joint", **options
+    made = bf.simulate(
+        bf.Joint.preset("servo-pendulum"), {"gearbox.load": 0.2}, encoder_side="joint", **options
     )
     one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
     with pytest.raises(BadInput, match=r"motor.load, gearbox.load") as refused:

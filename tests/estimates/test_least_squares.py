@@ -6,8 +6,7 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import least_squares, starting_values
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 
 KNEE, AXIS, SERVO = (PRESETS[n] for n in ("rabbit-knee", "motor-axis", "servo-pendulum"))
 

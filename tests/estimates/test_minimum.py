@@ -21,7 +21,7 @@ from bayesfric.estimates.shooting_fit import bounded_step
 from bayesfric.estimates.torque import typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from tests.axis import AXIS, VALUES
 

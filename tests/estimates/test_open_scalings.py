@@ -7,7 +7,7 @@ from bayesfric.estimates.assemble import open_directions, open_scalings
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs
 
 KNEE = PRESETS["rabbit-knee"]

@@ -11,8 +11,7 @@ from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
 from tests.estimates.simulated import excite, move, prepare

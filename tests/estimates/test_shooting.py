@@ -11,7 +11,7 @@ from bayesfric.estimates.shooting import (
     step_error,
 )
 from bayesfric.mechanism.forward import simulate
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from tests.estimates.simulated import PERIOD, excite, move, prepare
 
 KNEE = PRESETS["rabbit-knee"]

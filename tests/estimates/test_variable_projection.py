@@ -9,8 +9,7 @@ from bayesfric.estimates.torque import filtered_torque
 from bayesfric.estimates.torque_form import columns, torque_form
 from bayesfric.estimates.variable_projection import VariableProjection
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 
 KNEE = PRESETS["rabbit-knee"]
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import chirp
 
 from bayesfric.base.errors import BadInput
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.experiment import Simulation, measure, record
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
@@ -22,17 +22,17 @@ def recorded(**options):
 @pytest.mark.parametrize(("first", "last", "begin"), [(1.0, 9.0, 0.0), (6.0, 0.5, 2.5)])
 def test_a_chirp_is_scipy_s(first, last, begin):
     time = begin + np.arange(3001) * 1e-3
-    found = excitation.chirp(time, 0.7, first, last)
+    found = experiment.chirp(time, 0.7, first, last)
     expected = 0.7 * chirp(time - begin, first, 3.0, last, phi=-90)
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_sines_have_their_phases():
     time = np.arange(1000) * 1e-3
-    found = excitation.sine(time, 2.0, 3.0, 0.4)
+    found = experiment.sine(time, 2.0, 3.0, 0.4)
     np.testing.assert_allclose(found, 2.0 * np.imag(np.exp(1j * (6.0 * np.pi * time + 0.4))))
     # Schroeder: -pi k (k + 1)/n
-    many = excitation.multisine(time, 1.0, [1.0, 2.0, 3.0])
+    many = experiment.multisine(time, 1.0, [1.0, 2.0, 3.0])
     phases = np.angle(np.fft.rfft(many)[[1, 2, 3]]) + np.pi / 2.0
     expected = -np.pi * np.array([0.0, 2.0, 6.0]) / 3.0
     np.testing.assert_allclose(np.exp(1j * phases), np.exp(1j * expected), atol=1e-9)
@@ -64,8 +64,8 @@ def test_a_command_is_that_of_its_formula(kind):
 def test_a_recording_is_moved_by_what_its_current_loop_makes_of_the_command():
     given = {"lag": 0.02, "added_mass": 0.4, "radius": 0.3, "hold": "zero", "amplitude": 0.3}
     columns, motion, values = recorded(**given)
-    command = excitation.square(columns["time"], 0.3, 1.0)
-    expected = excitation.current_loop(command, 1.0 / 500.0, 0.02)
+    command = experiment.square(columns["time"], 0.3, 1.0)
+    expected = experiment.current_loop(command, 1.0 / 500.0, 0.02)
     np.testing.assert_allclose(columns["torque"], expected, atol=1e-15)
     assert values == LIGHT
     own = simulate(

@@ -5,12 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.forward import simulate
+from bayesfric.mechanism.forward import follow, simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.measurement import Law
 from tests.mechanism.joints import EVERYTHING, GEARED, KNEE, LIGHT, everything
 

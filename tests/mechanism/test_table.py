@@ -12,8 +12,15 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import scales_with_torque, turned
-from bayesfric.mechanism.quantities import CYCLES, QUANTITIES, TOTALS, Sizes, State
+from bayesfric.mechanism.quantities import (
+    CYCLES,
+    QUANTITIES,
+    TOTALS,
+    Sizes,
+    State,
+    scales_with_torque,
+    turned,
+)
 from bayesfric.mechanism.scaling import scalings
 from tests.mechanism.joints import KNEE
 

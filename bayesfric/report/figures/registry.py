@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 from matplotlib.figure import Figure
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism.parameter import effort_words
+from bayesfric.mechanism.quantities import effort_words
 from bayesfric.report.summary.record import Summary
 
 # Of the page of a run, in their order, and of a comparison.
