@@ -101,6 +101,10 @@ class Quantity:
     tries: Callable[[Sizes], tuple[float, ...]] | None = None
     start: float | None = None  # of a search; None for its share of a total
     alone: str = ""  # its meaning where no other element has it; {} is its owner
+    # of a total: its regressor of eq. (11) in plain least squares; its symbol where an angle turns
+    # gravity
+    regressor: str = ""
+    turned: str = ""
     # a constant has a physical value; a law coefficient is that of the same model fitted to similar
     # motions
     measurand: Literal["constant", "law"] = "law"
@@ -116,9 +120,8 @@ class Quantity:
     @property
     def bends(self) -> bool:
         """Whether it changes the totals of eq. (11): a loss, or a shape."""
-        return self.role == "loss" or (
-            self.role == "form" and self.option != "" and not self.circular
-        )
+        shapes = self.role == "form" and self.option != "" and not self.circular
+        return self.role == "loss" or shapes
 
     @property
     def bent_by(self) -> str:
@@ -133,25 +136,6 @@ class Quantity:
 
     def unit(self, motion: Motion) -> str:
         """Look up the unit for an element whose input turns or slides."""
-        return self.units[0 if motion == "rotary" else 1]
-
-
-@dataclass(frozen=True)
-class Total:
-    """A column of ``psi`` in motor units, eq. (13), and what its coefficient means."""
-
-    name: str  # name, units, symbol, meaning: as of a quantity
-    units: Units
-    symbol: str
-    meaning: str
-    column: Column  # function of the motor's state
-    positive: bool = False  # whether its coefficient is positive in any mechanism that loses energy
-    # name of its regressor of eq. (11) in plain least squares
-    regressor: str = ""
-    turned: str = ""  # its symbol where an angle turns gravity
-
-    def unit(self, motion: Motion) -> str:
-        """Look up the unit for a motor that turns or slides."""
         return self.units[0 if motion == "rotary" else 1]
 
 
@@ -467,23 +451,20 @@ SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 @lru_cache(maxsize=512)
 def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
     """Sine and cosine over the angle: torque, or friction that goes by the direction."""
+    rest: dict[str, Any] = {"option": option, "choice": cycles, "lower": -_INF, "slots": ()}
     if option == "cogging":  # of magnets and teeth (Hsu et al. 2015)
-        letter, effect = "a", "torque"
-        columns = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
+        letter, effect, rest["measurand"] = "a", "torque", "constant"
+        sine, cosine = lambda m: np.sin(cycles * m.position), lambda m: np.cos(cycles * m.position)
     else:  # as of an eccentric gear (Armstrong-Helouvry 1991)
         letter, effect = "c", "constant loss"
-        columns = (
-            lambda m: m.direction * np.sin(cycles * m.position),
-            lambda m: m.direction * np.cos(cycles * m.position),
-        )
+        sine = lambda m: m.direction * np.sin(cycles * m.position)  # noqa: E731
+        cosine = lambda m: m.direction * np.cos(cycles * m.position)  # noqa: E731
     return tuple(
         Quantity(
             f"{option}_{part}_{cycles}", _TORQUE, rf"{letter}_{{{{{{}},\{part}\,{cycles}}}}}",
-            f"{effect} with the {word} of {cycles} cycles a turn",
-            option=option, choice=cycles, column=column, lower=-_INF, slots=(),
-            measurand="constant" if option == "cogging" else "law",
+            f"{effect} with the {word} of {cycles} cycles a turn", column=column, **rest,
         )
-        for part, word, column in zip(("sin", "cos"), ("sine", "cosine"), columns, strict=True)
+        for part, word, column in (("sin", "sine", sine), ("cos", "cosine", cosine))
     )  # fmt: skip
 
 
@@ -493,44 +474,45 @@ CYCLES: Mapping[str, Callable[[int], tuple[Quantity, ...]]] = {
 }
 
 
-def _total(name: str, symbol: str, meaning: str, *, positive: bool = False) -> Total:
-    """Make the motor-side total of a quantity."""
-    row = QUANTITIES[name]
-    assert row.column is not None
-    return Total(name, row.units, symbol, meaning, row.column, positive)
+def _total(quantity: str, symbol: str, meaning: str, **changes: Any) -> Quantity:
+    """Make the motor-side total of a quantity, or the half difference of two."""
+    return replace(QUANTITIES[quantity], symbol=symbol, meaning=meaning, **changes)
 
 
-# In the order of the paper's theta.
-TOTALS: dict[str, Total] = {
+# Columns of ``psi`` in motor units, eq. (13), in the order of the paper's theta; a column is a
+# function of the motor's state. A coefficient is positive in any mechanism that loses energy where
+# its support is.
+TOTALS: dict[str, Quantity] = {
     row.name: row
     for row in (
-        _total("inertia", "J_t", "inertia seen by the motor", positive=True),
-        _total("viscous", "f_t", "viscous loss seen by the motor", positive=True),
-        Total(
-            "viscous_difference", QUANTITIES["viscous"].units, r"\Delta f_t",
+        _total("inertia", "J_t", "inertia seen by the motor"),
+        _total("viscous", "f_t", "viscous loss seen by the motor"),
+        _total(
+            "viscous", r"\Delta f_t",
             "half the difference of the viscous losses at positive and negative speed",
-            lambda m: np.abs(m.speed),
+            name="viscous_difference", column=lambda m: np.abs(m.speed), lower=-_INF,
         ),
-        _total("quadratic", "f_{3,t}", "quadratic loss seen by the motor", positive=True),
-        _total("coulomb", "C_t", "constant loss seen by the motor", positive=True),
+        _total("quadratic", "f_{3,t}", "quadratic loss seen by the motor"),
+        _total("coulomb", "C_t", "constant loss seen by the motor"),
         # C1 and C2 act on what moves; plain least squares takes the offset for their difference
-        Total(
-            "difference", _TORQUE, r"\Delta C", "half the difference of the constant losses",
-            lambda m: np.abs(m.direction), regressor="offset",
+        _total(
+            "coulomb", r"\Delta C", "half the difference of the constant losses",
+            name="difference", column=lambda m: np.abs(m.direction), lower=-_INF,
+            regressor="offset",
         ),
         _total("offset", r"\Delta C_t", "constant torque, half the difference of the losses"),
-        Total(
+        Quantity(
             "gravity", _TORQUE, r"ml\,g/(\alpha_m N)",
             "gravity torque seen by the motor, sine part",
-            lambda m: m.gravity, turned=r"ml\,g\cos q_g/(\alpha_m N)",
+            column=lambda m: m.gravity, lower=-_INF, turned=r"ml\,g\cos q_g/(\alpha_m N)",
         ),
-        Total(
-            "gravity_cosine", _TORQUE, r"ml\,g\sin q_g/(\alpha_m N)",
-            "gravity torque, cosine part", lambda m: m.gravity,
+        Quantity(
+            "gravity_cosine", _TORQUE, r"ml\,g\sin q_g/(\alpha_m N)", "gravity torque, cosine part",
+            column=lambda m: m.gravity, lower=-_INF,
         ),
-        Total(
+        Quantity(
             "added_load", _NONE, r"1/\alpha_m", "motor torque per torque of the known added load",
-            lambda m: m.transmitted, positive=True,
+            column=lambda m: m.transmitted,
         ),
     )
 }  # fmt: skip
@@ -541,39 +523,19 @@ TOTALS: dict[str, Total] = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the joint."""
+    """One parameter of the joint, ``element.quantity``."""
 
-    name: str  # element.quantity, for example motor.inertia
+    name: str  # for example motor.inertia
     row: Quantity  # its row in the table of quantities
     owner: str  # name of the element, load, drive, or empty for the whole chain
     unit: str  # as printed, in SI
     symbol: str  # LaTeX without dollar signs, the paper's where it has one
     meaning: str  # one line for people
-
-    @property
-    def quantity(self) -> str:
-        """The part after the dot of its name: ``inertia`` of ``motor.inertia``."""
-        return self.row.name
-
-    @property
-    def lower(self) -> float:
-        """Lower end of its support; no prior may reach outside."""
-        return self.row.lower
-
-    @property
-    def upper(self) -> float:
-        """Upper end of its support."""
-        return self.row.upper
-
-    @property
-    def default(self) -> float:
-        """Value where it is not part of the model."""
-        return self.row.default
-
-    @property
-    def circular(self) -> bool:
-        """Whether values a turn apart are the same."""
-        return self.row.circular
+    quantity: str  # the part after the dot of its name; this and the next four are its row's
+    lower: float  # support; no prior may reach outside
+    upper: float
+    default: float  # value where it is not part of the model
+    circular: bool  # whether values a turn apart are the same
 
 
 def parameter(
@@ -582,12 +544,13 @@ def parameter(
     """Describe one quantity of one element."""
     meaning = row.alone.format(owner) if alone and row.alone else row.meaning
     return Parameter(
-        name=f"{owner}.{row.name}" if owner else row.name,
-        row=row,
-        owner=owner,
-        unit=row.unit(motion),
-        symbol=row.symbol.format(subscript),
-        meaning=effort_words(meaning, motion),
+        f"{owner}.{row.name}" if owner else row.name,
+        row,
+        owner,
+        row.unit(motion),
+        row.symbol.format(subscript),
+        effort_words(meaning, motion),
+        *(row.name, row.lower, row.upper, row.default, row.circular),
     )
 
 

@@ -120,8 +120,8 @@ def test_true_values_are_the_preset_s_but_for_what_is_said():
     assert tuple(found) == chain.names
     for parameters, match in (
         ({"joint.viscos": 1.0}, "no such parameter"),
-        ({"joint.viscous": -1.0}, "no possible value"),
-        ({"joint.viscous": np.inf}, "no possible value"),
+        ({"joint.viscous": -1.0}, "not a possible value"),
+        ({"joint.viscous": np.inf}, "not a possible value"),
     ):
         with pytest.raises(BadInput, match=match):
             Simulation(parameters=parameters).true_values(chain)
