@@ -90,7 +90,9 @@ def simulate(
         raise ValueError("torque, q0 and qd0 must be finite")
     vector = np.asarray(values, dtype=np.float64)
     tables = _tables(chain, vector[np.newaxis], inputs)
-    _refuse(chain, vector, tables)
+    for reason, flags in _impossible(chain, vector[np.newaxis], tables).items():
+        if flags[0]:
+            raise ValueError(reason)
     plant = plant_of(tables, 0)
     fine, finer = _fine(chain, vector[np.newaxis], measured, period, hold)
 
@@ -213,44 +215,33 @@ def _fine(
     return out, finer
 
 
-def _refuse(chain: Joint, vector: Array, tables: ForwardTables) -> None:
-    """Refuse values without a unique motion, and say why."""
-    outside = [
-        p.name
-        for p, value in zip(chain.parameters, vector, strict=True)
-        if not (np.isfinite(value) and p.lower <= value <= p.upper)
-    ]
-    if outside:
-        raise ValueError(f"not finite or outside its support: {', '.join(outside)}")
-    if not _has_scales(tables).all():
-        raise ValueError("gain and Stribeck velocities must be greater than zero")
-    low, high = slope_bounds(tables.elements, tables.load[:, LOAD_INERTIA] + tables.added_inertia)
-    if high[0] <= 0.0:
-        raise ValueError("the chain has no inertia, so a torque does not determine its motion")
-    if low[0] <= 0.0:
-        raise ValueError(
-            "irreversible gearbox: its loss when the load drives is so large, against the inertia "
-            "on the motor side, that one torque allows more than one motion"
-        )
-
-
-def _possible(chain: Joint, vectors: Array, tables: ForwardTables) -> Flags:
-    """Flag the vectors in the support that have one motion for one torque.
+def _impossible(chain: Joint, vectors: Array, tables: ForwardTables) -> dict[str, Flags]:
+    """Flag the vectors that are outside the support, or have no single motion, by reason.
 
     A motion is unique where the motor torque rises with the acceleration for every direction of
     power. It does not where ``mu_2`` is so far above one that the inertia on the motor side does
     not outweigh it. Growth of load-dependent friction with speed or load is left out of this.
     """
-    lower = np.array([p.lower for p in chain.parameters])
-    upper = np.array([p.upper for p in chain.parameters])
-    inertia = tables.load[:, LOAD_INERTIA] + tables.added_inertia
-    valid = np.all((vectors >= lower) & (vectors <= upper), axis=1) & _has_scales(tables)
-    return np.asarray(valid & (slope_bounds(tables.elements, inertia)[0] > 0))
-
-
-def _has_scales(tables: ForwardTables) -> Flags:
+    reasons = {
+        f"{p.name} is not finite, or outside its support": ~(
+            np.isfinite(x) & (x >= p.lower) & (x <= p.upper)
+        )
+        for p, x in zip(chain.parameters, vectors.T, strict=True)
+    }
     speeds = tables.elements[:, :, STRIBECK_VELOCITY]
-    return np.asarray((tables.load[:, GAIN] > 0) & np.all(speeds > 0, axis=1))
+    low, high = slope_bounds(tables.elements, tables.load[:, LOAD_INERTIA] + tables.added_inertia)
+    return reasons | {
+        "gain and Stribeck velocities must be greater than zero": ~(
+            (tables.load[:, GAIN] > 0) & np.all(speeds > 0, axis=1)
+        ),
+        "the chain has no inertia, so a torque does not determine its motion": ~(high > 0),
+        "irreversible gearbox: its loss when the load drives is so large, against the inertia "
+        "on the motor side, that one torque allows more than one motion": ~(low > 0),
+    }
+
+
+def _possible(chain: Joint, vectors: Array, tables: ForwardTables) -> Flags:
+    return ~np.any(list(_impossible(chain, vectors, tables).values()), axis=0)
 
 
 def slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:

@@ -27,6 +27,24 @@ def test_a_chirp_is_scipy_s(first, last, begin):
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("frequency", [0.1, 0.7, 1.0, 2.5, 12.5])
+def test_square_switches_where_rounding_could_move_a_sample(frequency):
+    samples = np.arange(round(2 / frequency * 1000))
+    exact = (2 * samples * round(frequency * 10) // 10_000) % 2
+    wave = experiment.square(samples * 1e-3, 0.8, frequency)
+    np.testing.assert_array_equal(wave, np.where(exact == 0, 0.8, -0.8))
+
+
+def test_current_loop_is_exact_for_a_held_command():
+    time, period, lag = np.arange(4001) * 1e-3, 1e-3, 5e-3
+    command = np.where(time < 2.0, 0.8, -0.8)
+    actual = experiment.current_loop(command, period, lag)
+    rise = 0.8 * -np.expm1(-time / lag)
+    fall = -0.8 + 1.6 * np.exp(-(time - 2.0) / lag)
+    np.testing.assert_allclose(actual, np.where(time <= 2.0, rise, fall), rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(experiment.current_loop(command, period, 0.0), command)
+
+
 def test_sines_have_their_phases():
     time = np.arange(1000) * 1e-3
     found = experiment.sine(time, 2.0, 3.0, 0.4)

@@ -6,7 +6,7 @@ import pytest
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.joint import PRESETS, Joint
 
 QUADRATIC = {
     "motor.viscous": 0.02,
@@ -106,3 +106,23 @@ def test_an_efficiency_counts_what_grows_with_the_torque(loss):
     assert back == pytest.approx(6.0 * lowers / weight, rel=1e-9)
     # one total there is not: what is felt of the inertia depends on the weight
     assert not [name for name in found if name.startswith("total")]
+
+
+def test_inertia_is_unseen_where_the_load_loss_does_not_change_with_it():
+    """By the torque itself: the loss of the servo's gearbox depends on gravity alone."""
+    geared = Element("gearbox", load_loss="one")
+    behind = Joint((Element("motor"), geared), Load(inertia=True, first_moment=True))
+    both = Joint((Element("motor", inertia=True), geared), Load(inertia=True, first_moment=True))
+    bearing = Joint((Element("motor"), geared, Element("bearing", inertia=True)))
+    joints = [*map(Joint.preset, PRESETS), behind, both]
+    for joint in (*joints, bearing):
+        values = dict.fromkeys(joint.names, 0.3)
+        lossless = {n: 0.0 if n.startswith("gearbox.load") else x for n, x in values.items()}
+
+        def loss(acceleration, joint=joint, values=values, lossless=lossless):
+            motion = (0.4, 1.0, acceleration)
+            return joint.torque(values, *motion) - joint.torque(lossless, *motion)
+
+        lossy = any("gearbox.load" in name for name in joint.names)
+        blind = lossy and np.isclose(loss(3.0), loss(0.0)).all()
+        assert bool(joint.unseen_inertia) == blind

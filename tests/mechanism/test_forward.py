@@ -294,15 +294,6 @@ def test_segments_hold_a_torque_alike():
     np.testing.assert_array_equal(whole[0], one.q)
 
 
-@pytest.mark.parametrize("hold", ["linear", "zero"])
-def test_free_mass_moves_exactly(hold):
-    # BAM's integrator gives 1.5 a t²: its speed is updated before the position uses it
-    motion = simulate(axis(), [0.5], np.full(1001, 0.25), 1e-3, hold=hold, substeps=3)
-    np.testing.assert_allclose(motion.q, 0.25 * motion.time**2, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(motion.qd, 0.5 * motion.time, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(motion.qdd, 0.5)
-
-
 def test_stribeck_raises_the_breakaway_torque():
     chain = axis(coulomb="symmetric", stribeck=True)
     values = chain.vector(

@@ -145,30 +145,3 @@ def test_each_segment_is_a_simulation_of_its_own():
         outside[a:b] = False
     assert np.isnan(out[0, outside]).all()
     assert outside.sum() == 80
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"segments": [(5, 5)]}, "not empty"),
-        ({"segments": [0, 5]}, r"\(K, 2\)"),
-        ({"segments": [(0, 601)]}, "within"),
-        ({"segments": [(-1, 5)]}, "within"),
-        ({"values": VALUES}, "shape"),
-        ({"values": VALUES[None] * np.nan}, "finite"),
-        ({"q0": [np.nan]}, "finite"),
-        ({"qd0": [np.inf]}, "finite"),
-        ({"substeps": 0}, "substeps"),
-    ],
-)
-def test_bad_input_is_refused(changed, message):
-    given = {
-        "values": VALUES[None],
-        "torque": TORQUE,
-        "period": 1e-3,
-        "segments": [(0, 600)],
-        "q0": [0.0],
-        "qd0": [0.0],
-    } | changed
-    with pytest.raises(ValueError, match=message):
-        simulate_segments(CHAIN, **given)

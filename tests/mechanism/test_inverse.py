@@ -142,7 +142,9 @@ def test_a_known_added_mass_is_that_much_more_load():
     )
     expected = heavier["load.inertia"] * qdd
     expected += 9.80665 * heavier["load.first_moment"] * np.sin(q)
-    np.testing.assert_allclose(load_torque(chain, x, q, qdd, inputs=Inputs(2.0, 0.35)), expected)
+    np.testing.assert_allclose(
+        load_torque(chain, x, q, qdd, Inputs(2.0, 0.35), np.zeros(100)), expected
+    )
 
 
 def test_totals_are_theta1_plus_and_minus_theta2():
