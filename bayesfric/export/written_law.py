@@ -199,9 +199,12 @@ class Statements:
 
     def _at(self, reach: float) -> State:
         """State at ``reach`` times the speed of the joint, at time zero."""
-        names = {"position": "q", "speed": "v", "acceleration": "a"}
-        moving = (self.put(name, reach * Traced(letter)) for name, letter in names.items())
-        return State(*moving, Traced("s"), 0.0)
+        position, speed = (
+            self.put("position", reach * Traced("q")),
+            self.put("speed", reach * Traced("v")),
+        )
+        acceleration = self.put("acceleration", reach * Traced("a"))
+        return State(position, speed, acceleration, Traced("s"), 0.0)
 
     def _carried(self, place: int, at: State) -> Any:
         """Sum up the terms without a slot at one place, but for those with a signal."""

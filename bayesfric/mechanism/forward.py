@@ -241,7 +241,8 @@ def _impossible(chain: Joint, vectors: Array, tables: ForwardTables) -> dict[str
 
 
 def _possible(chain: Joint, vectors: Array, tables: ForwardTables) -> Flags:
-    return ~np.any(list(_impossible(chain, vectors, tables).values()), axis=0)
+    flags: Flags = np.any(list(_impossible(chain, vectors, tables).values()), axis=0)
+    return ~flags
 
 
 def slope_bounds(elements: Array, inertia: Array) -> tuple[Array, Array]:
@@ -311,14 +312,14 @@ def follow(
     vectors = np.ascontiguousarray(values, dtype=np.float64)
     tables = _tables(chain, vectors, inputs)
     on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
-    late = chain.by_target and law.closed
-    drive = _Drive(
-        *(np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on)),
-        np.zeros((1, on.size)) if push is None else np.ascontiguousarray(push, dtype=np.float64),
-        *map(float, (law.kp, law.kd, law.limit, law.back_emf)),
-        held,
-        chain.delays(vectors) / period if late else np.zeros(len(vectors)),
+    rows = np.zeros((1, on.size)) if push is None else push
+    command, scale, on, pushed = (
+        np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on, rows)
     )
+    kp, kd, limit, back_emf = map(float, (law.kp, law.kd, law.limit, law.back_emf))
+    late = chain.by_target and law.closed
+    delays = chain.delays(vectors) / period if late else np.zeros(len(vectors))
+    drive = _Drive(command, scale, on, pushed, kp, kd, limit, back_emf, held, delays)
     q, qd = _follow(
         tables,
         _possible(chain, vectors, tables),

@@ -276,9 +276,9 @@ class Joint:
         """
         draws = np.broadcast_arrays(*values.values())
         vectors = self.vector(dict(zip(values, draws, strict=True)))
-        motion = np.broadcast_arrays(*np.atleast_1d(position, speed, acceleration))
+        q, qd, qdd = np.broadcast_arrays(*np.atleast_1d(position, speed, acceleration))
         stamps = None if time is None else np.asarray(time, dtype=np.float64)
-        samples = self.samples(*motion, AT_ROOM, stamps)
+        samples = self.samples(q, qd, qdd, AT_ROOM, stamps)
         torque: Array = inverse_many(*self.tables(np.atleast_2d(vectors), AT_ROOM), samples)
         return torque[0] if vectors.ndim == 1 else torque
 

@@ -213,6 +213,15 @@ OPTION_MEANINGS: Mapping[str, str] = {
     "spring": "torque in proportion to angle, as of a spring or cable",
 }
 
+# What several rows share: losses that change with the recorded temperature, rises at low speed,
+# differences of load-dependent friction by direction.
+_warm = partial(Quantity, option="temperature", lower=-_INF, signal="temperature", zero=ROOM)
+_rise = partial(Quantity, option="stribeck", role="form", spread=lambda _: 1.0, start=0.3)
+_apart = partial(
+    Quantity, option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
+    spread=lambda _: 0.1, scaled_by=1,
+)  # fmt: skip
+
 # In the order in which an element lists its parameters.
 QUANTITIES: dict[str, Quantity] = {
     row.name: row
@@ -277,17 +286,15 @@ QUANTITIES: dict[str, Quantity] = {
             option="power", role="form", upper=2.0, default=1.0, prior="uniform", start=0.6,
             tries=lambda _: (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.2, 1.4, 1.6, 1.8),
         ),
-        Quantity(
+        _warm(
             "viscous_temperature", ("N m s/K", "N s/(m K)"), r"f_{{\vartheta,{}}}",
             "change of viscous loss per kelvin above 20 degC",
-            option="temperature", choice=("viscous", "both"), lower=-_INF, signal="temperature",
-            zero=ROOM, column=lambda m: m.speed,
+            choice=("viscous", "both"), column=lambda m: m.speed,
         ),
-        Quantity(
+        _warm(
             "coulomb_temperature", ("N m/K", "N/K"), r"C_{{\vartheta,{}}}",
             "change of constant loss per kelvin above 20 degC",
-            option="temperature", choice=("constant", "both"), lower=-_INF, signal="temperature",
-            zero=ROOM, column=lambda m: m.direction,
+            choice=("constant", "both"), column=lambda m: m.direction,
         ),
         # oil thins as it warms (Simoni et al. 2015: friction of a robot's joint falls by half)
         Quantity(
@@ -308,32 +315,28 @@ QUANTITIES: dict[str, Quantity] = {
             spread=lambda s: s.duration, start=60.0,
             tries=lambda s: tuple(x * s.duration for x in (0.05, 0.1, 0.2, 0.35, 0.6, 1.0)),
         ),
-        Quantity(
+        _rise(
             "stribeck_ratio", _NONE, "c_{{{}}}",
             "relative rise of constant and load-dependent friction at low speed",
-            option="stribeck", role="form", slots=("stribeck_ratio", "stribeck_load_ratio"),
-            spread=lambda _: 1.0, start=0.3,
+            slots=("stribeck_ratio", "stribeck_load_ratio"),
         ),
         # a loss that falls towards standstill: elements that give way before they slide
-        Quantity(
+        _rise(
             "stribeck_change", _NONE, "c_{{{}}}",
             "relative rise of constant and load-dependent friction at low speed, "
             "negative for a fall",
-            option="stribeck", choice="either", role="form",
-            slots=("stribeck_ratio", "stribeck_load_ratio"), lower=-1.0, spread=lambda _: 0.5,
-            start=0.1,
+            choice="either", slots=("stribeck_ratio", "stribeck_load_ratio"), lower=-1.0,
+            spread=lambda _: 0.5, start=0.1,
         ),
-        Quantity(
+        _rise(
             "stribeck_constant", _NONE, "c_{{C,{}}}",
             "relative rise of the constant loss at low speed",
-            option="stribeck", choice="apart", role="form", slots=("stribeck_ratio",),
-            spread=lambda _: 1.0, start=0.3,
+            choice="apart", slots=("stribeck_ratio",),
         ),
-        Quantity(
+        _rise(
             "stribeck_load", _NONE, r"c_{{\mu,{}}}",
             "relative rise of load-dependent friction at low speed",
-            option="stribeck", choice="apart", role="form", slots=("stribeck_load_ratio",),
-            spread=lambda _: 1.0, start=0.3,
+            choice="apart", slots=("stribeck_load_ratio",),
         ),
         Quantity(
             "stribeck_velocity", ("rad/s", "m/s"), r"\dot q_{{0,{}}}",
@@ -367,23 +370,18 @@ QUANTITIES: dict[str, Quantity] = {
             option="load_loss", choice="two", role="loss", column=_is_driven, rises=True,
             spread=lambda _: 0.5, prior_upper=1.0,
         ),
-        Quantity(
+        _apart(
             "load_difference", _NONE, r"\Delta\mu_{{{}}}",
             "half the difference of load-dependent friction at positive and negative speed",
-            option="load_direction", role="form", lower=-_INF, start=0.0, scaled_by=1,
-            slots=("load_drive_difference", "load_back_difference"), spread=lambda _: 0.1,
+            choice=True, slots=("load_drive_difference", "load_back_difference"),
         ),
-        Quantity(
+        _apart(
             "load_drive_difference", _NONE, r"\Delta\mu_{{{}1}}",
             "half the difference by direction of load-dependent friction when the motor drives",
-            option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
-            spread=lambda _: 0.1, scaled_by=1,
         ),
-        Quantity(
+        _apart(
             "load_back_difference", _NONE, r"\Delta\mu_{{{}2}}",
             "half the difference by direction of load-dependent friction when the load drives",
-            option="load_direction", choice="quadrants", role="form", lower=-_INF, start=0.0,
-            spread=lambda _: 0.1, scaled_by=1,
         ),
         # gear friction of oil films (Hamon, Gautier and Garrec 2010)
         Quantity(

@@ -8,45 +8,6 @@ from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
 
-QUADRATIC = {
-    "motor.viscous": 0.02,
-    "motor.coulomb": 0.1,
-    "motor.quadratic": 3e-4,
-    "belt.quadratic": 2e-3,
-    "belt.load": 0.1,
-    "gearbox.load_drive": 0.3,
-    "gearbox.load_back": 0.4,
-    "joint.viscous": 0.5,
-    "joint.quadratic": 0.7,
-    "load.first_moment": 60.0,
-}
-
-
-@pytest.mark.parametrize("lossy", [True, False])
-def test_the_quadratic_total_is_what_steady_speeds_show(lossy):
-    """Second differences of the torque over steady motor speeds leave the quadratic loss."""
-    chain = Joint(
-        (
-            Element("motor", coulomb="symmetric", viscous=True, quadratic=True),
-            Element("belt", ratio=2.5, quadratic=True, load_loss="one" if lossy else "none"),
-            Element("gearbox", ratio=6.0, load_loss="two" if lossy else "none"),
-            Element("joint", ratio=1.2, viscous=True, quadratic=True),
-        ),
-        Load(first_moment=True),
-    )
-    x = chain.vector({name: QUADRATIC[name] for name in chain.names})
-    found = {d.name: d for d in derive(chain, x[None], 1.0)}
-    step = 0.5  # rad/s at the motor
-    speeds = np.array([1.0, 2.0, 3.0]) * step / chain.ratio
-    # the weight holds back at one side, and drives at the other
-    for side, q in (("drive", 0.5 * np.pi), ("back", -0.5 * np.pi)):
-        torque = inverse_torque(chain, x, np.full(3, q), speeds, np.zeros(3))
-        seen = (torque[0] - 2.0 * torque[1] + torque[2]) / (2.0 * step**2)
-        total = found[f"total_{side}.quadratic" if lossy else "total.quadratic"]
-        assert float(total.values[0]) == pytest.approx(seen, rel=1e-6)
-        assert total.gauge_free
-        assert total.unit == "N m s²"
-
 
 def test_what_is_told_by_direction_makes_every_total_of_its_kind_so():
     """Motor torque per steady speed, each way: the element without directions is in both."""

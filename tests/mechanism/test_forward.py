@@ -11,7 +11,7 @@ from scipy.special import ellipk
 
 from bayesfric.mechanism import forward, integrate, kernels
 from bayesfric.mechanism.element import STANDARD_GRAVITY, Element, Load
-from bayesfric.mechanism.forward import simulate, simulate_segments
+from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.measurement import Inputs
@@ -147,18 +147,6 @@ def test_slope_bounds_are_those_of_all_patterns():
 # --- closed forms ---------------------------------------------------------------------
 
 
-def test_holds_are_what_they_say():
-    torque = np.array([0.0, 1.0, -2.0, 0.5])
-    zero = simulate(axis(), [1.0], torque, 1.0, hold="zero", substeps=1)
-    np.testing.assert_allclose(zero.qd, [0.0, 0.0, 1.0, -1.0], atol=1e-15)
-    np.testing.assert_allclose(zero.q, [0.0, 0.0, 0.5, 0.5], atol=1e-15)
-    linear = simulate(axis(), [1.0], torque, 1.0, substeps=1)
-    np.testing.assert_allclose(linear.qd, [0.0, 0.5, 0.0, -0.75], atol=1e-15)
-    np.testing.assert_allclose(linear.q[1], 1 / 6, rtol=1e-15)
-    np.testing.assert_array_equal(linear.qdd, torque)
-    np.testing.assert_array_equal(linear.torque, torque)
-
-
 def test_reversals_inside_one_step_are_found():
     # speed 0.7 - 3.1 t + 3 t² is positive at both ends of the step but not between
     chain = axis(coulomb="symmetric")
@@ -285,25 +273,10 @@ def test_a_torque_between_samples_goes_as_it_is_told(hold):
     assert errors[0] / errors[1] > 0.8 * 2**order
 
 
-def test_segments_hold_a_torque_alike():
-    torque = np.sin(np.arange(200) / 9.0)
-    one = simulate(axis(), [1.0], torque, 0.01, hold="cubic", substeps=8)
-    whole = simulate_segments(
-        axis(), [[1.0]], torque, 0.01, [[0, 200]], [0.0], [0.0], hold="cubic", substeps=8
-    )[0]
-    np.testing.assert_array_equal(whole[0], one.q)
-
-
 def test_stribeck_raises_the_breakaway_torque():
     chain = axis(coulomb="symmetric", stribeck=True)
-    values = chain.vector(
-        {
-            "motor.inertia": 0.01,
-            "motor.coulomb": 0.2,
-            "motor.stribeck_ratio": 0.5,
-            "motor.stribeck_velocity": 0.1,
-        }
-    )
+    values = [0.01, 0.2, 0.5, 0.1]
+    assert chain.names[1:3] == ("motor.coulomb", "motor.stribeck_ratio")
     time = np.arange(1001) * 1e-3
     motion = simulate(chain, values, 0.4 * time, 1e-3)
     np.testing.assert_array_equal(motion.sticking, 0.4 * time <= 0.2 * 1.5 + 1e-15)
