@@ -64,11 +64,8 @@ class Plant(NamedTuple):
     angle: float
     kinks: int  # bit k: the input torque of element k has a kink where power changes direction
     squares: bool  # whether a loss grows with the square of the load
-    carried: Array  # (n_carried, 2); this and the next four as in ForwardTables
-    places: Index
-    addresses: Index
-    stamps: Array
-    levels: Array
+    tables: ForwardTables  # for the terms without a slot, of this vector
+    vector: int
     # (n_elements, 2) scratch memory: T = slope qdd + intercept of the transmitted torques
     lines: Array
 
@@ -109,11 +106,8 @@ def plant_of(tables: ForwardTables, vector: int) -> Plant:
         math.atan2(cosine, sine),
         kinks,
         squares,
-        tables.carried[vector],
-        tables.places,
-        tables.addresses,
-        tables.stamps,
-        tables.levels,
+        tables,
+        vector,
         np.empty((elements.shape[0], 2)),
     )
 
@@ -138,12 +132,13 @@ def _carried_torque(
 
     ``to_input`` is the speed there over the joint's, ``q`` and ``qd`` are the joint's.
     """
-    total = 0.0
-    for t in range(plant.places.shape[0]):
-        if plant.places[t] == k:
-            value = plant.carried[t, 0] * _level(plant.stamps, plant.levels[t], time)
-            moved = to_input * q, to_input * qd, sign, time, plant.carried[t, 1]
-            total += value * call(plant.addresses[t], *moved)
+    tables, total = plant.tables, 0.0
+    for t in range(tables.places.shape[0]):
+        if tables.places[t] == k:
+            value, shape = tables.carried[plant.vector, t, 0], tables.carried[plant.vector, t, 1]
+            value *= _level(tables.stamps, tables.levels[t], time)
+            address, place, speed = tables.addresses[t], to_input * q, to_input * qd
+            total += value * call(address, place, speed, sign, time, shape)
     return total
 
 
