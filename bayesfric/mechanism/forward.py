@@ -21,6 +21,7 @@ from bayesfric.mechanism.integrate import (
     POSITION,
     SPEED,
     STICKS,
+    Carried,
     ForwardTables,
     integrate,
     integrate_segments,
@@ -170,6 +171,9 @@ def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> ForwardTables:
     elements, load, carried = chain.tables(vectors, inputs)
     all_terms = chain.carried_terms(inputs)
     columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
+    added = inputs.load(chain.load.motion)
+    if not columns:
+        return ForwardTables(elements, load, None, *added)
     terms = [all_terms[k] for k in columns]
     signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
@@ -179,16 +183,14 @@ def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> ForwardTables:
     levels = np.ones((len(terms), stamps.size))
     for k, signal in signals.items():
         levels[k] = signal.at(stamps) - terms[k].row.zero
-    return ForwardTables(
-        elements,
-        load,
+    carried_terms = Carried(
         np.ascontiguousarray(carried[:, columns]),
         np.array([c.place for c in terms], dtype=np.int64),
         np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
-        *inputs.load(chain.load.motion),
     )
+    return ForwardTables(elements, load, carried_terms, *added)
 
 
 def _fine(

@@ -39,16 +39,22 @@ FREE = _REVERSAL = -1
 _NOTHING = -2
 
 
+class Carried(NamedTuple):
+    """Terms without a slot in the kernels."""
+
+    values: Array  # (n, n_carried, 2) coefficient and shape of each, of several vectors
+    places: Index  # (n_carried,) index of its element, as in Samples
+    addresses: Index  # (n_carried,) of their compiled columns
+    stamps: Array  # (K,) times of the signals that some are multiplied by, s
+    levels: Array  # (n_carried, K) factor of each at these times
+
+
 class ForwardTables(NamedTuple):
     """Parameter vectors of a joint, laid out for the functions below."""
 
     elements: Array  # (n, n_elements, n_slots) and (n, n_slots), as in Tables
     load: Array
-    carried: Array  # (n, n_carried, 2) coefficient and shape of the terms without a slot
-    places: Index  # (n_carried,) index of the element of each, as in Samples
-    addresses: Index  # (n_carried,) of their compiled columns
-    stamps: Array  # (K,) times of the signals that some are multiplied by, s
-    levels: Array  # (n_carried, K) factor of each at these times
+    carried: Carried | None  # where there are such terms: else nothing of them is compiled
     added_inertia: float  # of a known mass on the load, kg m² (kg) and kg m
     added_moment: float
 
@@ -64,8 +70,8 @@ class Plant(NamedTuple):
     angle: float
     kinks: int  # bit k: the input torque of element k has a kink where power changes direction
     squares: bool  # whether a loss grows with the square of the load
-    tables: ForwardTables  # for the terms without a slot, of this vector
-    vector: int
+    carried: Carried | None
+    vector: int  # its index
     # (n_elements, 2) scratch memory: T = slope qdd + intercept of the transmitted torques
     lines: Array
 
@@ -106,7 +112,7 @@ def plant_of(tables: ForwardTables, vector: int) -> Plant:
         math.atan2(cosine, sine),
         kinks,
         squares,
-        tables,
+        tables.carried,
         vector,
         np.empty((elements.shape[0], 2)),
     )
@@ -126,26 +132,36 @@ def _level(stamps: Array, levels: Array, time: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _carried_torque(
-    plant: Plant, k: int, to_input: float, q: float, qd: float, sign: float, time: float
+    carried: Carried | None,
+    vector: int,
+    k: int,
+    to_input: float,
+    q: float,
+    qd: float,
+    sign: float,
+    time: float,
 ) -> float:
     """Torque of the terms without a slot of element k, or of the load, at its own input.
 
     ``to_input`` is the speed there over the joint's, ``q`` and ``qd`` are the joint's.
     """
-    tables, total = plant.tables, 0.0
-    for t in range(tables.places.shape[0]):
-        if tables.places[t] == k:
-            value, shape = tables.carried[plant.vector, t, 0], tables.carried[plant.vector, t, 1]
-            value *= _level(tables.stamps, tables.levels[t], time)
-            address, place, speed = tables.addresses[t], to_input * q, to_input * qd
-            total += value * call(address, place, speed, sign, time, shape)
+    total = 0.0
+    if carried is not None:
+        for t in range(carried.places.shape[0]):
+            if carried.places[t] == k:
+                value, shape = carried.values[vector, t, 0], carried.values[vector, t, 1]
+                value *= _level(carried.stamps, carried.levels[t], time)
+                address, place, speed = carried.addresses[t], to_input * q, to_input * qd
+                total += value * call(address, place, speed, sign, time, shape)
     return total
 
 
 @njit(cache=True, error_model="numpy")
 def _load_torque(plant: Plant, q: float, qd: float, sign: float, time: float) -> float:
     """Torque of the load at constant speed: gravity and its carried terms, at the joint."""
-    carried = _carried_torque(plant, plant.elements.shape[0], 1.0, q, qd, sign, time)
+    carried = _carried_torque(
+        plant.carried, plant.vector, plant.elements.shape[0], 1.0, q, qd, sign, time
+    )
     return float(plant.weight * math.sin(q + plant.angle) + carried)
 
 
@@ -160,7 +176,7 @@ def motor_torque(plant: Plant, q: float, qd: float, qdd: float, sign: float, tim
         speed = to_input * qd
         torque = element_torque(
             element, torque / element[RATIO], sign, speed, to_input * qdd, rises(element, speed)
-        ) + _carried_torque(plant, k, to_input, q, qd, sign, time)
+        ) + _carried_torque(plant.carried, plant.vector, k, to_input, q, qd, sign, time)
     return torque
 
 
@@ -213,7 +229,9 @@ def acceleration(
             losses = element_torque(element, 0.0, sign, speed, 0.0, risen)
             slope = slope * factor + element[INERTIA] * to_input
             intercept = intercept * factor + losses + shift
-            intercept += _carried_torque(plant, k, to_input, q, qd, sign, time)
+            intercept += _carried_torque(
+                plant.carried, plant.vector, k, to_input, q, qd, sign, time
+            )
         qdd = (torque - intercept) / slope
         if not plant.squares or abs(qdd - about) <= 4e-16 * abs(qdd):  # rounding
             break
