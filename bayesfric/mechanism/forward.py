@@ -90,11 +90,11 @@ def simulate(
     if not (np.isfinite([q0, qd0]).all() and np.isfinite(measured).all()):
         raise ValueError("torque, q0 and qd0 must be finite")
     vector = np.asarray(values, dtype=np.float64)
-    tables = _tables(chain, vector[np.newaxis], inputs)
+    tables, carried = _tables(chain, vector[np.newaxis], inputs)
     for reason, flags in _impossible(chain, vector[np.newaxis], tables).items():
         if flags[0]:
             raise ValueError(reason)
-    plant = plant_of(tables, 0)
+    plant = plant_of(tables, carried, 0)
     fine, finer = _fine(chain, vector[np.newaxis], measured, period, hold)
 
     def run(each: int) -> Motion:
@@ -148,10 +148,11 @@ def simulate_segments(
     start, speed = (
         np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
     )
-    tables = _tables(chain, vectors, inputs)
+    tables, carried = _tables(chain, vectors, inputs)
     fine, finer = _fine(chain, vectors, np.asarray(torque, dtype=np.float64), period, hold)
     q, qd = integrate_segments(
         tables,
+        carried,
         _possible(chain, vectors, tables),
         fine,
         float(period) / finer,
@@ -166,14 +167,14 @@ def simulate_segments(
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> ForwardTables:
+def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> tuple[ForwardTables, Carried | None]:
     """Lay parameter vectors out for the forward model; a delay is no term of it."""
-    elements, load, carried = chain.tables(vectors, inputs)
+    elements, load, values = chain.tables(vectors, inputs)
+    tables = ForwardTables(elements, load, *inputs.load(chain.load.motion))
     all_terms = chain.carried_terms(inputs)
     columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
-    added = inputs.load(chain.load.motion)
     if not columns:
-        return ForwardTables(elements, load, None, *added)
+        return tables, None
     terms = [all_terms[k] for k in columns]
     signals = {k: signal_of(c.row, inputs) for k, c in enumerate(terms) if c.row.signal}
     # straight lines between the stamps of all are straight lines of each
@@ -183,14 +184,14 @@ def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> ForwardTables:
     levels = np.ones((len(terms), stamps.size))
     for k, signal in signals.items():
         levels[k] = signal.at(stamps) - terms[k].row.zero
-    carried_terms = Carried(
-        np.ascontiguousarray(carried[:, columns]),
+    carried = Carried(
+        np.ascontiguousarray(values[:, columns]),
         np.array([c.place for c in terms], dtype=np.int64),
         np.array([c.address for c in terms], dtype=np.int64),
         np.ascontiguousarray(stamps, dtype=np.float64),
         levels,
     )
-    return ForwardTables(elements, load, carried_terms, *added)
+    return tables, carried
 
 
 def _fine(
@@ -312,7 +313,7 @@ def follow(
     the motion, is predicted with a constant torque and corrected once (Heun's method).
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
-    tables = _tables(chain, vectors, inputs)
+    tables, carried = _tables(chain, vectors, inputs)
     on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
     rows = np.zeros((1, on.size)) if push is None else push
     command, scale, on, pushed = (
@@ -324,6 +325,7 @@ def follow(
     drive = _Drive(command, scale, on, pushed, kp, kd, limit, back_emf, held, delays)
     q, qd = _follow(
         tables,
+        carried,
         _possible(chain, vectors, tables),
         drive,
         float(period),
@@ -368,6 +370,7 @@ def _torque(
 @njit(cache=True, error_model="numpy", parallel=True)
 def _follow(
     tables: ForwardTables,
+    carried: Carried | None,
     valid: Flags,
     drive: _Drive,
     period: float,
@@ -385,7 +388,7 @@ def _follow(
         v, k = job // pieces, job % pieces
         if not valid[v]:
             continue
-        plant, push = plant_of(tables, v), drive.push[v if drive.push.shape[0] > 1 else 0]
+        plant, push = plant_of(tables, carried, v), drive.push[v if drive.push.shape[0] > 1 else 0]
         torque, out, counts = np.empty(2), np.empty((4, 2)), np.zeros(2, dtype=np.int64)
         a, b = segments[k]
         q, qd = q0[k], qd0[k]

@@ -54,7 +54,6 @@ class ForwardTables(NamedTuple):
 
     elements: Array  # (n, n_elements, n_slots) and (n, n_slots), as in Tables
     load: Array
-    carried: Carried | None  # where there are such terms: else nothing of them is compiled
     added_inertia: float  # of a known mass on the load, kg m² (kg) and kg m
     added_moment: float
 
@@ -70,8 +69,8 @@ class Plant(NamedTuple):
     angle: float
     kinks: int  # bit k: the input torque of element k has a kink where power changes direction
     squares: bool  # whether a loss grows with the square of the load
-    carried: Carried | None
-    vector: int  # its index
+    carried: Carried | None  # where there are such terms: else nothing of them is compiled
+    vector: int  # its index there
     # (n_elements, 2) scratch memory: T = slope qdd + intercept of the transmitted torques
     lines: Array
 
@@ -91,7 +90,7 @@ class State(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def plant_of(tables: ForwardTables, vector: int) -> Plant:
+def plant_of(tables: ForwardTables, carried: Carried | None, vector: int) -> Plant:
     """Prepare one parameter vector."""
     elements, load = tables.elements[vector], tables.load[vector]
     # one sine instead of a sine and a cosine
@@ -112,7 +111,7 @@ def plant_of(tables: ForwardTables, vector: int) -> Plant:
         math.atan2(cosine, sine),
         kinks,
         squares,
-        tables.carried,
+        carried,
         vector,
         np.empty((elements.shape[0], 2)),
     )
@@ -503,6 +502,7 @@ def integrate(
 @njit(cache=True, error_model="numpy", parallel=True)
 def integrate_segments(
     tables: ForwardTables,
+    carried: Carried | None,
     valid: Flags,
     torque: Array,
     period: float,
@@ -523,7 +523,7 @@ def integrate_segments(
             a, b = starts[k], ends[k]
             row, time = torque[i if torque.shape[0] > 1 else 0, a:b], begin + a * period
             out, counts = np.empty((4, b - a)), np.zeros(2, np.int64)
-            plant, state = plant_of(tables, i), (q0[i, k], qd0[i, k])
+            plant, state = plant_of(tables, carried, i), (q0[i, k], qd0[i, k])
             done = integrate(plant, row, period, time, linear, *state, substeps, out, counts)
             for j in range(done):
                 q[i, a + j], qd[i, a + j] = out[POSITION, j], out[SPEED, j]

@@ -83,8 +83,8 @@ def random_joint(rng, mu=1.5):
     elements[:, kernels.STRIBECK_EXPONENT] = rng.choice([2.0, 0.7], n)
     elements[0, kernels.INERTIA] += 1e-3
     load = np.array([rng.choice([0.0, 0.3]), rng.uniform(0, 1), rng.uniform(-3, 3), 9.8, 0.0, 1.0])
-    tables = integrate.ForwardTables(elements[None], load[None], None, 0.0, 0.0)
-    return integrate.plant_of(tables, 0), load
+    tables = integrate.ForwardTables(elements[None], load[None], 0.0, 0.0)
+    return integrate.plant_of(tables, None, 0), load
 
 
 def test_closed_form_acceleration_agrees_with_root_finding():
