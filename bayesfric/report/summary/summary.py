@@ -23,7 +23,7 @@ from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.parameter import TURN
+from bayesfric.mechanism.quantities import TURN
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.conclusions import bound_warning
 from bayesfric.report.summary.derived_quantities import (
