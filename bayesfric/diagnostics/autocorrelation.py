@@ -16,8 +16,8 @@ import numpy as np
 from numba import njit
 from scipy.linalg import toeplitz
 
-from bayesfric.inference.likelihood import autoregression as ar
-from bayesfric.inference.moments.residual_moments import follows
+from bayesfric.estimates import autoregression as ar
+from bayesfric.estimates.autoregression import follows
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
 

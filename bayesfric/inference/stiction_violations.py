@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.static_friction import StaticFriction
+from bayesfric.inference.likelihood.torque_likelihood import StaticFriction
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.source import Processing

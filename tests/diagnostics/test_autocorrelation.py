@@ -11,7 +11,7 @@ from bayesfric.diagnostics.autocorrelation import (
     Layout,
     choose_autocorrelation,
 )
-from bayesfric.inference.likelihood import autoregression as ar
+from bayesfric.estimates import autoregression as ar
 from tests.diagnostics.bench import dense_covariance, laid_out
 
 PARTIALS = [[], [0.8], [0.9, -0.5], [0.5, 0.3, -0.6], [0.4, 0.1, 0.2, -0.3, 0.2, 0.1]]

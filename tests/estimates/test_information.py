@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from bayesfric.estimates.information import Information, long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
+from bayesfric.estimates.information import Information
 
 
 def autoregression(rng, n, rho, burn=200):

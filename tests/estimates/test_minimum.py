@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.descent import (
     Terms,
     TorqueProblem,
     few_threads,
     minimise,
 )
-from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.input_error import input_error
 from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares, totals_regressors

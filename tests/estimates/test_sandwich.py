@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from bayesfric.estimates.information import Information, directions, lag_one, long_run_variance
+from bayesfric.estimates.autoregression import lag_one, long_run_variance
+from bayesfric.estimates.information import Information, directions
 
 
 def kernel(x):

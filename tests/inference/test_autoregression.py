@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg, stats
 
-from bayesfric.inference.likelihood.autoregression import (
+from bayesfric.estimates.autoregression import (
     autocovariance,
     burg,
     ljung_box,
@@ -18,7 +18,7 @@ from bayesfric.inference.likelihood.autoregression import (
     whitened,
 )
 from bayesfric.inference.moments.residual_moments import Moments
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 
 partials = st.lists(st.floats(-0.95, 0.95), min_size=0, max_size=4).map(np.array)
 

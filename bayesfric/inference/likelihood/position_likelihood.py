@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
-from bayesfric.inference.noise.position import POSITION_NOISE
+from bayesfric.inference.noise import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from bayesfric.estimates import autoregression as ar
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
@@ -48,12 +49,6 @@ class Moments:
         return total
 
 
-def follows(o: Observation) -> NDArray[np.bool_]:
-    """Flag outputs ``(M - 1,)`` that are followed one period later in the same segment."""
-    step = np.diff(o.filter.starts)
-    return np.asarray((step == step.min(initial=step[:1].sum())) & (np.diff(o.segment_of) == 0))
-
-
 @dataclass(frozen=True, eq=False)
 class Runs:
     """Position of each output in its run."""
@@ -66,20 +61,15 @@ class Runs:
     @classmethod
     def of(cls, observation: Observation, order: int) -> Runs:
         """Split the outputs of a recording into runs; zeros for order 0."""
-        n = observation.filter.n_outputs
         if order == 0:
-            zeros = np.zeros(n, dtype=np.int16)
+            zeros = np.zeros(observation.filter.n_outputs, dtype=np.int16)
             return cls(zeros, zeros, zeros)
-        begins = np.concatenate([[0], np.flatnonzero(~follows(observation)) + 1])[: max(n, 0)]
-        length = np.diff(np.append(begins, n))
-        age = np.arange(n) - np.repeat(begins, length)
+        follows = ar.follows(observation)
+        _, length = ar.runs(follows)
+        age = ar.ages(follows, follows.size)
         remaining = np.repeat(length, length) - 1 - age
-        head = np.repeat(np.minimum(length, order), length)
-        return cls(
-            np.minimum(age, order).astype(np.int16),
-            np.minimum(remaining, order).astype(np.int16),
-            head.astype(np.int16),
-        )
+        head = np.repeat(length, length)
+        return cls(*(np.minimum(x, order).astype(np.int16) for x in (age, remaining, head)))
 
     def count(self, order: int) -> tuple[int, NDArray[np.int64]]:
         """Count outputs with a full past, and heads ``(order,)`` by length."""
