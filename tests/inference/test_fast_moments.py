@@ -7,9 +7,8 @@ import pytest
 
 from bayesfric.estimates.torque import torque_jacobian
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.moments.fast_moments import fast_moments
+from bayesfric.inference.moments.fast_moments import SignRegion, fast_moments
 from bayesfric.inference.moments.linear_torque import linear_torque
-from bayesfric.inference.moments.moment_matrices import SignRegion
 from bayesfric.inference.moments.residual_moments import PlainMoments
 from bayesfric.inference.moments.shape_nodes import ACCURACY
 from bayesfric.mechanism.element import Element, Load
@@ -339,31 +338,13 @@ def test_chains_without_the_form_stay_as_they_are(make_observation):
     assert not likelihood.fast
 
 
-def test_too_many_uncertain_samples_make_the_region_smaller(make_observation, monkeypatch):
-    from bayesfric.inference.moments import moment_matrices
-
-    chain = KNEE.chain()
-    o = make_observation(chain, KNEE.values, n=3000)
-    wide = draws_about(chain, KNEE.values, [o], sigma=0.5)
-    whole = fast_moments(chain, [o], wide)
-    monkeypatch.setattr(moment_matrices, "_KEPT", 30)
-    monkeypatch.setattr(moment_matrices, "_KEPT_SHARE", 0.0)
-    few = fast_moments(chain, [o], wide)
-    assert few.uncertain_samples <= 30 < whole.uncertain_samples
-    assert few.radius < whole.radius
-    expected = PlainMoments(chain, [o]).at(wide).lagged
-    np.testing.assert_allclose(few.at(wide).lagged, expected, rtol=1e-9)
-    np.testing.assert_allclose(whole.at(wide).lagged, expected, rtol=1e-9)
-    assert few.slow_evaluations > 0
-
-
 @pytest.mark.parametrize("factor", [1, 4])
 @pytest.mark.parametrize("order", [0, 2])
 def test_borders_of_chunks_show_nowhere(make_observation, monkeypatch, factor, order):
-    from bayesfric.inference.moments import moment_matrices
+    from bayesfric.inference.moments import fast_moments as module
 
     observations = knee_observations(make_observation, factor)
-    monkeypatch.setattr(moment_matrices, "_CHUNK", 50)
+    monkeypatch.setattr(module, "_CHUNK", 50)
     case = Case(KNEE.chain(), KNEE.values, observations, order)
     case.check(case.draws)
     monkeypatch.undo()
