@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from bayesfric.inference.moments.linear_torque import LinearTorque, linear_torque
 from bayesfric.inference.moments.residual_moments import (
@@ -39,7 +38,7 @@ from bayesfric.inference.moments.residual_moments import (
     unpacked,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array, Index
+from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
 
 # Radius of the region. Evaluations only visit samples up to their own distance, so a larger radius
@@ -123,19 +122,23 @@ class MomentMatrices(NamedTuple):
     to_columns: Array
     forms: Array  # (entries, k, k) upper triangular Q: each moment is z' Q z
     # kept samples: (U,) increasing ratios; (n2, U) sigma psi2, whose product with the load
-    # parameters is negative if the sign differs; (U, m) times lambda_2 and that product, the change
-    # of the residual; kept outputs first:last that each contributes to, and its (U, most) weights
+    # parameters is negative if the sign differs; (U, m) times lambda_2 and that product, the jump
+    # of the residual; kept outputs first:last that each contributes to, and its (U, most) weights;
+    # (U, (p + 1) k) times z and the jump, the first-order change of lagged products
     ratios: Array
     signs: Array
     jumps: Array
     first: Index
     last: Index
     weights: Array
-    # kept outputs: (M, k) rows E inv(A), and their places in runs
+    slopes: Array
+    # kept outputs: (M, k) rows E inv(A), and their places in runs; inner if the order reaches
+    # neither end of the run
     rows: Array
     age: Short
     remaining: Short
     head: Short
+    inner: Flags
 
 
 def moment_matrices(
@@ -187,7 +190,8 @@ def moment_matrices(
     first = np.searchsorted(kept_outputs, first_output)
     forms = 0.5 * (sums + sums.transpose(0, 2, 1))
     by_ratio = np.argsort(ratio[kept], kind="stable")
-    return MomentMatrices(
+    age, remaining = runs.age[kept_outputs], runs.remaining[kept_outputs]
+    reduced = MomentMatrices(
         to_columns,
         np.triu(2.0 * forms) - forms * np.eye(size),  # products of different coordinates once
         ratio[kept][by_ratio],
@@ -196,11 +200,15 @@ def moment_matrices(
         first[by_ratio],
         (first + end_output - first_output)[by_ratio],
         weights[by_ratio],
+        np.zeros((kept.size, (order + 1) * size)),
         kept_rows,
-        runs.age[kept_outputs],
-        runs.remaining[kept_outputs],
+        age,
+        remaining,
         runs.head[kept_outputs],
+        (age == order) & (remaining == order),
     )
+    _add_slopes(reduced)
+    return reduced
 
 
 def _chunks(
@@ -264,14 +272,17 @@ def _orthonormal(gram: Array, *, drop: bool) -> tuple[Array, Array]:
         large = values > 1e-22 * values[-1]
         values, vectors = values[large], vectors[:, large]
     length = np.sqrt(np.maximum(values, 1e-14 * max(float(values[-1]), 1.0)))
-    return size[:, None] * vectors * length, vectors / length / size[:, None]
+    # columns of zeros up to a multiple of four, for speed
+    a, inverse = size[:, None] * vectors * length, vectors / length / size[:, None]
+    padding = ((0, 0), (0, -length.size % 4))
+    return np.pad(a, padding), np.pad(inverse, padding)
 
 
 def _add_products(sums: Array, rows: Array, age: Short, head: Short, order: int) -> None:
     """Add products of a block's rows, ``order`` previous ones first, in the flat layout."""
     n, entry = age.size, 0
 
-    def product(places: NDArray[np.bool_], j: int, k: int) -> Array:
+    def product(places: Flags, j: int, k: int) -> Array:
         """Sum products of the rows j and k before the flagged outputs."""
         if not places.any():
             return np.zeros(sums.shape[1:])
@@ -362,15 +373,15 @@ def _moments(
     """Compute the flat moments ``(n, n_entries)`` of each vector.
 
     A quadratic form for each entry, then the changes by kept samples whose power flows the other
-    way. A pair of an earlier output x and a later one y changes by ``dx ry + (rx + dx) dy``.
+    way, and the products of outputs that both change.
     """
     out = np.empty((z.shape[0], m.forms.shape[0]))
-    n_kept, batch = m.rows.shape[0], 128
-    change, residual = np.zeros(n_kept), np.empty(n_kept)
-    changes, has_residual = np.zeros(n_kept, np.bool_), np.zeros(n_kept, np.bool_)
-    changed = np.empty(n_kept, np.int64)
+    n_kept, most, batch = m.rows.shape[0], m.weights.shape[1], 128
+    # changes are listed by the first output of each sample
+    change, listed = np.zeros(n_kept + order), np.zeros(n_kept, np.bool_)
+    places = np.empty(n_kept, np.int64)
     level, flipped = np.empty(batch), np.empty(batch, np.int64)
-    correction = np.empty(order + 1)
+    correction, slope = np.empty(order + 1), np.empty(m.slopes.shape[1])
     for v in range(z.shape[0]):
         vector = z[v]
         for e in range(m.forms.shape[0]):
@@ -378,7 +389,8 @@ def _moments(
             for j in range(vector.size):
                 total += vector[j] * product_sum(m.forms[e, j], vector)
             out[v, e] = total
-        n_changed = 0
+        n_listed = 0
+        slope[:] = 0.0
         for i0 in range(0, n_candidates[v], batch):
             n = min(batch, n_candidates[v] - i0)
             levels = level[:n]
@@ -395,49 +407,88 @@ def _moments(
             for i in flipped[:n_flipped]:
                 s = i0 + i
                 jump = product_sum(m.jumps[s], lambda2[v]) * levels[i]
-                for k in range(m.first[s], m.last[s]):
-                    change[k] += m.weights[s, k - m.first[s]] * jump
-                    if not changes[k]:
-                        changes[k] = True
-                        changed[n_changed] = k
-                        n_changed += 1
-        correction[:] = 0.0
-        for k in changed[:n_changed]:
-            begin, end = k - m.age[k], k + m.remaining[k] + 1
-            for other in range(begin, end):
-                if not has_residual[other]:
-                    has_residual[other] = True
-                    residual[other] = product_sum(m.rows[other], vector)
-            for other in range(begin, end):
-                if other < k and changes[other]:  # is its pair already
-                    continue
-                x, y = min(k, other), max(k, other)
-                value = change[x] * residual[y] + (residual[x] + change[x]) * change[y]
-                if m.age[y] == order and m.remaining[y] >= order - (y - x):
-                    correction[y - x] += value
-                else:
-                    _add_at_edge(m, x, y, order, value, out[v])
+                row = m.slopes[s]
+                for k in range(slope.size):
+                    slope[k] += jump * row[k]
+                a, b = m.first[s], m.last[s]
+                changes, weight = change[a:b], m.weights[s, : b - a]
+                for k in range(b - a):
+                    changes[k] += weight[k] * jump
+                if not listed[a]:
+                    listed[a] = True
+                    places[n_listed] = a
+                    n_listed += 1
+        for h in range(order + 1):
+            correction[h] = product_sum(slope[h * vector.size : (h + 1) * vector.size], vector)
+        for a in places[:n_listed]:
+            # up to the next place in the list, whose outputs follow
+            b = a + 1
+            while b < min(a + most, n_kept) and not listed[b]:
+                b += 1
+            for k in range(a, b):
+                if m.inner[k]:
+                    for h in range(order + 1):
+                        correction[h] += change[k] * change[k + h]
+                elif change[k] != 0.0:
+                    for h in range(1, m.remaining[k] + 1):
+                        if m.inner[k + h]:
+                            correction[h] += change[k] * change[k + h]
+                    _correct_edge(m, k, order, vector, change, out[v])
         entry = 0
         for j in range(order + 1):
             for h in range(order + 1 - j):
                 out[v, entry] += correction[h]
                 entry += 1
-        for k in changed[:n_changed]:
-            change[k], changes[k] = 0.0, False
-            has_residual[k - m.age[k] : k + m.remaining[k] + 1] = False
+        for a in places[:n_listed]:
+            listed[a] = False
+            for k in range(a, min(a + most, n_kept)):
+                change[k] = 0.0
     return out
 
 
 @njit(cache=True)
-def _add_at_edge(m: MomentMatrices, x: int, y: int, order: int, value: float, out: Array) -> None:
-    """Add the change of a pair of outputs to the moments that it counts in, at a run's edge.
+def _correct_edge(
+    m: MomentMatrices, x: int, order: int, z: Array, change: Array, out: Array
+) -> None:
+    """Add a changed output's effect on products with others at a run's edge.
 
-    It counts in entry ``j, k`` if the output j periods after y exists and has a full past.
+    A pair of an earlier output x and a later one y gives ``dx (ry + dy) + rx dy``: the change of
+    the earlier is combined with the other's new residual. It counts in entry ``j, k`` if the output
+    j periods after y exists and has a full past.
     """
-    entry = y - x
-    for j in range(order + 1 - (y - x)):
-        if m.remaining[y] >= j and m.age[y] + j >= order:
-            out[entry] += value
-        entry += order + 1 - j
-    if m.age[y] < m.head[y]:
-        out[head_entry(order, m.head[y], m.age[x], m.age[y])] += value
+    for y in range(x - m.age[x], x + m.remaining[x] + 1):
+        if m.inner[y]:
+            continue
+        value = product_sum(m.rows[y], z)
+        if y >= x:
+            value += change[y]
+        if y == x:
+            value += product_sum(m.rows[x], z)
+        value *= change[x]
+        earlier, later = min(x, y), max(x, y)
+        entry = later - earlier
+        for j in range(order + 1 - (later - earlier)):
+            if m.remaining[later] >= j and m.age[later] + j >= order:
+                out[entry] += value
+            entry += order + 1 - j
+        if m.age[later] < m.head[later]:
+            out[head_entry(order, m.head[later], m.age[earlier], m.age[later])] += value
+
+
+@njit(cache=True)
+def _add_slopes(m: MomentMatrices) -> None:
+    """Sum the first-order change of lagged products by each kept sample's jump.
+
+    Pairs of outputs at the edge of a run are excluded.
+    """
+    size = m.rows.shape[1]
+    for s in range(m.first.size):
+        for k in range(m.first[s], m.last[s]):
+            weight = m.weights[s, k - m.first[s]]
+            for h in range(m.slopes.shape[1] // size):
+                slope = m.slopes[s, h * size : (h + 1) * size]
+                for other in (k - h, k + h):
+                    exists = m.remaining[k] >= h if other >= k else m.age[k] >= h
+                    if exists and (m.inner[k] or m.inner[other]):
+                        for j in range(size):
+                            slope[j] += weight * m.rows[other, j]
