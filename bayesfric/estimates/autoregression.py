@@ -9,10 +9,13 @@ the exact density of the beginning of a run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numba import njit
 from scipy import stats
+from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from bayesfric.recordings.arrays import Array, Flags, Index
@@ -96,6 +99,76 @@ def whitened(x: Array, partial: Array, follows: Flags) -> Array:
         for j in range(k):
             out[..., places] -= coefficients[k][j] * x[..., places - j - 1]
     return np.asarray(out / sds[age])
+
+
+def across_gaps(partial: Array) -> Callable[[Array, Index], tuple[Array, float]]:
+    """Return a function that whitens rows ``(n, m)`` at whole steps ``(n,)``, across gaps.
+
+    It returns the log determinant, too. :func:`whitened` restarts at every gap; slow noise would
+    then look like a drift (Jones, Technometrics 22 (1980) 389-395).
+    """
+    if not partial.size:
+        return lambda x, _: (x, 0.0)
+    phi = np.ascontiguousarray(predictors(partial[None])[-1][0])
+    stationary = toeplitz(autocovariance(partial)[:-1])
+    return lambda x, at: _innovations(np.ascontiguousarray(x), at, phi, stationary)
+
+
+@njit(cache=True, error_model="numpy")
+def _innovations(x, at, phi, stationary):  # type: ignore[no-untyped-def]
+    """Return innovations ``(n, m)`` over their standard deviations, and their log determinant.
+
+    A Kalman filter of the last p values at whole steps ``at`` ``(n,)``; across gaps it predicts
+    only. After more than 300 steps it restarts.
+    """
+    n, m = x.shape
+    p = phi.size
+    out = np.empty((n, m))
+    state = np.zeros((p, m))
+    cov = stationary.copy()
+    u = np.empty(p)
+    logs = 0.0
+    for i in range(n):
+        if i:
+            gap = at[i] - at[i - 1]
+            if gap < 1 or gap > 300:
+                state[:] = 0.0
+                cov[:] = stationary
+            else:
+                for _ in range(gap):
+                    for j in range(m):
+                        first = 0.0
+                        for k in range(p - 1, -1, -1):
+                            first += phi[k] * state[k, j]
+                            state[k, j] = state[k - 1, j] if k else first
+                    for k in range(p):
+                        u[k] = 0.0
+                        for j in range(p):
+                            u[k] += cov[k, j] * phi[j]
+                    variance = 1.0
+                    for k in range(p):
+                        variance += phi[k] * u[k]
+                    for k in range(p - 1, 0, -1):
+                        for j in range(p - 1, 0, -1):
+                            cov[k, j] = cov[k - 1, j - 1]
+                    for k in range(1, p):
+                        cov[0, k] = u[k - 1]
+                        cov[k, 0] = u[k - 1]
+                    cov[0, 0] = variance
+        variance = cov[0, 0]
+        sd = math.sqrt(variance)
+        logs += math.log(variance)
+        for k in range(p):
+            u[k] = cov[k, 0] / variance
+        for j in range(m):
+            error = x[i, j] - state[0, j]
+            out[i, j] = error / sd
+            for k in range(p):
+                state[k, j] += u[k] * error
+        for k in range(p):
+            for j in range(p):
+                cov[k, j] -= u[k] * u[j] * variance
+    return out, logs
 
 
 def simulated(partial: Array, follows: Flags, n: int, rng: np.random.Generator) -> Array:

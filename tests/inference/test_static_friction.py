@@ -51,13 +51,6 @@ def test_far_outside_nothing_cancels(way):
     assert found == pytest.approx(stats.norm.logpdf(30.0) - np.log(30.0), rel=1e-3)
 
 
-def test_more_static_friction_rests_no_less_probably():
-    one = static(np.linspace(-1, 1, 9), np.linspace(-2.5, 2.5, 9))
-    rows = np.concatenate([vectors(coulomb=c) for c in np.linspace(0.01, 3.0, 40)])
-    noise = stats.norm(scale=np.full((40, 1), 0.2))
-    assert (np.diff(one.log_terms(rows, noise).sum(axis=1)) >= -1e-12).all()
-
-
 def held(**processing):
     """A joint that holds half of the time: a slow torque, up to its limits and beyond."""
     time = np.arange(0.0, 20.0, 1e-3)
@@ -70,31 +63,12 @@ def held(**processing):
     return bf.Model(AXIS, made, processing=processing, self_check={"recordings": 0}, sampling=QUICK)
 
 
-@pytest.fixture(scope="module")
-def with_rests():
-    return held(rest=True).fit(seed=1)
-
-
-def test_rests_correct_what_motion_beside_them_gets_wrong(with_rests):
+def test_rests_correct_what_motion_beside_them_gets_wrong():
     """Starts and stops are not what filters can follow: motion alone takes friction for less."""
+    with_rests = held(rest=True).fit(seed=1)
     before, after = (
         r.summary.parameters["motor.coulomb"] for r in (held().fit(seed=1), with_rests)
     )
     assert sum(o.rest.q.size for o in with_rests.fit.observations) > 20
     assert after.interval[0] < 1.0 < after.interval[1]
     assert not before.interval[0] < 1.0 < before.interval[1]
-
-
-def test_the_density_has_the_rests_as_a_factor(with_rests):
-    target = with_rests.fit.target
-    values = np.concatenate([vectors(coulomb=c) for c in (0.8, 1.0, 1.2)])
-    scales = np.full((3, 1, target.noise.places.shape[1]), 0.05)
-    likelihood = target.likelihood
-    (one,) = likelihood._static
-    plain, moments = likelihood._plain, likelihood.moments.at(values)
-    moving = likelihood.noise.log_density(moments, plain.counts, plain.head_counts, scales)
-    terms = one.log_terms(values, likelihood.noise.marginal(scales[:, 0]))
-    found = likelihood.log_density(values, scales)
-    assert found - moving == pytest.approx(terms.sum(axis=1))
-    outputs = likelihood.standardised(values, scales[0])[0].shape[1]
-    assert outputs == likelihood.outputs[0].measured.size + terms.shape[1]
