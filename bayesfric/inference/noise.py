@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from scipy import stats
 from scipy.linalg import toeplitz
 
@@ -210,14 +209,22 @@ class Autoregressive(NoiseDescription):
         The product of each output's normal density given up to ``p`` predecessors, of variance
         ``sigma^2 / prod(1 - pacf_k^2)`` over the lags ``k`` that are not used yet.
         """
-        if not self.order:
-            sigma, squares = scales[..., 0], moments.lagged[..., 0, 0]
-            with np.errstate(over="ignore"):  # the density is zero there
-                total = squares / sigma**2 + counts * (2.0 * np.log(sigma) + _LOG_2PI)
-            return np.asarray(-0.5 * total.sum(axis=1))
-        return _log_density(
-            moments.lagged, moments.heads, counts, head_counts, np.ascontiguousarray(scales)
-        )
+        shape = scales.shape[:2]
+        partial = scales[..., 1:].reshape(shape[0] * shape[1], self.order)
+        coefficients, variances = ar.predictors(partial), ar.variances(partial)
+        logs, outputs = np.zeros(shape), counts
+        squares = _prediction_errors(moments.lagged, coefficients[-1])
+        for k in range(self.order):
+            # outputs with k predecessors are in the longer heads, whose residuals are in time
+            number, variance = head_counts[:, k:].sum(axis=1), variances[:, k].reshape(shape)
+            head = sum(head[..., k::-1, k::-1] for head in moments.heads[k:])
+            squares = squares + _prediction_errors(head, coefficients[k]) / variance
+            logs += number * np.log(variance)
+            outputs = outputs + number
+        sigma = scales[..., 0]
+        with np.errstate(over="ignore"):  # the density is zero there
+            total = squares / sigma**2 + logs + outputs * (2.0 * np.log(sigma) + _LOG_2PI)
+        return np.asarray(-0.5 * total.sum(axis=1))
 
     def standard(self, residual: Array, follows: Flags, scales: Array) -> tuple[Array, Array]:
         """Whiten residuals ``(..., M)`` and return their prediction standard deviations, too."""
@@ -239,8 +246,6 @@ class Autoregressive(NoiseDescription):
 
     def draw(self, follows: Flags, scales: Array, rng: np.random.Generator) -> Array:
         """Draw residuals ``(n, M)`` for scales ``(n, Q)``."""
-        if not self.order:
-            return np.asarray(scales[:, :1] * rng.standard_normal((len(scales), follows.size + 1)))
         return np.concatenate([s[0] * ar.simulated(s[1:], follows, 1, rng) for s in scales])
 
     def information(self, scales: Array, outputs: int) -> Array:
@@ -269,58 +274,11 @@ class Autoregressive(NoiseDescription):
         return np.column_stack([sigma * np.sqrt(1.0 - first**2), first, rest])
 
 
-@njit(cache=True)
-def _form(coefficients: Array, k: int, products: Array, reverse: bool) -> float:
-    """Sum of squared errors of a predictor from ``k`` predecessors."""
-    total = 0.0
-    for i in range(k + 1):
-        for j in range(k + 1):
-            # the newest residual has coefficient one
-            a = 1.0 if i == 0 else -coefficients[i - 1]
-            b = 1.0 if j == 0 else -coefficients[j - 1]
-            total += a * b * (products[k - i, k - j] if reverse else products[i, j])
-    return total
-
-
-@njit(cache=True)
-def _log_density(
-    lagged: Array,
-    heads: tuple[Array, ...],
-    counts: Index,
-    head_counts: Index,
-    scales: Array,
-) -> Array:
-    """Exact density, the first outputs of each run first, by the Durbin-Levinson recursion."""
-    n, recordings, p = scales.shape[0], scales.shape[1], scales.shape[2] - 1
-    out = np.zeros(n)
-    coefficients, previous = np.zeros(p), np.zeros(p)
-    for v in range(n):
-        for r in range(recordings):
-            sigma, partial = scales[v, r, 0], scales[v, r, 1:]
-            squares, logs, outputs = 0.0, 0.0, float(counts[r])
-            # variance without predecessors over the innovations'
-            remaining = 1.0
-            for k in range(p):
-                remaining /= 1.0 - partial[k] * partial[k]
-            for k in range(p):
-                for length in range(k + 1, p + 1):
-                    # the heads' residuals are in time
-                    head = heads[length - 1][v, r]
-                    squares += _form(coefficients, k, head, True) / remaining
-                    logs += head_counts[r, length - 1] * math.log(remaining)
-                    outputs += head_counts[r, length - 1]
-                # Durbin and Levinson: one predecessor more
-                for i in range(k):
-                    previous[i] = coefficients[i]
-                for i in range(k):
-                    coefficients[i] = previous[i] - partial[k] * previous[k - 1 - i]
-                coefficients[k] = partial[k]
-                remaining *= 1.0 - partial[k] * partial[k]
-            squares += _form(coefficients, p, lagged[v, r], False)
-            out[v] -= 0.5 * (
-                squares / sigma**2 + logs + outputs * (2.0 * math.log(sigma) + _LOG_2PI)
-            )
-    return out
+def _prediction_errors(products: Array, coefficients: Array) -> Array:
+    """Sum of squared errors ``(n, R)`` of predictors ``(n R, k)``, from lagged products."""
+    weights = np.concatenate([np.ones((len(coefficients), 1)), -coefficients], axis=1)
+    weights = weights.reshape(products.shape[:-1])
+    return np.asarray(np.einsum("nri,nrij,nrj->nr", weights, products, weights))
 
 
 # The order of the noise
