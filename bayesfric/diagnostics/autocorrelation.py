@@ -19,10 +19,8 @@ from bayesfric.estimates.autoregression import follows
 from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.observation import Observation
 
-# Largest order, and outputs needed for each order.
-_ORDER, _OUTPUTS = 6, 20
-# Highest frequency of the drift, Hz; largest number of cosines, and outputs needed for each.
-_DRIFT_HERTZ, _COSINES, _OUTPUTS_PER_COSINE = 1.0, 60, 8
+# Outputs needed for each order.
+_OUTPUTS = 20
 # Sizes of the drift that are tried, over the innovations' standard deviation.
 _SIZES = (0.0, 0.15, 0.45, 1.35, 4.0)
 
@@ -80,14 +78,13 @@ class Layout:
     def drift_cosines(self) -> list[Array]:
         """Cosines ``(M, K)`` of each recording, ``cos(pi k (t - t0) / S) / sqrt(k)``, S its span.
 
-        With independent normal coefficients of equal variance they are 1/f noise of up to 1 Hz.
+        With independent normal coefficients of equal variance they are 1/f noise of up to 1 Hz. One
+        for eight outputs at most, and sixty.
         """
         columns = []
         for t in self.stamps:
             span = float(np.ptp(t))
-            count = int(
-                min(max(2 * _DRIFT_HERTZ * span, 4), t.size / _OUTPUTS_PER_COSINE, _COSINES)
-            )
+            count = int(min(max(2.0 * span, 4), t.size / 8, 60))
             order = np.arange(1, count + 1)
             phase = np.pi * order * (t - t[0])[:, None] / span
             columns.append(np.cos(phase) / np.sqrt(order))
@@ -158,7 +155,7 @@ def choose_autocorrelation(left: Array, layout: Layout) -> tuple[Autocorrelation
         rest = left
         if size:  # the order describes what the drift leaves
             rest = left - _expected_drift(left, best.partial, size, layout)[0]
-        order = min(_ORDER, n // _OUTPUTS)
+        order = min(6, n // _OUTPUTS)
         partial = ar.burg(layout.split(rest), layout.runs, order)
         costs = n * np.cumsum(np.log1p(-(partial**2))) + np.arange(1, order + 1) * math.log(n)
         partial = partial[: int(np.argmin(np.append(0.0, costs)))]
