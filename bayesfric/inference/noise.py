@@ -217,7 +217,7 @@ class Autoregressive(NoiseDescription):
         for k in range(self.order):
             # outputs with k predecessors are in the longer heads, whose residuals are in time
             number, variance = head_counts[:, k:].sum(axis=1), variances[:, k].reshape(shape)
-            head = sum(head[..., k::-1, k::-1] for head in moments.heads[k:])
+            head = np.sum([head[..., k::-1, k::-1] for head in moments.heads[k:]], axis=0)
             squares = squares + _prediction_errors(head, coefficients[k]) / variance
             logs += number * np.log(variance)
             outputs = outputs + number

@@ -64,7 +64,7 @@ class StaticFriction:
             inner, outer = noise.logcdf(nearer), noise.logcdf(farther)
             log_probability = inner + np.log1p(-np.exp(np.minimum(outer - inner, 0.0)))
         # equal limits leave no probability
-        return np.maximum(np.nan_to_num(log_probability, nan=_LOG_MINIMUM), _LOG_MINIMUM)
+        return np.asarray(np.fmax(log_probability, _LOG_MINIMUM))
 
 
 class TorqueLikelihood(Likelihood):

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from bayesfric.mechanism.quantities import State
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 
+T = TypeVar("T")
 # (m, samples) functions along a recording, and (n, m) what multiplies them for parameter vectors
 Functions = Callable[[Observation], Array]
 Weights = Callable[[Array], Array]
@@ -70,6 +71,8 @@ class Interpolation:
 
     def __init__(self, index: int, low: float, high: float, count: int, *, log: bool) -> None:
         self.index = index  # of the shape among the parameters
+        inverse: Callable[[Any], Any]
+        self._scale: Callable[[Any], Any]
         self._scale, inverse = (np.log, np.exp) if log else (np.asarray, np.asarray)
         self._angles = np.pi * (np.arange(count) + 0.5) / count
         self.low, self.high = float(inverse(low)), float(inverse(high))
@@ -279,18 +282,18 @@ class LinearTorque:
         def share(slot: int) -> Weights:
             return lambda values: values @ shares[:, [slot]]
 
+        def times(a: Callable[[T], Array], b: Callable[[T], Array]) -> Callable[[T], Array]:
+            return lambda x: a(x) * b(x)
+
         steady = [(_ones, share(kernels.LOAD_DRIVE), share(kernels.LOAD_BACK))]
         by_direction = kernels.LOAD_DRIVE_DIFFERENCE, kernels.LOAD_BACK_DIFFERENCE
         if shares[:, by_direction].any():
-            steady.append((lambda o: np.sign(o.qd)[None], *map(share, by_direction)))
+            drive, back = by_direction
+            steady.append((lambda o: np.sign(o.qd)[None], share(drive), share(back)))
         yield from steady
         for rise, weights in self._rise(self._loss, "stribeck_load_ratio"):
-            for factor, drive, back in steady:
-                yield (
-                    lambda o, factor=factor, rise=rise: rise(o) * factor(o),
-                    lambda v, drive=drive, weights=weights: weights(v) * drive(v),
-                    lambda v, back=back, weights=weights: weights(v) * back(v),
-                )
+            for functions, drives, backs in steady:
+                yield times(rise, functions), times(weights, drives), times(weights, backs)
         if shares[:, kernels.LOAD_SPEED].any():
             grows = share(kernels.LOAD_SPEED)
             yield lambda o: np.abs(reach * o.qd)[None], grows, grows
