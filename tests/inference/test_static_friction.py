@@ -25,30 +25,13 @@ def vectors(**changes):
     return np.atleast_2d(AXIS.vector(VALUES | {f"motor.{k}": v for k, v in changes.items()}))
 
 
-def test_limits_are_gravity_offset_and_friction_to_either_side():
-    low, high = static([0.0, 0.4, -1.2], np.zeros(3)).limits(vectors())
-    middle = 9.80665 * VALUES["load.first_moment"] * np.sin([0.0, 0.4, -1.2]) + VALUES["offset"]
-    assert low[0] == pytest.approx(middle - VALUES["motor.coulomb"], rel=1e-3)
-    assert high[0] == pytest.approx(middle + VALUES["motor.coulomb"], rel=1e-3)
-
-
-@pytest.mark.parametrize("torque", [-0.6, -0.2, 0.05, 0.33, 0.7])
-def test_the_probability_is_that_of_a_normal_between_limits(torque):
-    one = static(0.0, torque)
-    low, high = (x[0, 0] for x in one.limits(vectors()))
-    sd = np.array([[0.1]])
-    found = one.log_terms(vectors(), stats.norm(scale=sd))
-    expected = np.log(stats.norm.cdf((high - torque) / 0.1) - stats.norm.cdf((low - torque) / 0.1))
-    assert found[0, 0] == pytest.approx(expected, rel=1e-9)
-
-
 @pytest.mark.parametrize("way", [-1.0, 1.0])
 def test_far_outside_nothing_cancels(way):
     """Thirty sds off, either way: the tail's own series, log phi(z) - log z."""
     coulomb = VALUES["motor.coulomb"]
-    one = static(0.0, VALUES["offset"] + way * (coulomb + 3.0))
-    found = one.log_terms(vectors(), stats.norm(scale=np.array([[0.1]])))[0, 0]
-    assert found == pytest.approx(stats.norm.logpdf(30.0) - np.log(30.0), rel=1e-3)
+    standstill = static(0.0, VALUES["offset"] + way * (coulomb + 3.0))
+    log_probability = standstill.log_terms(vectors(), stats.norm(scale=np.array([[0.1]])))[0, 0]
+    assert log_probability == pytest.approx(stats.norm.logpdf(30.0) - np.log(30.0), rel=1e-3)
 
 
 def held(**processing):
