@@ -326,11 +326,11 @@ class FastMoments:
             c = self._linear.coefficients(values)
             distance = self._region.distance(c.leg)
             inside = c.inside & (distance <= self.radius)
+            # tolerance at the border, where the sign does not matter
+            reached = distance * (1.0 + 1e-9) + 1e-12
             # one memory layout, to compile once
             leg, lambda2 = np.ascontiguousarray(c.leg), np.ascontiguousarray(c.lambda2)
             for i, m in enumerate(self._recordings):
-                # tolerance at the border, where the sign does not matter
-                reached = distance * (1.0 + 1e-9) + 1e-12
                 n_candidates = np.searchsorted(m.ratios, reached, side="right")
                 n_candidates[~inside] = 0
                 flat[:, i] = _moments(
