@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
-from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.autoregression import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import PRESETS, Joint

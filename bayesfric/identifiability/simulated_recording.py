@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayesfric.estimates.autoregression import follows
 from bayesfric.identifiability.local import torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.local_units import LocalUnits
-from bayesfric.inference.moments.residual_moments import follows
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.target import Target
 from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import simulate

@@ -33,7 +33,7 @@ from ranks import summary_of
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import fit, make_target
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.sampling import Sampling

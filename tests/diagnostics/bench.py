@@ -7,8 +7,8 @@ from scipy.linalg import block_diag, toeplitz
 
 import bayesfric as bf
 from bayesfric.diagnostics.autocorrelation import Layout
+from bayesfric.estimates import autoregression as ar
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood import autoregression as ar
 from tests.axis import recording_of
 
 TRUTH = {

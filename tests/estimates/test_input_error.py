@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.input_error import TorqueProblem, contradicted, few_threads, input_error
 from bayesfric.estimates.least_squares import least_squares, totals_regressors
 from bayesfric.estimates.point_estimate import Estimation, Knowledge

@@ -21,7 +21,7 @@ from bayesfric.diagnostics.before_a_fit import (
     strange_velocity,
 )
 from bayesfric.diagnostics.explanation import of_recording
-from bayesfric.estimates.information import CORRELATED
+from bayesfric.estimates.autoregression import CORRELATED
 from bayesfric.estimates.input_error import CONTRADICTED
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State, quantity_of
