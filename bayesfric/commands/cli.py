@@ -21,7 +21,7 @@ from typer import Argument, Option
 from bayesfric.base import LINEAR_ALGEBRA_THREADS, __version__
 from bayesfric.base.errors import BadInput, Interrupted
 from bayesfric.base.progress import Timer, progress_shown
-from bayesfric.estimates.point_estimate import METHODS
+from bayesfric.estimates import METHODS
 
 if TYPE_CHECKING:
     from bayesfric.fit.model import Model

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base.progress import ProgressCallback, no_progress
+from bayesfric.estimates import METHODS
 from bayesfric.estimates.methods import TITLES
-from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.fit.model import Model
 from bayesfric.report.summary.summary import estimate_summary
 

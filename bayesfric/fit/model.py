@@ -17,9 +17,9 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
+from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.methods import estimate_by
-from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit.fit import fit
 from bayesfric.fit.pooled_fit import Pooled, pooled
 from bayesfric.fit.result import Result

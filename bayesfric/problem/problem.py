@@ -16,6 +16,7 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
 from bayesfric.diagnostics.explanation import Explanation, Finding, explain, too_few_outputs
 from bayesfric.diagnostics.policy import MAX_EFFECTS
+from bayesfric.estimates import METHODS, Method
 from bayesfric.estimates.input_error import contradicted
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.methods import (
@@ -24,7 +25,7 @@ from bayesfric.estimates.methods import (
     estimate_by,
     predicts_better,
 )
-from bayesfric.estimates.point_estimate import METHODS, Estimate, Knowledge, Method
+from bayesfric.estimates.point_estimate import Estimate, Knowledge
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood

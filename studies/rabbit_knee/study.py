@@ -17,7 +17,8 @@ import numpy as np
 import xarray as xr
 
 from bayesfric.commands.fit import fit
-from bayesfric.estimates.point_estimate import METHODS, Estimate
+from bayesfric.estimates import METHODS
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import PRESETS

@@ -16,7 +16,8 @@ from typing import Any, Literal
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.templates import capital
-from bayesfric.estimates.point_estimate import METHODS, Kind, Method
+from bayesfric.estimates import METHODS, Method
+from bayesfric.estimates.point_estimate import Kind
 from bayesfric.mechanism.quantities import QUANTITIES, quantity_of, scales_with_torque
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.result_row import ResultRow, estimate_row, known_row, posterior_row

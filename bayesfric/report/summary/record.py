@@ -12,7 +12,7 @@ from pydantic import Field, FiniteFloat
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import read_json
-from bayesfric.estimates.point_estimate import Method
+from bayesfric.estimates import Method
 from bayesfric.report.summary.rows import (
     EstimatedRow,
     KnownRow,
