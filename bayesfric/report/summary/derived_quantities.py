@@ -242,7 +242,7 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
     number, diagnostics = len(group.quantities), fit.posterior.diagnostics
     if diagnostics.status == "reliable":
         return np.ones(number, dtype=np.bool_)
-    draws = convergence.without_stuck(fit.posterior.draws, diagnostics.acceptance)
+    draws = fit.posterior.draws
     ensembles, walkers, steps, d = draws.shape
     draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.most))]
     if draws.shape[2] < 2:
