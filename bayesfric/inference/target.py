@@ -8,39 +8,30 @@ Priors are given in physical parameters :math:`\theta`, walkers move in unconstr
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from copy import copy
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.gearbox_coordinates import choose_coordinates
+from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.noise.scale import Noise
 from bayesfric.inference.prior.priors import JointPrior, Prior
+from bayesfric.recordings.arrays import Array, Flags
 
-Array = NDArray[np.float64]
 
-
-class LogPosterior(ABC):
+class LogPosterior(Protocol):
     """A log-posterior in coordinates: prior, likelihood and change of variables."""
 
-    not_finite: int  # How often the likelihood came out as no number so far; see :class:`Target`
+    not_finite: int  # number of non-finite likelihood evaluations
 
-    @abstractmethod
-    def to_parameters(self, u: Array) -> tuple[Array, Array]:
-        """Map coordinates ``(n, d)`` to parameters and the log Jacobian ``(n,)``."""
+    def to_parameters(self, u: Array) -> tuple[Array, Array]: ...  # noqa: D102
 
-    @abstractmethod
-    def log_prior(self, parameters: Array) -> Array:
-        """Log prior density ``(n,)`` of parameters ``(n, d)``; ``-inf`` outside the support."""
+    def log_prior(self, parameters: Array) -> Array: ...  # noqa: D102
 
-    @abstractmethod
-    def log_likelihood(self, parameters: Array) -> Array:
-        """Log-likelihood ``(n,)`` of physical parameters ``(n, d)``."""
+    def log_likelihood(self, parameters: Array) -> Array: ...  # noqa: D102
 
     def __call__(self, u: Array) -> Array:
         """Log posterior density ``(n,)`` of coordinates ``(n, d)``.
@@ -184,7 +175,7 @@ class Target(LogPosterior):
         return out
 
     @cached_property
-    def friction(self) -> NDArray[np.bool_]:
+    def friction(self) -> Flags:
         """Flags ``(k,)`` of unbounded coordinates that are friction, not physical constants."""
         measurands = {p.name: p.row.measurand for p in self.likelihood.chain.parameters}
         represented = self.coordinates.represents

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.inference.coordinates import BoundedCoordinates
-from bayesfric.inference.gearbox_coordinates import GearboxCoordinates, choose_coordinates
+from bayesfric.inference.coordinates import (
+    BoundedCoordinates,
+    GearboxCoordinates,
+    choose_coordinates,
+)
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint

@@ -7,8 +7,7 @@ from scipy.integrate import quad
 import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
-from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.inference.discrepancy import Missing
+from bayesfric.inference.discrepancy import Discrepancy, Missing
 from bayesfric.inference.prior.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
 from bayesfric.problem.problem import Problem
