@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bayesfric.population.outliers import with_outliers
-from bayesfric.population.population import likelihood, normal
+from bayesfric.population.population import likelihood, normal, with_outliers
 
 
 def brute_force(y, s):
