@@ -78,19 +78,18 @@ def test_what_all_recordings_lack_does_not_average_out(found, monkeypatch):
 def test_what_intervals_have_room_for_is_no_doubt(widened, monkeypatch):
     """As of a fit: what is marginalised is a note, and only a doubt makes a number doubtful."""
     kinds = {"stribeck": ((0,),)}
-    nothing = np.zeros((1, 0))
-    none = nothing.T @ nothing
+    no_columns = np.zeros(0)
     missing = Missing(
-        (),
-        nothing,
-        kinds,
-        none,
-        np.zeros(0),
-        np.zeros(0),
-        1.0,
-        np.zeros(0),
-        1,
-        np.zeros(0, dtype=bool),
+        observations=(),
+        columns=np.zeros((1, 0)),
+        kinds=kinds,
+        gram=np.zeros((0, 0)),
+        scores=no_columns,
+        column_errors=no_columns,
+        power=1.0,
+        spread=no_columns,
+        free=1,
+        biases_friction=no_columns.astype(bool),
     )
     lacks = Finding("stribeck", "doubt", 5.0, 0.01, moves={"motor.viscous": 3.0})
     explained = Explanation(findings=(lacks,), kinds=("stribeck",), missing=missing)
