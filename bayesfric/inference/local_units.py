@@ -11,11 +11,6 @@ from bayesfric.estimates.assemble import alpha_sign
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array, Flags
 
-# Share of the prior standard deviation below which a value counts as zero: of non-negative
-# parameters, and of those of either sign.
-_SMALL = 1e-3
-_SMALL_SIGNED = 1e-2
-
 
 @dataclass(frozen=True, eq=False)
 class LocalUnits:
@@ -57,7 +52,8 @@ def units_of(target: Target, parameters: Array) -> LocalUnits:
     alpha = np.where((ways < 0) & (np.abs(alpha) <= 1e-3), 1e-3, alpha)
     sds = np.array([p.sd() for p in target.priors[: len(free)]])
     sds = np.where(np.isfinite(sds), sds, 1.0)
-    least = np.array([_SMALL if p.lower == 0.0 else _SMALL_SIGNED for p in free]) * sds
+    # shares of the prior standard deviation below which a value counts as zero
+    least = np.array([1e-3 if p.lower == 0.0 else 1e-2 for p in free]) * sds
     shifted = (ways == 0) & (np.abs(values) <= least)
     units = np.where(shifted, sds, np.where(ways, alpha, values))
     return LocalUnits(target.free, labels, ways, units, shifted)
