@@ -281,8 +281,8 @@ class _Likelihoods:
         _, error, log = np.array([self.mean_of_inliers(t) for t in np.exp(steps)]).T
         log += np.log(error) + log_prior(self.sds, steps)
         near = np.flatnonzero(log > log.max() - 12.0)
-        ends = [max(near[0] - 2, 0), min(near[-1] + 2, coarse - 1)]
-        return np.linspace(*steps[ends], fine)
+        first, last = max(near[0] - 2, 0), min(near[-1] + 2, coarse - 1)
+        return np.linspace(steps[first], steps[last], fine)
 
 
 def _standardised(runs: Sequence[Likelihood]) -> tuple[_Likelihoods, float, float]:
