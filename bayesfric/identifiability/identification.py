@@ -41,7 +41,7 @@ from bayesfric.identifiability.open_directions import (
 )
 from bayesfric.identifiability.simulated_recording import scaled_jacobian, torque_noise
 from bayesfric.inference.local_units import units_of
-from bayesfric.inference.prior.priors import KNOWN
+from bayesfric.inference.priors import KNOWN
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement

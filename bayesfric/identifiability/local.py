@@ -19,7 +19,7 @@ from bayesfric.estimates.torque import torque_jacobian, typical_load
 from bayesfric.inference.likelihood.autoregression import burg
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.local_units import LocalUnits, units_of
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint

@@ -27,7 +27,7 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.inference.noise.scale import NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
-from bayesfric.inference.prior.priors import Prior, PriorText, default_prior, read_prior
+from bayesfric.inference.priors import Prior, PriorText, default_prior, read_prior
 from bayesfric.inference.sampling.sampling import Sampling, sample
 from bayesfric.inference.sampling.start import CLIMBS, Start, climb, gauss_newton
 from bayesfric.inference.target import Target

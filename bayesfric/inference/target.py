@@ -18,7 +18,7 @@ import numpy as np
 from bayesfric.inference.coordinates import BoundedCoordinates, choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.noise.scale import Noise
-from bayesfric.inference.prior.priors import JointPrior, Prior
+from bayesfric.inference.priors import JointPrior, Prior
 from bayesfric.recordings.arrays import Array, Flags
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.discrepancy import Discrepancy, move_within_support
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import JointPrior, read_prior
+from bayesfric.inference.priors import JointPrior, read_prior
 from bayesfric.inference.sampling.start import Start
 from bayesfric.inference.target import LogPosterior, Target
 from bayesfric.population.population import Varying, interval

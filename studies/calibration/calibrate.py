@@ -34,7 +34,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import fit, make_target
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.priors import Prior, read_prior
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target

@@ -14,7 +14,7 @@ from bayesfric.inference.coordinates import (
     GearboxCoordinates,
     choose_coordinates,
 )
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term

@@ -8,7 +8,7 @@ from bayesfric.estimates.information import long_run_variance
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.autoregression import burg, ljung_box, simulated, whitened
 from bayesfric.inference.likelihood.noise_choice import choose_noise, choose_order
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.priors import read_prior
 from tests.axis import AXIS, VALUES
 from tests.inference.test_autoregression import covariance
 

@@ -14,7 +14,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.sizes import TypicalSizes, typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
-from bayesfric.inference.prior.priors import JointPrior, as_knowledge, default_prior, read_prior
+from bayesfric.inference.priors import JointPrior, as_knowledge, default_prior, read_prior
 from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf

@@ -8,7 +8,7 @@ import bayesfric as bf
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.inference.discrepancy import Discrepancy, Missing
-from bayesfric.inference.prior.priors import JointPrior
+from bayesfric.inference.priors import JointPrior
 from bayesfric.population.joint_runs import JointTarget
 from bayesfric.problem.problem import Problem
 from tests.axis import AXIS, VALUES, swing

@@ -24,7 +24,7 @@ from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.inference.likelihood import autoregression as ar
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import MAX_ORDER, MAX_PARTIAL
-from bayesfric.inference.prior.priors import Prior, read_prior
+from bayesfric.inference.priors import Prior, read_prior
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bayesfric.estimates.sizes import TypicalSizes
 from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
-from bayesfric.inference.prior.priors import PriorText
+from bayesfric.inference.priors import PriorText
 
 # Rounding to steps is noise of step/sqrt(12): the prior begins at a third of it. With a gearbox
 # between encoder and joint that may be a hundred-millionth of the range.

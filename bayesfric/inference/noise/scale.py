@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.sizes import TypicalSizes
-from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
+from bayesfric.inference.priors import Prior, PriorText, read_prior
 from bayesfric.recordings.arrays import Array
 
 NoiseScale = Literal["shared", "per-recording"]

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.report.figures.registry import RunFigure
 from bayesfric.report.figures.style import (
     DASHED,

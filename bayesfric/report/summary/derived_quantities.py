@@ -13,7 +13,7 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import typical_load, weighted_torque
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import bound_of
+from bayesfric.inference.priors import bound_of
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive

@@ -16,7 +16,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.parameter import TURN
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.conclusions import bound_warning
