@@ -40,9 +40,8 @@ from bayesfric.identifiability.open_directions import (
     trials,
 )
 from bayesfric.identifiability.simulated_recording import scaled_jacobian, torque_noise
-from bayesfric.inference.local_units import units_of
 from bayesfric.inference.priors import KNOWN
-from bayesfric.inference.target import Target
+from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.results.reported import KNOWN_BY, Determined, Status

@@ -11,10 +11,9 @@ import numpy as np
 
 from bayesfric.identifiability.local import torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import LocalUnits
 from bayesfric.inference.moments.residual_moments import follows
 from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.target import Target
+from bayesfric.inference.target import LocalUnits, Target
 from bayesfric.mechanism import excitation
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque

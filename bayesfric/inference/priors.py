@@ -130,7 +130,8 @@ class Prior:
         if self.fixed:
             return self.value, 0.0
         if self.mass > 1.0 - 1e-12:
-            return float(self.distribution.mean()), float(self.distribution.std())
+            with np.errstate(all="ignore"):  # inf - inf, such as of a half-Cauchy
+                return float(self.distribution.mean()), float(self.distribution.std())
         # by a quadrature in probability, inside the support
         nodes, weights = np.polynomial.legendre.leggauss(200)
         x, weights = self._quantiles((nodes + 1.0) / 2.0), weights / 2.0
