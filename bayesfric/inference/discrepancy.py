@@ -32,6 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,7 +200,7 @@ class LinearisedFit:
             residuals = [o.measured - p[-1] for o, p in zip(part.outputs, predicted, strict=True)]
             return whitened(part, slopes, shares), whitened(part, residuals, shares)
 
-        self.whitened = lambda outputs: whitened(self.likelihood, outputs, shares)
+        self.whitened = partial(whitened, self.likelihood, shares=shares)
         # (n, k) change of whitened outputs for a unit step, and whitened residual (n,)
         self.rows, self.residual = changes(self.likelihood, shares)
         full_rows = changes(full, np.ones(len(shares)))[0] if (shares < 1.0).any() else self.rows
@@ -381,7 +382,8 @@ class _Candidates:
         rotated = (vectors.transpose(0, 2, 1) @ scores[:, :, None])[:, :, 0] / self.variance
         size = _SCALES[:, None] ** 2
         total = 1.0 + size * np.clip(power, 0.0, None)[:, None, :] / self.variance
-        return 0.5 * (size * rotated[:, None, :] ** 2 / total - np.log(total)).sum(axis=2)
+        log = size * rotated[:, None, :] ** 2 / total - np.log(total)
+        return np.asarray(0.5 * log.sum(axis=2))
 
     def sizes(self) -> tuple[Array, Array, Index]:
         """Return mean ``(active,)`` and root ``(active, active)`` of sizes given their scales."""

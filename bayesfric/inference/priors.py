@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Literal, TypeGuard
 
 import numpy as np
@@ -34,6 +35,8 @@ DISTRIBUTIONS = (
     "norm", "halfnorm", "lognorm", "loguniform", "uniform", "expon", "triang", "truncnorm", "t",
     "cauchy", "halfcauchy", "laplace", "logistic", "gamma", "invgamma", "beta", "weibull_min",
 )  # fmt: skip
+
+_gauss_legendre = cache(np.polynomial.legendre.leggauss)
 
 
 def bound_of(x: Array, low: float, high: float) -> Literal["lower", "upper"] | None:
@@ -133,7 +136,7 @@ class Prior:
             with np.errstate(all="ignore"):  # inf - inf, such as of a half-Cauchy
                 return float(self.distribution.mean()), float(self.distribution.std())
         # by a quadrature in probability, inside the support
-        nodes, weights = np.polynomial.legendre.leggauss(200)
+        nodes, weights = _gauss_legendre(200)
         x, weights = self._quantiles((nodes + 1.0) / 2.0), weights / 2.0
         mean = float(weights @ x)
         return mean, float(np.sqrt(weights @ (x - mean) ** 2))
@@ -280,12 +283,10 @@ def default_prior(chain: Joint, p: Parameter, scales: TypicalSizes) -> Prior:
     row = p.row
     if row.stores:
         scales = replace(scales, torque=max(scales.torque, scales.exchanged))
-    sizes, text = sizes_at(chain, p.owner, scales), None
-    if row.prior == "uniform":
-        text = [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
-    elif row.spread is not None:
+    sizes, scale = sizes_at(chain, p.owner, scales), 1.0
+    if row.spread is not None:
         scale = row.spread(sizes)
-    else:
+    elif row.prior != "uniform":
         if row.column is None or row.power is None:
             size = scales.columns[p.name]
         else:  # some losses act in one direction only
@@ -294,9 +295,12 @@ def default_prior(chain: Joint, p: Parameter, scales: TypicalSizes) -> Prior:
             ]
             size = max(abs(row.column(state)) for state in states)
         scale = sizes.torque / size if size > 0.0 else sizes.torque
-    if row.prior == "lognorm":
+    text: PriorText
+    if row.prior == "uniform":
+        text = [-TURN / 2.0, TURN / 2.0] if row.circular else [row.lower, row.upper]
+    elif row.prior == "lognorm":
         text = {"distribution": "lognorm", "s": scale}
-    elif text is None:
+    else:
         family = row.prior or ("halfnorm" if p.lower == 0.0 else "norm")
         text = {"distribution": family, "scale": float(f"{scale:.0e}")}
     upper = min(p.upper, row.prior_upper)
