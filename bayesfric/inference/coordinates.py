@@ -46,7 +46,10 @@ class BoundedCoordinates:
     is_nonlinear = False
 
     def __init__(
-        self, lower: Sequence[float], upper: Sequence[float], widths: Array | None = None
+        self,
+        lower: Sequence[float] | Array,
+        upper: Sequence[float] | Array,
+        widths: Array | None = None,
     ) -> None:
         self.lower, self.upper = np.array(lower, dtype=float), np.array(upper, dtype=float)
         # index (d,) of the free parameter whose torque each linear coordinate represents

@@ -110,7 +110,7 @@ def test_the_population_mean_is_integrated_exactly():
     """The prior of what varies is the integral over a flat mean of independent normals."""
     target = JointTarget.__new__(JointTarget)
     theta, tau = np.array([0.3, 0.9, 0.4]), 0.35
-    target._counted, target._joint_prior = [], JointPrior([])
+    target._shared, target._joint_prior = 0, JointPrior([])
     target._spreads, target._varying = np.array([3]), np.array([[0, 1, 2]])
     target._sds = np.full((1, 3), 0.2)
 
