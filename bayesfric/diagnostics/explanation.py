@@ -13,7 +13,7 @@ from bayesfric.diagnostics.finding import Finding
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
 from bayesfric.diagnostics.regression import Regression, Replicate, Step
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
-from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.input_error import few_threads
 from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.fine_motion import fine_motion
+from bayesfric.estimates.processing import fine_motion
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array

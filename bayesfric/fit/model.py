@@ -17,7 +17,7 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
-from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.methods import estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit.fit import fit
