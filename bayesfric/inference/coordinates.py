@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 
 from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 
 

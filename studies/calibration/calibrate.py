@@ -40,7 +40,7 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation

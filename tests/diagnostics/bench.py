@@ -45,7 +45,7 @@ def table(duration=10.0):
         "torque_noise": 2e-4,
         "seed": 3,
     }
-    return axis().simulate(TRUTH, **options)[::10]
+    return bf.simulate(axis(), TRUTH, **options)[::10]
 
 
 def recording(made=None):

@@ -14,8 +14,7 @@ from bayesfric.estimates.torque import filtered_torque, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from tests.axis import AXIS, VALUES
 

@@ -16,9 +16,8 @@ from bayesfric.inference.coordinates import (
 )
 from bayesfric.inference.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.presets import PRESETS
 
 INF = math.inf
 

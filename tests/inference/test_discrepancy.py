@@ -18,7 +18,7 @@ from bayesfric.inference.discrepancy import (
     draw_sizes,
 )
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from tests.axis import AXIS, VALUES, swing
 
 QUICK = {"min_ess": 400, "ensembles": 2, "walkers": 24}

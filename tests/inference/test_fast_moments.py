@@ -13,8 +13,7 @@ from bayesfric.inference.moments.moment_matrices import SignRegion
 from bayesfric.inference.moments.residual_moments import PlainMoments
 from bayesfric.inference.moments.shape_nodes import ACCURACY
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.recordings.measurement import Signal
 
 from .test_residual_moments import with_gaps

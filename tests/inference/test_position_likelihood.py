@@ -11,8 +11,7 @@ from bayesfric.estimates.output_error import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.trajectory import Trajectory

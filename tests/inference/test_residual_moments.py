@@ -7,7 +7,7 @@ import pytest
 
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.moments.residual_moments import PlainMoments, follows
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 
 KNEE = PRESETS["rabbit-knee"]

@@ -6,7 +6,7 @@ from scipy import stats
 
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 KNEE = PRESETS["rabbit-knee"]
 

@@ -25,11 +25,9 @@ from numpy.typing import NDArray
 
 from bayesfric.estimates.torque import Term, columns, filled_columns, torque_form
 from bayesfric.inference.moments.shape_nodes import ShapeNodes
-from bayesfric.mechanism.chain import slots_of
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.joint import Joint, slots_of
 from bayesfric.mechanism.kernels import load_losses
-from bayesfric.mechanism.parameter import Parameter
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.quantities import Parameter, State
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 

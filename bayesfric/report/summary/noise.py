@@ -14,7 +14,7 @@ from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, pre
 from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import SCALES
-from bayesfric.mechanism.parameter import effort_words
+from bayesfric.mechanism.quantities import effort_words
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.record import Likelihood, Summary
