@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesfric.fleet.plan import COLUMNS, FAILED, Unit
-from bayesfric.population.outliers import WithOutliers, with_outliers
+from bayesfric.population.population import WithOutliers, with_outliers
 from bayesfric.report.comparison.between_runs import SharedQuantity, read_draws, shared_quantities
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.rows import PosteriorRow

@@ -43,9 +43,8 @@ from bayesfric.identifiability.simulated_recording import (
     square_with_sines,
     torque_noise,
 )
-from bayesfric.inference.local_units import units_of
-from bayesfric.inference.prior.priors import KNOWN
-from bayesfric.inference.target import Target
+from bayesfric.inference.priors import KNOWN
+from bayesfric.inference.target import Target, units_of
 from bayesfric.mechanism import experiment
 from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array

@@ -13,9 +13,8 @@ import numpy as np
 from bayesfric.estimates.autoregression import follows
 from bayesfric.identifiability.local import torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import LocalUnits
 from bayesfric.inference.noise import Autoregressive
-from bayesfric.inference.target import Target
+from bayesfric.inference.target import LocalUnits, Target
 from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque

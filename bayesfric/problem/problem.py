@@ -31,7 +31,7 @@ from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
-from bayesfric.inference.prior.priors import Prior, as_knowledge
+from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.own_term import Term

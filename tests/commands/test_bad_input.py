@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesfric.inference.prior.priors import DISTRIBUTIONS
+from bayesfric.inference.priors import DISTRIBUTIONS
 
 from .bench import CONFIG, PRIOR, RECORDING, cases, has, lines
 

@@ -11,7 +11,7 @@ from bayesfric.estimates.autoregression import (
 )
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import choose_noise, choose_order
-from bayesfric.inference.prior.priors import read_prior
+from bayesfric.inference.priors import read_prior
 from tests.axis import AXIS, VALUES
 from tests.inference.test_autoregression import covariance
 

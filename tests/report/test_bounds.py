@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
-from bayesfric.inference.prior.priors import bound_of
+from bayesfric.inference.priors import bound_of
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.paper.tables import parameter_table

@@ -13,7 +13,7 @@ from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.torque import typical_load, weighted_torque
 from bayesfric.identifiability.local import LocalInformation, given_by, verdict
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.prior.priors import bound_of
+from bayesfric.inference.priors import bound_of
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
@@ -242,7 +242,7 @@ def sound_quantities(fit: Fit, group: Group) -> Flags:
     number, diagnostics = len(group.quantities), fit.posterior.diagnostics
     if diagnostics.status == "reliable":
         return np.ones(number, dtype=np.bool_)
-    draws = convergence.without_stuck(fit.posterior.draws, diagnostics.acceptance)
+    draws = fit.posterior.draws
     ensembles, walkers, steps, d = draws.shape
     draws = draws[:, :, :: max(1, -(-ensembles * walkers * steps // group.most))]
     if draws.shape[2] < 2:

@@ -21,7 +21,7 @@ from bayesfric.identifiability.local import (
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.noise import SCALES, NoiseChoice
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.quantities import TURN
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.conclusions import bound_warning
