@@ -25,12 +25,12 @@ from bayesfric.recordings.read import (
     read_recordings,
     recorded_time,
 )
+from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.resolution import lowpass_above
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Source, Torque
-from bayesfric.recordings.tables import Table, read_table
-from bayesfric.recordings.tables.reader import TableOptions
+from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
 
 URDF_TORQUE = "urdf_torque"

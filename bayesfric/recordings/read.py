@@ -18,6 +18,7 @@ from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import Inputs, Law, Measurement, Signal
+from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import (
     SI,
@@ -33,7 +34,7 @@ from bayesfric.recordings.source import (
     Velocity,
     Voltage,
 )
-from bayesfric.recordings.tables import Table, is_recording, read_table, sha256
+from bayesfric.recordings.tables import Table
 from bayesfric.recordings.timebase import Grid, check_order, make_grid
 
 Motion = Literal["rotary", "linear"]

@@ -13,7 +13,7 @@ import numpy as np
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.tables.table import Table
+from bayesfric.recordings.tables import Table
 
 # Most signals of one column.
 _MAX_SIGNALS = 64

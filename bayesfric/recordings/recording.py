@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.options import configuration_error
 from bayesfric.recordings.source import CHANNELS, SI, Columns, Source
-from bayesfric.recordings.tables.table import Table, column_cells
+from bayesfric.recordings.tables import Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,7 +108,7 @@ class Recording:
         """
         keys |= {"position": position, "time": time, "torque": torque}
         names = [str(name) for name in frame.columns]
-        columns = [column_cells(frame.iloc[:, i]).copy() for i in range(len(names))]
+        columns = [frame.iloc[:, i].to_numpy(copy=True) for i in range(len(names))]
         table = Table("recording", names, columns.__getitem__)
         return cls(_checked(Columns, keys, units, side), table=table)
 

@@ -10,7 +10,7 @@ from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
 from bayesfric.recordings import units
 from bayesfric.recordings.filters import Lag
-from bayesfric.recordings.tables.reader import TableOptions
+from bayesfric.recordings.readers import TableOptions
 from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Seconds
 
 CHANNELS = (

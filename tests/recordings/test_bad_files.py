@@ -3,8 +3,8 @@
 import pytest
 
 from bayesfric.base.errors import BadInput
+from bayesfric.recordings.readers import read_table
 from bayesfric.recordings.source import Position, Processing, Torque
-from bayesfric.recordings.tables import read_table
 
 from .samples import has, lines, numbered, read, refused, source, write
 

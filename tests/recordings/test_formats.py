@@ -11,8 +11,8 @@ from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import units
+from bayesfric.recordings.readers import read_table, sha256
 from bayesfric.recordings.source import Position
-from bayesfric.recordings.tables import read_table, sha256
 from tests.recordings import file_formats
 
 from .samples import lines, numbered, read, source, swing, write
@@ -170,7 +170,7 @@ def test_patterns_and_names(tmp_path):
 def test_recorder_preamble_of_a_real_file(real_data):
     path = real_data / "screw-worm" / "driveNo3" / "steady_state" / "0.096kg" / "10.csv"
     table = read_table(path, source())
-    assert table.names[1:] == ("Velocity actual value averaged", "Torque actual value averaged")
+    assert table.names[1:] == ["Velocity actual value averaged", "Torque actual value averaged"]
     assert table.column(1)[:2].tolist() == [0.0, 51.2]
     assert table.column(2)[:2].tolist() == [-15.0, -10.0]
     assert table.column("Torque actual value averaged")[:2].tolist() == [-10.6, -10.9]

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
+from bayesfric.recordings.readers import TableOptions, read_table, sha256
 from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Source
-from bayesfric.recordings.tables import read_table, sha256
-from bayesfric.recordings.tables.reader import TableOptions
 from tests.recordings import logs
 from tests.recordings.samples import has, measured
 
