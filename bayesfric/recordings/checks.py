@@ -15,8 +15,6 @@ _NO_STEP = 1e-6
 # Shorter runs of one value are expected in a quantised signal.
 _RUN = 4
 _CLIPPED_SHARE = 0.01
-# Largest possible signal, and smallest whose products stay in floating point.
-_HUGE, TINY = 1e15, 1e-15
 # Longest delay of a velocity that is searched for, s, and least unexplained share of its power.
 _MAX_DELAY = 0.1
 _UNEXPLAINED = 0.01
@@ -56,13 +54,12 @@ def check_moves(values: Array, where: str, signal: str) -> None:
         )
 
 
-def check_size(values: Array, where: str, signal: str, least: float = 0.0) -> None:
+def check_size(values: Array, where: str, signal: str) -> None:
     """Refuse a signal of an impossible size in SI units."""
     largest = float(np.abs(values).max(initial=0.0))
-    if not least <= largest < _HUGE:
-        raise BadInput(
-            where, f"the {signal} is at most {largest:.3g} in SI units", "check its unit"
-        )
+    if not largest < 1e15:
+        problem = f"the {signal} is at most {largest:.3g} in SI units"
+        raise BadInput(where, problem, "check its unit")
 
 
 def clipped(values: Array, signal: str) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Index, Segments
+from bayesfric.recordings.measurement import Lag
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -174,14 +175,6 @@ def _between(share: float, neighbours: int) -> Array:
             for k in offsets.tolist()
         ]
     )
-
-
-@dataclass(frozen=True)
-class Lag:
-    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
-
-    cutoff: float  # Hz, -3 dB
-    order: int  # 1 or 2
 
 
 def delayed_command(command: Array, segments: Segments, samples: float, *, held: bool) -> Array:

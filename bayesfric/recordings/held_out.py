@@ -11,10 +11,9 @@ from pydantic import Field
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.options import Options
-from bayesfric.recordings.measurement import Measurement
+from bayesfric.recordings.measurement import LEAST_SAMPLES, Measurement
 from bayesfric.recordings.observation import Observation, observe, settled, window
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timebase import LEAST_SAMPLES
 
 # Outputs left out before a held-out end, in addition to one window of the parallel filter, for the
 # autocorrelation of the noise to decay.

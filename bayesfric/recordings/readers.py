@@ -444,7 +444,8 @@ def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
             if dataset.shape is None or dataset.attrs.get("MATLAB_empty", 0):
                 return np.empty(0)
             # MATLAB stores arrays transposed, and knows no vectors
-            return np.squeeze(dataset[()].T if matlab else dataset[()])
+            values = np.asarray(dataset[()])
+            return np.squeeze(values.T if matlab else values)
 
     return Table(str(path), names, load, clocks=_clocks(names))
 
@@ -541,7 +542,7 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
     def load(index: int) -> NDArray[Any]:
         if index == 0:
             return _since_first(received)
-        values = [row.get(names[index]) for row in rows]
+        values: list[Any] = [row.get(names[index]) for row in rows]
         if not _is_time(values[0]):
             return _cells(values)
         stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]

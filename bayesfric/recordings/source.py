@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from bayesfric.base.errors import Unfit
 from bayesfric.base.options import Options
 from bayesfric.recordings import units
-from bayesfric.recordings.filters import Lag
+from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.readers import TableOptions
 from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Seconds
 

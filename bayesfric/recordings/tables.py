@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.recordings.arrays import Array, Index
-from bayesfric.recordings.timebase import check_order
 
 # possessive, so that it fails at the first wrong character
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
@@ -165,6 +164,20 @@ class Table:
             table = table.at(rows, len(cells))
         return table
 
+    def check_order(self, time: Array, key: str | int) -> None:
+        """Refuse time stamps of a column ``key`` that do not increase."""
+        wrong = np.diff(time) <= 0
+        if not wrong.any():
+            return
+        index = int(np.argmax(wrong)) + 1
+        where = f"{self.label(key)}, {self.row(index)}"
+        if time[index] == time[index - 1]:
+            problem = f"repeats the time stamp {time[index]:.9g} s of the row before"
+            hint = "cut the repeated rows out, or record time with finer resolution"
+            raise BadInput(where, problem, hint)
+        problem = f"goes back in time, from {time[index - 1]:.9g} s to {time[index]:.9g} s"
+        raise BadInput(where, problem, "sort the rows by time, or split the file there")
+
     def clock(self, key: str | int) -> str | None:
         """Return the name of the column of a column's own time stamps."""
         return self.clocks.get(self.names[self.place(key)[0]])
@@ -183,7 +196,7 @@ class Table:
         for key, own in others.items():
             assert own is not None
             time, values = self.column(own), self.column(key)
-            check_order(time, self.label(own), self.row)
+            self.check_order(time, own)
             common &= (stamps >= time[0]) & (stamps <= time[-1])
             before = np.searchsorted(time, stamps, "right") - 1
             columns[key] = values[before] if key == flag else np.interp(stamps, time, values)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 from scipy.stats import binom
 
-from bayesfric.recordings.filters import Lag, integrated_kinks
+from bayesfric.recordings.filters import integrated_kinks
+from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.observation import applied_torque
 from tests.conftest import made_recording
 

@@ -1,5 +1,6 @@
 """Gaps, jitter, resampling, and what becomes of units and sides."""
 
+import h5py
 import numpy as np
 import pytest
 
@@ -155,3 +156,31 @@ def test_the_same_encoder_is_told_alike_however_long_a_recording_is(tmp_path):
         (found,) = read(tmp_path, from_npz())
         assert "position: read in steps of 0.00291 rad at the joint" in found.steps
         assert not found.warnings
+
+
+def test_columns_with_time_stamps_of_their_own_are_paired_by_time(tmp_path):
+    """Two groups of equal lengths, 20 ms apart: row by row a torque would come 20 ms late."""
+    time = 0.004 * np.arange(500)
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        for group, name, late, signal in (
+            ("encoder", "q", 0.0, np.sin),
+            ("drive", "tau", 0.02, np.cos),
+        ):
+            file[f"{group}/time"] = 7.0 + time + late
+            file[f"{group}/{name}"] = signal(5.0 * (time + late))
+        file["drive/on"] = time >= 1.0
+    used = source(
+        "run.h5",
+        time=Channel(column="encoder/time", unit="s"),
+        position=Position(column="encoder/q", unit="rad"),
+        torque=Torque(column="drive/tau", unit="N m"),
+        valid="drive/on",
+    )
+    (recording,) = read(tmp_path, used)
+    assert recording.time.size == 495
+    np.testing.assert_allclose(recording.position, np.sin(5.0 * (recording.time + 0.02)))
+    np.testing.assert_allclose(recording.torque, np.cos(5.0 * (recording.time + 0.02)), atol=1e-4)
+    np.testing.assert_array_equal(recording.excluded, recording.time < 1.0 - 1e-9)
+    assert "'drive/time'" in recording.steps[0]
+    with pytest.raises(BadInput, match="drive/time.*give time in place of rate"):
+        read(tmp_path, used.model_copy(update={"time": None, "rate": 250.0}))
