@@ -182,5 +182,5 @@ def test_columns_with_time_stamps_of_their_own_are_paired_by_time(tmp_path):
     np.testing.assert_allclose(recording.torque, np.cos(5.0 * (recording.time + 0.02)), atol=1e-4)
     np.testing.assert_array_equal(recording.excluded, recording.time < 1.0 - 1e-9)
     assert "'drive/time'" in recording.steps[0]
-    with pytest.raises(BadInput, match="drive/time.*give time in place of rate"):
+    with pytest.raises(BadInput, match=r"drive/time.*give time in place of rate"):
         read(tmp_path, used.model_copy(update={"time": None, "rate": 250.0}))
