@@ -20,12 +20,10 @@ from bayesfric.estimates.fine_motion import fine_motion
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import delayed_command, later
+from bayesfric.recordings.filters import Resolution, delayed_command, finest_step, later
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.resolution import Resolution, finest_step
+from bayesfric.recordings.observation import Observation, observe, timed
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timing import timed
 
 # Degree of the spline: its second derivative is then as exact as the filters'.
 _DEGREE = 5

@@ -18,11 +18,10 @@ from bayesfric.base.errors import BadInput
 from bayesfric.estimates.least_squares import totals_regressors
 from bayesfric.estimates.torque_form import minimum_norm
 from bayesfric.mechanism.joint import Joint
+from bayesfric.recordings.filters import lowpass_above
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.resolution import lowpass_above
+from bayesfric.recordings.observation import Observation, filtered_rate, observe, retimed
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timing import filtered_rate, retimed
 
 # Ratio of one band to the next, and narrower ones without a contradiction that end the search.
 _STEP, _MISSES = 1.4, 2

@@ -1,6 +1,6 @@
 """The delay of the position of recordings behind their torque.
 
-The torque is linear in a small delay (:mod:`bayesfric.recordings.timing`), so the delay is one
+The torque is linear in a small delay (:mod:`bayesfric.recordings.observation`), so the delay is one
 more coefficient of an estimate; recordings are shifted by it until it settles.
 """
 
@@ -17,8 +17,13 @@ from bayesfric.estimates.methods import EstimationInputs
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.timing import FAR_DELAYS, filtered_rate, longest_delay, retimed
+from bayesfric.recordings.observation import (
+    FAR_DELAYS,
+    Observation,
+    filtered_rate,
+    longest_delay,
+    retimed,
+)
 
 # Rounds, each linear about the delay of the last; settled when it moves by less than so many sds.
 _ROUNDS, _SETTLED = 10, 0.02

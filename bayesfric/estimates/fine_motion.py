@@ -30,9 +30,9 @@ from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.checks import resting
 from bayesfric.recordings.filters import lowpass
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.moving import resting
 from bayesfric.recordings.observation import Observation, refinable, with_motion
 
 # An estimate from the encoder's motion may be off by an sd, one from the refined motion is not.

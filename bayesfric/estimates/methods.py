@@ -12,8 +12,7 @@ from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate, Method
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.trajectory import Trajectory
+from bayesfric.recordings.observation import Observation, Trajectory
 
 
 @dataclass(frozen=True)

@@ -3,80 +3,49 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.arrays import Array, Flags, Segments, runs
+from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, runs, without_excluded
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
+    LEAST_RATIO,
     SHARING,
     SMALL_SHARE,
+    WIDEST,
     ParallelFilter,
+    Resolution,
     check_cutoff,
     decimation,
     delayed_command,
     derivative,
+    finest_step,
     integrated_kinks,
     inverse_lowpass,
     lay_windows,
     lowpass,
+    lowpass_above,
     parallel_cutoff,
     parallel_length,
     parallel_taps,
     reach_of,
-)
-from bayesfric.recordings.measurement import Inputs, Measurement, Signal
-from bayesfric.recordings.moving import (
-    Rest,
-    moving_samples,
-    near,
-    standstill_outputs,
-    standstill_samples,
-    too_slow,
-    without_excluded,
-)
-from bayesfric.recordings.resolution import (
-    ABOVE_GAPS,
-    LEAST_RATIO,
-    WIDEST,
-    Reason,
-    Resolution,
-    finest_step,
-    lowpass_above,
     resolve,
-    too_coarse,
 )
+from bayesfric.recordings.measurement import Hold, Inputs, Measurement, Signal
 from bayesfric.recordings.source import Processing
 
-_DEAD_SHARE = 0.01
-_TRIM_SAMPLES = 10
-# Least number of samples of a standstill, and of those dropped next to it.
-_GUARD = 10
-# Share and number of windows that the dead zone must leave; else it drops samples, not windows.
-_LEFT, _LEAST_LEFT = 0.2, 60
-# Windows and trims that should fit into the longest segment where the band is chosen.
-_FITTING = 20
-# Outputs of a subsample for the first search, and neighbours in it, as their windows overlap.
-_SUBSAMPLE, _NEIGHBOURS = 5_000, 50
+# Least number of samples off the ends of a segment, and of a standstill and those next to it.
+_TRIM = 10
+# Delays in s, in both directions, between which a torque is about linear.
+FAR_DELAYS = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
 # Every number actually used, in SI units.
 Settings = dict[str, float | int | str]
-# What ends a band.
-_ENDED: dict[Reason, str] = {
-    "sampling": "as wide as the sampling rate allows",
-    "position": "beyond which the position does not resolve the acceleration",
-    "torque": "beyond which the torque has next to no power",
-    "length": "the narrowest that leaves enough outputs of so short a recording; its position or "
-    "torque would need a narrower one",
-    "model": "as in a wider one the inertia comes out smaller and more torque is unexplained: "
-    "there is noise in the acceleration that grows with the motion, such as of time stamps",
-    "asked": "as set, or as the fitted part's",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +68,14 @@ class Observation:
     measured: Array  # (M,) filter.apply(as_position(compared, ...))
     speed: Array  # (M,) qd at the windows' centres
     period: float  # s from one output to the next of the same segment
-    segment_of: NDArray[np.int64]  # (M,) segment of every output
+    segment_of: Index  # (M,) segment of every output
     stamps: Array  # (N,) s since the file's first stamp
     inputs: Inputs
     steps: tuple[str, ...]  # a sentence for every choice made, reading included
     warnings: tuple[str, ...]
     settings: Settings
     position_step: float = 0.0  # encoder step, rad or m of the joint; 0 if unknown
-    rest: Rest | None = None  # outputs at standstill, where requested and detected
+    rest: checks.Rest | None = None  # outputs at standstill, where requested and detected
     left_out: tuple[tuple[float, float], ...] = ()  # spans that the user excluded, s as time
     # (N,) acceleration of the low-passed position, where qdd is the refined one
     smooth: Array | None = None
@@ -116,14 +85,16 @@ class Observation:
         """Acceleration ``(M,)`` at the windows' centres, without the torque's noise."""
         return (self.qdd if self.smooth is None else self.smooth)[self.filter.centres]
 
-    def excerpt(self, limit: int = _SUBSAMPLE) -> Observation:
-        """Keep at most about so many outputs, unchanged, in runs all over the recording."""
+    def excerpt(self, limit: int = 5_000, *, neighbours: int = 50) -> Observation:
+        """Keep about ``limit`` outputs, unchanged, in runs of ``neighbours`` all over it.
+
+        Windows overlap, so neighbours share samples.
+        """
         count = self.filter.n_outputs
         if count <= limit:
             return self
-        runs_kept = max(limit // _NEIGHBOURS, 1)
-        begins = np.linspace(0, count - _NEIGHBOURS, runs_kept).astype(np.int64)
-        outputs = np.unique(begins[:, None] + np.arange(_NEIGHBOURS))
+        begins = np.linspace(0, count - neighbours, max(limit // neighbours, 1)).astype(np.int64)
+        outputs = np.unique(begins[:, None] + np.arange(neighbours))
         windows, samples = self.filter.excerpt(outputs)
         of_samples = ("q", "qd", "qdd", "torque", "compared", "stamps")
         of_outputs = ("time", "measured", "speed", "segment_of")
@@ -191,8 +162,7 @@ def observe(
     q, qd, windows = prepared.q, prepared.qd, prepared.filter
     segments, period = recording.segments, recording.period
     compared = prepared.compared & ~recording.excluded
-    warnings = [*recording.warnings, *_band_warnings(numbers)]
-    warnings += too_coarse(numbers.resolution, recording)
+    warnings = [*recording.warnings, *_band_warnings(numbers, recording)]
     settings = _settings(recording, processing, numbers, prepared)
     if law := checks.feedback(recording.torque, q, qd, compared):
         settings["feedback"] = law[0]
@@ -208,7 +178,7 @@ def observe(
     filtered_torque = as_position(torque, segments, period, settings)
     inputs, standstill = _filtered_inputs(recording, settings), None
     if processing.rest:
-        standstill = standstill_outputs(
+        standstill = checks.standstill_outputs(
             recording.position,
             filtered_torque,
             recording.time,
@@ -433,7 +403,8 @@ def _prepare(
     numbers = _settle(recording, processing, resolution)
     prepared = _lay(recording, processing, numbers, SMALL_SHARE)
     count = prepared.filter.n_outputs
-    if count < max(_LEFT * (count + prepared.dropped["dropped_dead_zone"]), _LEAST_LEFT):
+    # the dead zone must leave a fifth of the windows, and sixty
+    if count < max(0.2 * (count + prepared.dropped["dropped_dead_zone"]), 60):
         # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
         # gaps they leave fold noise from above the band into it, which the low-pass must take off.
         if processing.lowpass is None:
@@ -455,7 +426,8 @@ def _settle(
         resolution = resolve(recording, band)
         if band is None:
             longest = max(b - a for a, b in recording.segments)
-            limit = max(round(0.5 / WIDEST), longest // _FITTING)
+            # twenty windows and trims should fit into the longest segment
+            limit = max(round(0.5 / WIDEST), longest // 20)
             factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
         else:
             factor = min(decimation(band, fs), len(recording.time))
@@ -474,18 +446,19 @@ def _settle(
     reach = reach_of(processing.differentiation, cutoff, fs)
     one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
     if processing.trim is None:
-        trim = max(_TRIM_SAMPLES, 2 * reach, one_period)
+        trim = max(_TRIM, 2 * reach, one_period)
     else:
         # more than there are would only cost memory
         trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
     trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
-    return _Numbers(fs, cutoff, factor, band, trim, reach, max(_GUARD, one_period), resolution)
+    return _Numbers(fs, cutoff, factor, band, trim, reach, max(_TRIM, one_period), resolution)
 
 
 def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
     """Lower the low-pass until the acceleration behind it is more than its noise."""
     band = numbers.used_band or numbers.fs / 2
-    cutoff = lowpass_above(band, numbers.fs, ABOVE_GAPS)
+    # higher above the band, so that the effect of samples left out reaches fewer neighbours
+    cutoff = lowpass_above(band, numbers.fs, 6.0)
     while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
         cutoff = max(cutoff / 1.5, 2.0 * band)
     lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
@@ -508,11 +481,11 @@ def _lay(
         dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
     elif dead_zone is None:
         speeds = np.abs(qd[inside])
-        dead_zone = _DEAD_SHARE * float(np.percentile(speeds, 99)) if speeds.size else 0.0
-    moving = moving_samples(qd, segments, dead_zone, numbers.guard)
+        dead_zone = 0.01 * float(np.percentile(speeds, 99)) if speeds.size else 0.0
+    moving = checks.moving_samples(qd, segments, dead_zone, numbers.guard)
     still = np.zeros(len(q), dtype=np.bool_)
     if processing.rest:
-        still = standstill_samples(recording.position, segments, 2 * numbers.guard)
+        still = checks.standstill_samples(recording.position, segments, 2 * numbers.guard)
         moving &= ~near(still, numbers.guard)
     if share > SMALL_SHARE and numbers.cutoff:
         # the low-pass smears the jolt of a reversal over a period on either side
@@ -557,21 +530,28 @@ def _lay(
     return _Prepared(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
 
 
-def _band_warnings(numbers: _Numbers) -> Iterator[str]:
-    band, half = numbers.band, numbers.fs / (2 * numbers.factor)
-    if band is None:
-        return
-    hint = f"decimate = {decimation(band, numbers.fs)} would fit"
+def _band_warnings(numbers: _Numbers, recording: Measurement) -> Iterator[str]:
+    """Warn of a band unlike the decimation, and of an acceleration that its noise drowns."""
+    band, half, resolution = numbers.band, numbers.fs / (2 * numbers.factor), numbers.resolution
+    hint = "" if band is None else f"decimate = {decimation(band, numbers.fs)} would fit"
     # the small share is rounding
-    if band > FOLDING * half * (1.0 + 1e-9):
+    if band is not None and band > FOLDING * half * (1.0 + 1e-9):
         yield (
             f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
             f"so higher frequencies fold back; {hint}"
         )
-    if numbers.factor > 1 and band < SHARING * half:
+    if band is not None and numbers.factor > 1 and band < SHARING * half:
         yield (
             f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
             f"neighbouring outputs share noise and intervals come out too narrow; {hint}"
+        )
+    if resolution.acceleration_ratio < LEAST_RATIO:
+        yield (
+            f"{'position' if recording.velocity is None else 'velocity'}: its noise or steps "
+            f"({resolution.noise:.2g}, one sd) make the acceleration in the band to "
+            f"{resolution.band:.3g} Hz only {resolution.acceleration_ratio:.2g} times as large as "
+            f"its noise, at least {LEAST_RATIO:g} are needed: inertia comes out too small; "
+            "lower band, or record a faster motion or a finer position"
         )
 
 
@@ -620,7 +600,17 @@ def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Setting
             f"{resolution.acceleration_ratio:.3g}; noise of a sample of the {of} "
             f"{resolution.noise:.2g} {unit}"
         )
-    yield f"band: ends at {end:.3g} Hz, {_ENDED[resolution.reason]}"
+    ended = {
+        "sampling": "as wide as the sampling rate allows",
+        "position": "beyond which the position does not resolve the acceleration",
+        "torque": "beyond which the torque has next to no power",
+        "length": "the narrowest that leaves enough outputs of so short a recording; its position "
+        "or torque would need a narrower one",
+        "model": "as in a wider one the inertia comes out smaller and more torque is unexplained: "
+        "there is noise in the acceleration that grows with the motion, such as of time stamps",
+        "asked": "as set, or as the fitted part's",
+    }
+    yield f"band: ends at {end:.3g} Hz, {ended[resolution.reason]}"
     yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
     yield (
         "parallel filter: none, every sample is an output"
@@ -628,9 +618,190 @@ def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Setting
         else f"parallel filter: {settings['taps']} taps, cut-off "
         f"{settings['filter_cutoff']:.4g} Hz, one output in {numbers.factor} samples"
     )
-    slow = too_slow(f"{settings['dead_zone']:.3g} {length}/s")
+    slow = checks.too_slow(f"{settings['dead_zone']:.3g} {length}/s")
     dropped, left = int(settings["dropped_dead_zone"]), int(settings["n_outputs"])
     rest = f"; {n} at rest" if (n := settings.get("rest_outputs", 0)) else ""
     if dropped > left and "rest_outputs" not in settings:
         rest = "; rest = true under [processing] makes use of those at rest"
     yield f"dead zone: {dropped} outputs left out, {slow}; {left} remain{rest}"
+
+
+# --- delay between torque and position ----------------------------------------------------------
+#
+# A position that is late by ``d`` belongs to the torque of ``d`` before, to first order near ``d0``
+# ``y(t - d0) - (d - d0) y'(t - d0)``. So ``y(t - d0) + d0 y'(t - d0)`` is compared with a model
+# that has the additional term ``d y'(t - d0)``, linear in the delay, up to second order.
+# Of a torque from a target, the target acts late: ``y(t - d)`` is the torque with that target.
+
+
+def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
+    """Use the torque of ``delay`` seconds earlier, up to the trimmed ends."""
+    longest = longest_delay(o, recording.period)
+    if abs(delay) > longest:
+        raise BadInput(
+            f"recording '{recording.name}', delay",
+            f"the position would come {delay:.3g} s late, which is more than the "
+            f"{longest:.3g} s that are trimmed off the ends",
+            "correct the time stamps, or raise trim",
+        )
+    corrected = retimed(o, recording.segments, recording.period, delay, recording)
+    signal = "torque" if recording.feedback is None else "target"
+    step = f"delay: {signal} of {delay:.3g} s before the position, and what it changes by"
+    settings = {**o.settings, "delay": delay}
+    return replace(corrected, steps=(*o.steps, step), settings=settings)
+
+
+def longest_delay(o: Observation, period: float) -> float:
+    """Longest delay, s, that the trimmed ends of a recording allow."""
+    return float(o.settings.get("trim_samples", 0)) * period
+
+
+def filtered_rate(o: Observation) -> Array:
+    """Rate ``(M,)`` of the torque after :func:`retimed`, N m/s or N/s."""
+    assert o.inputs.torque_rate is not None
+    return o.filter.apply(o.inputs.torque_rate.values)
+
+
+def retimed(
+    o: Observation,
+    segments: Segments,
+    period: float,
+    delay: float,
+    recording: Measurement | None = None,
+) -> Observation:
+    """Correct as :func:`timed`, without checks; a back-EMF is computed from the position."""
+    back_emf = None if recording is None else recording.back_emf
+    if recording is not None and recording.feedback is not None:
+        before, rate = target_torque(recording, delay), command_rate(o, recording, delay)
+    else:
+        emf = np.zeros_like(o.torque) if back_emf is None else back_emf
+        before = delayed_command(o.torque + emf, segments, delay / period, held=False) - emf
+        rate = _rate(o, o.torque + emf, segments, period, delay)
+    compared = before + delay * rate
+    return replace(
+        o,
+        compared=compared,
+        measured=o.filter.apply(as_position(compared, segments, period, o.settings)),
+        inputs=replace(o.inputs, torque_rate=Signal(o.stamps, rate)),
+    )
+
+
+def command_rate(o: Observation, recording: Measurement, delay: float = 0.0) -> Array:
+    """Rate ``(N,)`` of the torque by its late target alone, N m/s or N/s; 0 at its limit."""
+    law = recording.law
+    assert law is not None
+    inside = np.abs(unlimited_command(recording, delay)) < law.limit
+    late = delay + 0.5 * recording.period * law.held
+    rate = _rate(o, law.command, recording.segments, recording.period, late)
+    return np.asarray(law.scale * inside * rate)
+
+
+def _rate(o: Observation, x: Array, segments: Segments, period: float, delay: float) -> Array:
+    """Differentiate a delayed signal ``(N,)`` by time, low-passed as the position."""
+    cutoff, order = float(o.settings.get("lowpass", 0.0)), int(o.settings.get("order", 1))
+    # only noise is above the low-pass that the position has passed
+    smooth = lowpass(x, segments, 1.0 / period, cutoff, order)
+    late = delayed_command(smooth, segments, delay / period, held=False)
+    return derivative(late, segments, period, int(o.settings.get("reach", 1)))
+
+
+# --- trajectories for the output error ----------------------------------------------------------
+
+# Shorter segments do not determine much more than their two initial states.
+_LEAST_SAMPLES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One recording for the output error, cut into segments with separate initial states."""
+
+    name: str  # of the recording
+    time: Array  # (N,) s since the file's first stamp
+    position: Array  # (N,) of the joint as measured, not filtered, rad or m
+    torque: Array  # (N,) of the motor as measured, not filtered, N m or N
+    period: float  # s
+    segments: Index  # (K, 2) half-open ranges of samples
+    q0: Array  # (K,) starting values of position and speed at each segment's first sample
+    qd0: Array
+    inputs: Inputs
+    hold: Hold = "linear"  # interpolation of the torque between samples
+
+    @property
+    def samples(self) -> Index:
+        """Samples inside the segments, in order."""
+        return np.concatenate([np.arange(a, b) for a, b in self.segments])
+
+    @property
+    def segment_of(self) -> Index:
+        """Segment of every sample in :attr:`samples`."""
+        return np.repeat(np.arange(len(self.segments)), np.diff(self.segments, axis=1)[:, 0])
+
+
+def trajectory(recording: Measurement, observation: Observation, length: float) -> Trajectory:
+    """Cut a recording into segments of about ``length`` (s; may be infinite) where it is fast."""
+    computed = recording.back_emf is not None or recording.feedback is not None
+    if computed and observation.inputs.torque_rate is not None:
+        problem = "a simulation cannot delay a torque that was computed from a voltage or target"
+        raise BadInput(
+            "mechanism.delay", problem, "give torque or current, or leave output-error out"
+        )
+    parts = without_excluded(recording.segments, recording.excluded)
+    return Trajectory(
+        name=recording.name,
+        time=recording.time,
+        position=recording.position,
+        # a target is held, and the position moves on
+        torque=recording.torque if recording.feedback is None else observation.torque,
+        period=recording.period,
+        inputs=observation.inputs,
+        hold=recording.hold if recording.feedback is None else "linear",
+        **_cut(parts, recording.name, recording.period, length, observation),
+    )
+
+
+def divided(long: Trajectory, observation: Observation, length: float) -> Trajectory:
+    """Cut the segments of a trajectory into shorter ones, as in :func:`trajectory`."""
+    ranges = [(int(a), int(b)) for a, b in long.segments]
+    return replace(long, **_cut(ranges, long.name, long.period, length, observation))
+
+
+def _cut(
+    ranges: Sequence[tuple[int, int]],
+    name: str,
+    period: float,
+    length: float,
+    observation: Observation,
+) -> dict[str, Any]:
+    """Divide ranges about evenly, ``(K, 2)``, with initial states; too short segments go.
+
+    Borders are where the joint is fastest within a quarter of a segment: at standstill, breakaway
+    cannot be linearised in the state.
+    """
+    pieces: list[tuple[int, int]] = []
+    speed = observation.qd
+    for a, b in ranges:
+        if length < _LEAST_SAMPLES * period:
+            break
+        parts = max(1, round((b - a) * period / length)) if np.isfinite(length) else 1
+        borders = np.linspace(a, b, parts + 1).round().astype(int)
+        # no segment may become too short
+        reach = min((b - a) // (4 * parts), max(((b - a) // parts - _LEAST_SAMPLES - 1) // 2, 0))
+        for i in range(1, parts):
+            near = np.abs(speed[borders[i] - reach : borders[i] + reach + 1])
+            # of equally fast samples the middle one, so that a steady motion is cut evenly
+            fastest = np.flatnonzero(near >= near.max() * (1.0 - 1e-9))
+            borders[i] += int(fastest[np.argmin(np.abs(fastest - reach))]) - reach
+        pieces += [
+            (first, last)
+            for first, last in zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True)
+            if last - first >= _LEAST_SAMPLES
+        ]
+    if not pieces:
+        raise BadInput(
+            f"recording '{name}', segment",
+            f"has no run of {_LEAST_SAMPLES} samples to simulate",
+            f"give at least {_LEAST_SAMPLES * period:.3g} s, exclude less, or record longer",
+        )
+    segments = np.array(pieces, dtype=np.int64)
+    starts = segments[:, 0]
+    return {"segments": segments, "q0": observation.q[starts], "qd0": observation.qd[starts]}

@@ -13,7 +13,7 @@ from bayesfric.diagnostics.disturbances import TARGET_DELAY, delay_columns
 from bayesfric.diagnostics.states import deflection, in_gap, resonating, since_reversal
 from bayesfric.recordings.filters import ParallelFilter, derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import Inputs, Signal
-from bayesfric.recordings.timing import FAR_DELAYS
+from bayesfric.recordings.observation import FAR_DELAYS
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording
 

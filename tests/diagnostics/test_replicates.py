@@ -9,9 +9,9 @@ import bayesfric as bf
 from bayesfric.diagnostics.replicates import fixed_processing, replicates
 from bayesfric.fit.model import Model
 from bayesfric.mechanism.inverse import inverse_torque
+from bayesfric.recordings.filters import finest_step
 from bayesfric.recordings.measurement import Signal
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.resolution import finest_step
 from tests.diagnostics.bench import TRUTH, axis, draws_about, model
 
 VALUES = np.array([TRUTH[name] for name in axis().names])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings.moving import standstill_outputs, standstill_samples
+from bayesfric.recordings.checks import standstill_outputs, standstill_samples
 
 STEP = 2.0 * np.pi / 4096
 

@@ -6,10 +6,15 @@ import pytest
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law
-from bayesfric.recordings.observation import observe, target_torque, unlimited_command
+from bayesfric.recordings.observation import (
+    observe,
+    retimed,
+    target_torque,
+    timed,
+    trajectory,
+    unlimited_command,
+)
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timing import retimed, timed
-from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
 
 PERIOD = 2e-3

@@ -14,8 +14,8 @@ import numpy as np
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.moving import Rest
 
 # Speed, rad/s or m/s, far below all other speeds of the model.
 _VANISHING = 1e-9

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.recordings.moving import too_slow
+from bayesfric.recordings.checks import too_slow
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
 from bayesfric.report.figures.registry import RunFigure
