@@ -12,7 +12,8 @@ from bayesfric.estimates.least_squares import least_squares
 from bayesfric.estimates.output_error import output_error
 from bayesfric.estimates.point_estimate import Estimate, Method
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.observation import Observation, Trajectory
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,8 @@ from bayesfric.estimates.shooting_fit import (
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation, Trajectory, divided
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory, divided
 
 # Segment lengths to try, s: short ones suit a fine encoder, as noise of the torque is integrated,
 # long ones a coarse one; measured: beyond 1 s drift dominates.

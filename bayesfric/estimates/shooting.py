@@ -18,7 +18,7 @@ import numpy as np
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Trajectory
+from bayesfric.recordings.trajectory import Trajectory
 
 # Most integration steps a sample; more do not pay where measured torque has kinks at samples.
 _MAX_SUBSTEPS = 64

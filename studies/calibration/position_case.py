@@ -22,7 +22,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Observation, Trajectory
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -34,8 +34,9 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.measurement import Inputs, Measurement
-from bayesfric.recordings.observation import Observation, observe, trajectory
+from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.source import Processing
+from bayesfric.recordings.trajectory import trajectory
 
 FOLDER = Path(__file__).resolve().parent
 PRESET = PRESETS["rabbit-knee"]

@@ -5,8 +5,9 @@ import numpy as np
 from bayesfric.mechanism.excitation import multisine, square
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import observe, trajectory
+from bayesfric.recordings.observation import observe
 from bayesfric.recordings.source import Processing
+from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
 
 PERIOD = 2e-3

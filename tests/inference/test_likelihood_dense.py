@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayesfric.recordings.moving import Rest
 from scipy import stats
 from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
@@ -15,10 +16,9 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Trajectory
+from bayesfric.recordings.trajectory import Trajectory
 from tests.axis import AXIS, VALUES
 from tests.conftest import made_observation
 from tests.inference.test_autoregression import covariance

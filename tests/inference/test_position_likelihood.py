@@ -15,7 +15,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.observation import Trajectory
+from bayesfric.recordings.trajectory import Trajectory
 
 KNEE = PRESETS["rabbit-knee"]
 PERIOD = 0.002

@@ -11,10 +11,10 @@ from bayesfric.recordings.observation import (
     retimed,
     target_torque,
     timed,
-    trajectory,
     unlimited_command,
 )
 from bayesfric.recordings.source import Processing
+from bayesfric.recordings.trajectory import trajectory
 from tests.conftest import made_recording
 
 PERIOD = 2e-3

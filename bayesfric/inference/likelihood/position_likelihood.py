@@ -29,7 +29,8 @@ from bayesfric.inference.noise.position import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.observation import Observation, Trajectory
+from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.trajectory import Trajectory
 
 # Number of averaged positions of a segment.
 _OUTPUTS = 100
