@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bayesfric.recordings.moving import Rest
 from scipy import stats
 from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
@@ -16,6 +15,7 @@ from bayesfric.inference.noise.autoregressive import Autoregressive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
+from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.trajectory import Trajectory

@@ -68,10 +68,3 @@ def test_what_a_makers_low_pass_took_is_given_back(order):
     inner = slice(500, -50)  # the filter has settled
     assert np.abs(torque - true[::fine])[inner].max() > 0.3
     np.testing.assert_allclose(applied_torque(one, 6)[inner], true[::fine][inner], atol=5e-3)
-
-
-def test_what_nobody_says_is_left_as_it_is():
-    time = np.arange(500) * PERIOD
-    torque = np.sign(np.sin(9.0 * time))
-    one = made_recording(time, np.sin(time), torque, PERIOD)
-    np.testing.assert_array_equal(applied_torque(one, 4), torque)

@@ -132,12 +132,6 @@ def test_binary_formats_and_json(tmp_path, form, table, data):
         same(read(tmp_path, numbered("run.npy"))[0])
 
 
-def test_json_booleans_are_numbers(tmp_path):
-    (tmp_path / "run.json").write_text('{"on": [true, false, true], "t": [0, 1, 2]}')
-    table = read_table(tmp_path / "run.json", source("run.json"))
-    assert table.column("on").tolist() == [1.0, 0.0, 1.0]
-
-
 def test_sha256(tmp_path, monkeypatch):
     path = write(tmp_path, "\n".join(lines()))
     assert sha256(path) == hashlib.sha256(path.read_bytes()).hexdigest()

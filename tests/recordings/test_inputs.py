@@ -41,10 +41,6 @@ def test_without_it_the_scale_is_open():
     assert not found["load.first_moment"].determined
 
 
-def test_nothing_is_open_before_sampling():
-    assert bf.Model(CHAIN, recorded()).identification().directions == ()
-
-
 def test_it_has_a_unit_and_a_sign():
     time = np.arange(400) * 0.01
     frame = pd.DataFrame({"t": time, "q": np.sin(4 * time), "tau": np.cos(time), "b": np.sin(time)})

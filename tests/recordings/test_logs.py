@@ -31,10 +31,6 @@ FORMATS = (
 )  # fmt: skip
 
 
-def test_every_log_is_compared(written):
-    assert set(written[1]) == {"CSV", *FORMATS}
-
-
 @pytest.mark.parametrize("form", FORMATS)
 def test_the_same_numbers_to_the_last_bit(written, form):
     folder, found = written

@@ -69,13 +69,6 @@ def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
     assert arrays.sha256 != measured(Recording.from_arrays(T, Q, TAU + 1e-12)).sha256
 
 
-def test_what_is_changed_later_was_not_recorded():
-    frame = pd.DataFrame({"t": T, "q": Q, "tau": TAU})
-    recording = Recording.from_dataframe(frame, time="t", position="q", torque="tau")
-    frame["q"] += 1.0
-    assert measured(recording).position[0] == Q[0]
-
-
 def test_a_current_of_a_geared_motor():
     recording = Recording.from_arrays(
         1e3 * T,
@@ -148,3 +141,10 @@ def test_si_is_for_numbers_as_they_are(tmp_path):
     has(message, "'SI' is not a known unit")
     found = measured(Recording(source(time=Channel(column="t", unit="SI")), tmp_path))
     assert found.period == pytest.approx(0.01)
+
+
+def test_what_is_changed_later_was_not_recorded():
+    frame = pd.DataFrame({"t": T, "q": Q, "tau": TAU})
+    recording = Recording.from_dataframe(frame, time="t", position="q", torque="tau")
+    frame["q"] += 1.0
+    assert measured(recording).position[0] == Q[0]

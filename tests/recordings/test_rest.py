@@ -41,11 +41,6 @@ def test_a_resampled_position_keeps_its_rests():
     assert not flags[uneven < 1.95].any()
 
 
-def test_rests_of_different_segments_do_not_meet():
-    position = np.zeros(60)
-    assert not standstill_samples(position, ((0, 15), (15, 30), (30, 60)), 20)[:30].any()
-
-
 def test_windows_lie_inside_and_keep_off_the_ends():
     still = np.zeros(200, dtype=bool)
     still[50:150] = True

@@ -147,17 +147,6 @@ def test_twos_complement_and_further_column(tmp_path):
     np.testing.assert_allclose(found, -0.5 * signed / 885 * np.linspace(7, 8, 200))
 
 
-def test_the_same_encoder_is_told_alike_however_long_a_recording_is(tmp_path):
-    step = 2 * np.pi / 2156
-    for count in (300, 3000):  # the same motion once and ten times, and coarse in neither
-        t = 0.005 * np.arange(count)
-        q = np.round(3.0 * np.sin(2 * np.pi / 1.5 * t + 0.1) / step) * step
-        save(tmp_path, t, q, np.cos(t))
-        (found,) = read(tmp_path, from_npz())
-        assert "position: read in steps of 0.00291 rad at the joint" in found.steps
-        assert not found.warnings
-
-
 def test_columns_with_time_stamps_of_their_own_are_paired_by_time(tmp_path):
     """Two groups of equal lengths, 20 ms apart: row by row a torque would come 20 ms late."""
     time = 0.004 * np.arange(500)

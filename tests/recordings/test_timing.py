@@ -41,13 +41,6 @@ def test_a_wave_is_later_by_fractions_of_a_sample(samples, share):
         np.testing.assert_allclose(found[20:-20], exact[20:-20], atol=1e-12)
 
 
-def test_ends_are_held():
-    ramp = np.arange(10.0)
-    np.testing.assert_array_equal(later(ramp, 3.0), [0, 0, 0, 0, 1, 2, 3, 4, 5, 6])
-    np.testing.assert_array_equal(later(ramp, -3.0), [3, 4, 5, 6, 7, 8, 9, 9, 9, 9])
-    np.testing.assert_array_equal(later(ramp, 1e6), np.zeros(10))
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.0011, -0.004])
 def test_torque_and_rate_are_those_of_before(delay):
     r = recording()
@@ -138,9 +131,3 @@ def test_the_rate_of_a_late_target_is_the_derivative_by_its_delay():
     inside[:20] = inside[-20:] = False
     assert (rate[inside] == 0.0).mean() > 0.1
     assert rate[inside] == pytest.approx(slope[inside], abs=2e-3 * np.abs(slope).max())
-
-
-def test_a_target_that_is_not_late_gives_the_torque_that_was_computed():
-    r = by_target(lambda t: 1.2 * wave(t), limit=LIMIT)
-    np.testing.assert_allclose(target_torque(r), r.torque, atol=1e-12)
-    np.testing.assert_allclose(observe(r, Processing()).torque, r.torque, atol=1e-12)
