@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.arrays import Array, Flags, Segments, near, runs, without_excluded
 from bayesfric.recordings.filters import finest_step, lay_windows
+from bayesfric.recordings.measurement import Measurement
 
 Feedback = Literal["sign of speed", "position error"]
 
@@ -148,13 +149,12 @@ def standstill_samples(
 
 
 def standstill_outputs(
-    position: Array,
+    recording: Measurement,
     torque: Array,
-    time: Array,
-    taps: Array,
     parts: Segments,
-    factor: int,
     still: Flags,
+    taps: Array,
+    factor: int,
     guard: int,
     *,
     most: int = 200,
@@ -170,12 +170,13 @@ def standstill_outputs(
         for begin, end in runs(still[a:b], a)
         if end - begin > 2 * guard
     )
-    windows = lay_windows(taps, inner, factor, np.ones(position.size, dtype=np.bool_))
+    windows = lay_windows(taps, inner, factor, np.ones(still.size, dtype=np.bool_))
     if windows.n_outputs == 0:
         return None
     chosen = np.unique(np.linspace(0, windows.n_outputs - 1, most).astype(int))
     centres = windows.centres[chosen]
-    return Rest(position[centres], windows.apply(torque)[chosen], time[centres])
+    torque = windows.apply(torque)[chosen]
+    return Rest(recording.position[centres], torque, recording.time[centres])
 
 
 # --- signals that disagree, or follow each other ------------------------------------------------

@@ -153,11 +153,9 @@ def observe(
     """
     numbers, prepared = _prepare(recording, processing, resolution)
     if prepared.filter.n_outputs == 0:
-        raise BadInput(
-            f"recording '{recording.name}', dead_zone",
-            "the joint is never faster than the dead zone for a whole window",
-            "lower dead_zone (0 for none), or decimate less",
-        )
+        problem = "the joint is never faster than the dead zone for a whole window"
+        hint = "lower dead_zone (0 for none), or decimate less"
+        raise BadInput(f"recording '{recording.name}', dead_zone", problem, hint)
     q, qd, windows = prepared.q, prepared.qd, prepared.filter
     segments, period = recording.segments, recording.period
     compared = prepared.compared & ~recording.excluded
@@ -178,13 +176,12 @@ def observe(
     inputs, standstill = _filtered_inputs(recording, settings), None
     if processing.rest:
         standstill = checks.standstill_outputs(
-            recording.position,
+            recording,
             filtered_torque,
-            recording.time,
-            windows.taps,
             prepared.parts,
-            numbers.factor,
             prepared.still,
+            windows.taps,
+            numbers.factor,
             numbers.guard,
         )
         settings["rest_outputs"] = 0 if standstill is None else standstill.q.size
@@ -347,26 +344,13 @@ def with_motion(
 ) -> Observation:
     """Replace the low-passed motion by a refined one; the torque is then not low-passed."""
     settings = {**o.settings, "torque_lowpass": 0.0, "motion": "refined"}
-    step = (
-        f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes the "
-        "measured torque, which is not low-passed"
-    )
-    return replace(
-        o,
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        smooth=o.qdd,
-        speed=qd[o.filter.centres],
-        measured=o.filter.apply(o.compared),
-        inputs=replace(
-            o.inputs,
-            load_torque=recording.inputs.load_torque,
-            others=recording.inputs.others,
-        ),
-        steps=(*o.steps, step),
-        settings=settings,
-    )
+    step = f"motion: above {float(settings['lowpass']):.4g} Hz the one with which the model takes "
+    step += "the measured torque, which is not low-passed"
+    raw = recording.inputs
+    inputs = replace(o.inputs, load_torque=raw.load_torque, others=raw.others)
+    speed, measured = qd[o.filter.centres], o.filter.apply(o.compared)
+    unchanged = replace(o, inputs=inputs, steps=(*o.steps, step), settings=settings, smooth=o.qdd)
+    return replace(unchanged, q=q, qd=qd, qdd=qdd, speed=speed, measured=measured)
 
 
 def settled(recording: Measurement, processing: Processing) -> Processing:
@@ -491,42 +475,35 @@ def _lay(
         moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
     # the low-pass smears excluded samples past their borders, as past a segment's ends
     parts = without_excluded(trimmed, near(recording.excluded, trim))
-    everything = np.ones(len(moving), dtype=np.bool_)
     where = f"recording '{recording.name}'"
     length = parallel_length(numbers.factor, numbers.band, numbers.fs)
-    longest = max(b - a for a, b in recording.segments)
+    longest = max(b - a for a, b in segments)
     # before the weights are made: there may be more of them than memory
     if length > longest:
-        raise BadInput(
-            f"{where}, decimate",
-            f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
-            f"segment has {longest}",
-            "decimate less, raise band, or record longer",
-        )
+        problem = f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
+        hint = "decimate less, raise band, or record longer"
+        raise BadInput(f"{where}, decimate", f"{problem}segment has {longest}", hint)
     taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
-
-    def lay(segments: Segments, usable: Flags) -> ParallelFilter:
-        return lay_windows(taps, segments, numbers.factor, usable, share)
-
-    untrimmed = lay(recording.segments, everything).n_outputs
-    inner = lay(trimmed, everything).n_outputs
-    included = lay(parts, everything).n_outputs
+    everything = np.ones(len(moving), dtype=np.bool_)
+    untrimmed, inner, included = (
+        lay_windows(taps, ranges, numbers.factor, everything).n_outputs
+        for ranges in (segments, trimmed, parts)
+    )
     if inner == 0:
-        raise BadInput(
-            f"{where}, trim",
-            f"trim = {numbers.trim_samples * recording.period:.3g} s leaves no segment of {length} "
-            "samples",
-            "trim less, decimate less, or record longer",
-        )
+        problem = f"trim = {trim * recording.period:.3g} s leaves no segment of {length} samples"
+        raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
     if included == 0:
         raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
-    windows = lay(parts, moving)
+    windows = lay_windows(taps, parts, numbers.factor, moving, share)
     dropped = {
         "dropped_trim": untrimmed - inner,
         "dropped_excluded": inner - included,
         "dropped_dead_zone": included - windows.n_outputs,
     }
     return _Prepared(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
+
+
+# --- warnings and steps in words ----------------------------------------------------------------
 
 
 def _band_warnings(numbers: _Numbers, recording: Measurement) -> Iterator[str]:
@@ -570,53 +547,45 @@ def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str
 
 
 def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iterator[str]:
+    resolution, trim = numbers.resolution, numbers.trim_samples
     both = ", of both position and torque" if settings["torque_lowpass"] else ""
-    yield (
-        f"low-pass: zero-phase Butterworth of order {settings['order']} at "
-        f"{numbers.cutoff:.4g} Hz ({numbers.fs:.4g} Hz sampling){both}"
-        if numbers.cutoff
-        else "low-pass: none"
-    )
+    how = f"zero-phase Butterworth of order {settings['order']} at {numbers.cutoff:.4g} Hz "
+    how += f"({numbers.fs:.4g} Hz sampling){both}"
+    yield f"low-pass: {how if numbers.cutoff else 'none'}"
     end = numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
     for signal, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
         if lag:
             times = math.hypot(1.0, (end / lag.cutoff) ** lag.order)
             yield (
-                f"{signal}: the low-pass at {lag.cutoff:.4g} Hz is undone; at the end of "
-                f"the band that makes it, and noise from after the filter, {times:.2g} times "
-                "as large"
+                f"{signal}: the low-pass at {lag.cutoff:.4g} Hz is undone, which makes it and "
+                f"later noise {times:.2g} times as large at the end of the band"
             )
-    of, length = "position", "rad" if recording.motion == "rotary" else "m"
-    unit, used = length, "differentiated position"
-    if recording.velocity is not None:
-        of, unit, used = "speed", f"{length}/s", "measured velocity"
+    length = "rad" if recording.motion == "rotary" else "m"
+    signal, unit = ("position", length) if recording.velocity is None else ("speed", f"{length}/s")
     how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
+    used = "differentiated position" if recording.velocity is None else "measured velocity"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
-    resolution = numbers.resolution
     if "acceleration_ratio" in settings:
         yield (
             f"signal to noise of the acceleration in the band to {resolution.band:.3g} Hz (rms): "
-            f"{resolution.acceleration_ratio:.3g}; noise of a sample of the {of} "
+            f"{resolution.acceleration_ratio:.3g}; noise of a sample of the {signal} "
             f"{resolution.noise:.2g} {unit}"
         )
     ended = {
         "sampling": "as wide as the sampling rate allows",
         "position": "beyond which the position does not resolve the acceleration",
         "torque": "beyond which the torque has next to no power",
-        "length": "the narrowest that leaves enough outputs of so short a recording; its position "
-        "or torque would need a narrower one",
-        "model": "as in a wider one the inertia comes out smaller and more torque is unexplained: "
-        "there is noise in the acceleration that grows with the motion, such as of time stamps",
+        "length": "the narrowest that leaves enough outputs of so short a recording",
+        "model": "as noise that grows with the motion, such as of time stamps, takes from the "
+        "inertia in a wider one",
         "asked": "as set, or as the fitted part's",
     }
     yield f"band: ends at {end:.3g} Hz, {ended[resolution.reason]}"
-    yield f"trim: {numbers.trim_samples} samples off both ends of every segment"
-    yield (
-        "parallel filter: none, every sample is an output"
-        if settings["taps"] == 1
-        else f"parallel filter: {settings['taps']} taps, cut-off "
-        f"{settings['filter_cutoff']:.4g} Hz, one output in {numbers.factor} samples"
-    )
+    yield f"trim: {trim} samples off both ends of every segment"
+    how = f"{settings['taps']} taps, cut-off {settings['filter_cutoff']:.4g} Hz, one output in "
+    how += f"{numbers.factor} samples"
+    every = "none, every sample is an output"
+    yield f"parallel filter: {every if settings['taps'] == 1 else how}"
     slow = checks.too_slow(f"{settings['dead_zone']:.3g} {length}/s")
     dropped, left = int(settings["dropped_dead_zone"]), int(settings["n_outputs"])
     rest = f"; {n} at rest" if (n := settings.get("rest_outputs", 0)) else ""
@@ -637,12 +606,10 @@ def timed(o: Observation, recording: Measurement, delay: float) -> Observation:
     """Use the torque of ``delay`` seconds earlier, up to the trimmed ends."""
     longest = longest_delay(o, recording.period)
     if abs(delay) > longest:
-        raise BadInput(
-            f"recording '{recording.name}', delay",
-            f"the position would come {delay:.3g} s late, which is more than the "
-            f"{longest:.3g} s that are trimmed off the ends",
-            "correct the time stamps, or raise trim",
-        )
+        problem = f"the position would come {delay:.3g} s late, which is more than the "
+        problem += f"{longest:.3g} s that are trimmed off the ends"
+        hint = "correct the time stamps, or raise trim"
+        raise BadInput(f"recording '{recording.name}', delay", problem, hint)
     corrected = retimed(o, recording.segments, recording.period, delay, recording)
     signal = "torque" if recording.feedback is None else "target"
     step = f"delay: {signal} of {delay:.3g} s before the position, and what it changes by"

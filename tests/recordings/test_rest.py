@@ -5,6 +5,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.recordings.checks import standstill_outputs, standstill_samples
+from tests.conftest import made_recording
 
 STEP = 2.0 * np.pi / 4096
 
@@ -46,12 +47,13 @@ def test_windows_lie_inside_and_keep_off_the_ends():
     still[50:150] = True
     taps = np.full(11, 1 / 11)
     ramp = np.arange(200.0)
-    found = standstill_outputs(np.zeros(200), ramp, ramp, taps, ((0, 200),), 3, still, 20)
-    assert found.torque == pytest.approx(found.stamps)
-    assert found.stamps.min() >= 50 + 20 + 5
-    assert found.stamps.max() <= 149 - 20 - 5
-    assert np.diff(found.stamps) == pytest.approx(3.0)
-    assert standstill_outputs(np.zeros(200), ramp, ramp, taps, ((0, 200),), 3, still, 46) is None
+    recording = made_recording(ramp, np.zeros(200), ramp, 1.0)
+    rest = standstill_outputs(recording, ramp, ((0, 200),), still, taps, 3, 20)
+    assert rest.torque == pytest.approx(rest.stamps)
+    assert rest.stamps.min() >= 50 + 20 + 5
+    assert rest.stamps.max() <= 149 - 20 - 5
+    assert np.diff(rest.stamps) == pytest.approx(3.0)
+    assert standstill_outputs(recording, ramp, ((0, 200),), still, taps, 3, 46) is None
 
 
 def stop_and_go():
