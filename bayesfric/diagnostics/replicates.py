@@ -122,7 +122,7 @@ def _measure(
         position=position,
         velocity=velocity,
         torque=torque,
-        held=None,
+        held=False,
         torque_lag=None,
         velocity_lag=None,
     )

@@ -222,7 +222,7 @@ def speed_delay(
     if (now := unexplained(0)) < 0.01:
         return None
     lags = np.arange(-furthest, furthest + 1)
-    left = np.array([unexplained(lag) for lag in lags])
+    left = np.array([unexplained(lag) for lag in lags.tolist()])
     k = int(left.argmin())
     if not 0 < k < lags.size - 1 or left[k] > 0.5 * now:
         return None

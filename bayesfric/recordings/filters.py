@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -175,29 +174,6 @@ def delayed_command(command: Array, segments: Segments, samples: float, *, held:
     for a, b in segments:
         late[a:b] = later(command[a:b], samples + 0.5 * held)
     return averaged(late, segments, 1.0) if held else late
-
-
-def integrated_kinks(values: Array, segments: Segments, *, false_kinks: float = 0.05) -> Array:
-    """Correct a torque ``(n,)`` behind a current loop for the kinks at its commands' samples.
-
-    The trapezoid rule misses a twelfth of the slope's jump there (Euler and Maclaurin), which is
-    added. A kink is a second difference that noise of their median size would show once in
-    ``1 / false_kinks`` recordings.
-    """
-    result = values.copy()
-    for a, b in segments:
-        if b - a < 5:
-            continue
-        bend = np.zeros(b - a)
-        bend[1:-1] = np.diff(values[a:b], 2)
-        # a normal's standard deviation from the median absolute value
-        sd = 1.482602218505602 * np.median(np.abs(bend))
-        threshold = NormalDist().inv_cdf(1.0 - 0.5 * false_kinks / bend.size) * sd
-        neighbour = np.maximum(np.abs(np.roll(bend, 1)), np.abs(np.roll(bend, -1)))
-        kinks = (np.abs(bend) > threshold) & (np.abs(bend) >= neighbour) & (threshold > 0.0)
-        smooth = 0.5 * (np.roll(bend, 2) + np.roll(bend, -2))
-        result[a:b] += np.where(kinks, bend - smooth, 0.0) / 12.0
-    return result
 
 
 def inverse_lowpass(

@@ -252,9 +252,7 @@ class Measurement:
     back_emf: Array | None = None  # (n,) subtracted from a torque from a voltage, N m or N
     # (n,) subtracted from the command of a position target, in its unit
     feedback: Array | None = None
-    # torque is a command held until the next sample, or else measured behind a loop that gets its
-    # commands at the samples; None where neither is known
-    held: bool | None = None
+    held: bool = False  # whether torque is a command held until the next sample
     torque_lag: Lag | None = None  # low-pass before recording
     velocity_lag: Lag | None = None
     ratio: float = 1.0  # of the gear, motor motion per joint motion

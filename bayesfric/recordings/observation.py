@@ -25,7 +25,6 @@ from bayesfric.recordings.filters import (
     delayed_command,
     derivative,
     finest_step,
-    integrated_kinks,
     inverse_lowpass,
     lay_windows,
     lowpass,
@@ -281,11 +280,7 @@ def applied_torque(recording: Measurement, reach: int) -> Array:
         return target_torque(recording)
     if recording.torque_lag:
         return inverse_lowpass(torque, segments, recording.period, recording.torque_lag, reach)
-    if recording.held is None:
-        return torque
-    if not recording.held:
-        return integrated_kinks(torque, segments)
-    return delayed_command(torque, segments, 0.0, held=True)
+    return delayed_command(torque, segments, 0.0, held=True) if recording.held else torque
 
 
 def target_torque(recording: Measurement, delay: float = 0.0) -> Array:

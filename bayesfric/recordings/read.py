@@ -169,8 +169,7 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         inputs=inputs,
         steps=tuple(steps),
         warnings=tuple(warnings),
-        # a mean over the sample has no kink at the sample
-        held=channel.held if channel.held or channel.sampled == "instant" else None,
+        held=channel.held,
         torque_lag=channel.lag,
         velocity_lag=source.velocity.lag if source.velocity else None,
         motion=drive.motion,
@@ -370,13 +369,13 @@ def _recorded_torque(source: Columns, table: Table, drive: Drive) -> tuple[Effor
             if constant[0].endswith("/V"):
                 step += "; if that is the motor's own voltage, its back-EMF counts as viscous "
                 step += "loss, and the key voltage takes it off"
-        return channel, kind, Law(torque, np.ones(torque.shape), held=bool(channel.held)), step
+        return channel, kind, Law(torque, np.ones(torque.shape), held=channel.held), step
     if (motor := source.current or source.voltage) is not None:
         gives: units.Kind = "current" if isinstance(motor, Current) else "voltage"
         command = _scaled(motor, table, gives, gives)
         factor, back_emf, formula = _motor(gives, motor, table, drive)
         scale = np.full(command.shape, factor)
-        law = Law(command, scale, back_emf=back_emf, held=bool(motor.held))
+        law = Law(command, scale, back_emf=back_emf, held=motor.held)
         return motor, gives, law, f"{kind}: {formula}"
     assert source.target is not None
     target_law, gives, step = _target_law(source.target, table, drive)
@@ -411,7 +410,7 @@ def _target_law(target: Target, table: Table, drive: Drive) -> tuple[Law, units.
         scale = scale * table.column(target.times) * unit
     kp, kd = kp * to_side, kd * to_side
     # no drive holds a mean over the sample
-    held = bool(target.held) and target.sampled == "instant"
+    held = target.held and target.sampled == "instant"
     step = f"{kind}: kp = {target.kp} towards column '{target.column}'"
     step += f"; {formula}" if formula else ""
     return Law(kp * goal, scale, kp, kd, limit, back_emf, held=held), gives, step

@@ -118,11 +118,10 @@ class Effort(Channel):
         "sampling period, of which the stamp is the middle ('average'), the 'start' or the 'end'. "
         "The motion is then averaged alike.",
     )
-    held: bool | None = Field(
-        None,
+    held: bool = Field(
+        False,
         description="true: a command that the drive holds until the next sample, so that it acts "
-        "half a sample later; false: measured behind a current loop that gets its commands at the "
-        "samples, so that it bends there; left out: neither is known.",
+        "half a sample later.",
     )
 
     @property

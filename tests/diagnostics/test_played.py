@@ -145,6 +145,6 @@ def test_a_measured_speed_has_the_noise_and_the_position_none(measured):
     else:
         assert found.velocity is None
     np.testing.assert_array_equal(found.torque, o.torque)
-    assert (found.held, found.torque_lag, found.velocity_lag) == (None, None, None)
+    assert (found.held, found.torque_lag, found.velocity_lag) == (False, None, None)
     # of a motion that cannot be there is nothing to read
     assert _measure(recording, o, (o.q, o.qd, np.full(N, np.nan)), rng) is None

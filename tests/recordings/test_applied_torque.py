@@ -2,48 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
-from scipy.stats import binom
 
-from bayesfric.recordings.filters import integrated_kinks
 from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.observation import applied_torque
 from tests.conftest import made_recording
 
 PERIOD = 0.002
-
-
-def whole(x):
-    return ((0, x.size),)
-
-
-@given(bend=st.integers(10, 80), slope=st.floats(-100.0, 100.0).filter(lambda s: abs(s) > 1e-3))
-def test_a_sum_is_the_integral_where_the_slope_jumps_at_a_sample(bend, slope):
-    """Euler and Maclaurin: the trapezoid rule is off by dt²/12 of each jump of the slope."""
-    k = np.arange(101)
-    smooth = 1e-3 * slope * np.sin(2.0 * np.pi * k / 100)
-    kinked = np.where(k > bend, 1.0 - np.exp(-(k - bend) * PERIOD / 0.02), 0.0) * 0.02 * slope
-    found = integrated_kinks(kinked + smooth, whole(k))
-    # of the exponential from the bend on, beside the smooth part, whose sum is its integral
-    exact = slope * 0.02 * ((t := (100 - bend) * PERIOD) - 0.02 * (1.0 - np.exp(-t / 0.02)))
-    ends = 0.5 * (kinked[0] + kinked[-1])
-
-    def off(x):
-        return PERIOD * (x - smooth).sum() - PERIOD * ends - exact
-
-    assert abs(off(found)) < 0.25 * abs(off(kinked + smooth))
-
-
-def test_noise_has_a_bend_in_one_recording_of_twenty():
-    rng = np.random.default_rng(3)
-    seeds = 400
-    bent = sum(
-        bool(np.any(integrated_kinks(x, whole(x)) != x)) for x in rng.standard_normal((seeds, 2000))
-    )
-    # no more than the chance that is allowed; neighbours count twice, so fewer may be
-    assert bent <= binom.ppf(0.999, seeds, 0.05)
 
 
 def test_a_command_that_is_held_acts_half_a_sample_later():
