@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bayesfric.mechanism.element import Element, Load
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
-    from bayesfric.recordings.recording import Recording
+    from bayesfric.recordings.source import Recording
     from bayesfric.rollouts.rollout import rollout
 
 __all__ = [

@@ -27,8 +27,7 @@ from bayesfric.recordings.read import (
 )
 from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import named, recognise
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import CHANNELS, SI, Columns, Source, Torque
+from bayesfric.recordings.source import CHANNELS, SI, Columns, Recording, Source, Torque
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import OPEN
 

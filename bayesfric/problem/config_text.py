@@ -18,8 +18,7 @@ from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.problem.config import Config, parse_config
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Recording, Source
 
 # Name of a model made in Python, in messages.
 _MODEL = Path("Model")

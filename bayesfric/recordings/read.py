@@ -19,7 +19,6 @@ from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.measurement import Grid, Inputs, Law, Measurement, Signal, make_grid
 from bayesfric.recordings.readers import is_recording, read_table, sha256
-from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import (
     SI,
     Channel,
@@ -28,6 +27,7 @@ from bayesfric.recordings.source import (
     Effort,
     Position,
     Processing,
+    Recording,
     Source,
     Target,
     Torque,

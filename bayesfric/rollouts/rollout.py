@@ -26,7 +26,7 @@ from bayesfric.recordings.arrays import Array, Flags, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Recording
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 

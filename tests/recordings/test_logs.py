@@ -8,8 +8,7 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.recordings.readers import TableOptions, read_table, sha256
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Recording, Source
 from tests.recordings import logs
 from tests.recordings.samples import has, measured
 

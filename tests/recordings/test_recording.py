@@ -6,8 +6,7 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Channel, Processing, Source, Torque
+from bayesfric.recordings.source import Channel, Processing, Recording, Source, Torque
 
 from .samples import has, lines, measured, source, swing, write
 

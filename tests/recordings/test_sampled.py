@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Torque
+from bayesfric.recordings.source import Recording, Torque
 
 from .samples import measured, source, write
 
