@@ -217,14 +217,12 @@ class ParallelFilter:
     def excerpt(self, outputs: Index) -> tuple[ParallelFilter, Index]:
         """Return the filter of some rising outputs ``(m,)``, and the samples that it takes."""
         # one after the first, minus one after the last sample of every window
-        borders = np.zeros(self.used.size + 1, dtype=np.int64)
-        np.add.at(borders, self.starts[outputs], 1)
-        np.add.at(borders, self.starts[outputs] + len(self.taps), -1)
+        borders, starts = np.zeros(self.used.size + 1, dtype=np.int64), self.starts[outputs]
+        np.add.at(borders, starts, 1)
+        np.add.at(borders, starts + len(self.taps), -1)
         inside = np.cumsum(borders[:-1]) > 0
-        places = np.cumsum(inside) - 1
-        chosen = ParallelFilter(
-            self.taps, places[self.starts[outputs]], self.used[inside], self.gains[outputs]
-        )
+        starts = (np.cumsum(inside) - 1)[starts]
+        chosen = ParallelFilter(self.taps, starts, self.used[inside], self.gains[outputs])
         return chosen, np.flatnonzero(inside)
 
     @property
@@ -237,18 +235,11 @@ class ParallelFilter:
 
         From weights (k, M) of outputs to (k, N) of samples.
         """
-        out = np.zeros((len(weights), self.used.size))
-        weighed = weights * self.gains
-        for shift, tap in enumerate(self.taps):
-            # windows begin at different samples
-            out[:, self.starts + shift] += tap * weighed
-        return out * self.used
+        return np.asarray(weights @ self._matrix)
 
     def apply(self, x: Array) -> Array:
         """Filter and decimate one or more signals, shape (..., N) to (..., M)."""
         x = np.asarray(x, dtype=np.float64)
-        if len(self.taps) == 1:
-            return np.asarray(x[..., self.starts] * (self.taps[0] * self.gains))
         rows = x.reshape(-1, x.shape[-1]).T
         out = np.ascontiguousarray((self._matrix @ rows).T)
         return out.reshape(*x.shape[:-1], self.n_outputs)
@@ -272,18 +263,15 @@ def decimation(band: float, fs: float) -> int:
 
 def parallel_length(factor: int, band: float | None, fs: float) -> int:
     """Return how many weights :func:`parallel_taps` has, without making them."""
-    if band is None and factor == 1:
-        return 1
-    nyquist = fs / (2 * factor)
     if band is None:
-        return 8 * factor + 1
+        return 8 * factor + 1 if factor > 1 else 1
     check_cutoff(band, fs, "processing, band")
     # a narrower band needs a longer window for the same steepness
-    return 2 * int(np.ceil(2 * fs / band)) + 1 if band < nyquist else 8 * factor + 1
+    return 2 * int(np.ceil(2 * fs / band)) + 1 if band < fs / (2 * factor) else 8 * factor + 1
 
 
 def parallel_cutoff(factor: int, band: float | None, fs: float) -> float:
-    """Cut-off in Hz, -6 dB, of the parallel filter; see :func:`parallel_taps`."""
+    """Return the cut-off in Hz, -6 dB, of the parallel filter; see :func:`parallel_taps`."""
     return _WHITE * fs / (2 * factor) if band is None else band
 
 
