@@ -132,7 +132,9 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     if channel.sampled != "instant":
         # position and speed pass the same averaging as the torque
         length = float(np.median(np.diff(time))) / grid.period
-        law = replace(law, command=_centred(law.command, channel.sampled, grid, length))
+        shift = {"start": 0.5, "end": -0.5}.get(channel.sampled, 0.0) * length
+        command = filters.delayed_command(law.command, grid.segments, shift, held=False)
+        law = replace(law, command=command)
         joint = filters.averaged(joint, grid.segments, length)
         speed = None if speed is None else filters.averaged(speed, grid.segments, length)
         stamped = {"average": "the middle"}.get(channel.sampled, f"the {channel.sampled}")
@@ -445,15 +447,6 @@ def _gain(
     raise BadInput(where, f"'{text}' is no gain", f"give it in one of {wanted}")
 
 
-def _centred(signal: Array, sampled: str, grid: Grid, length: float) -> Array:
-    """Shift means over ``length`` samples, stamped at their start or end, to their middles."""
-    shift = {"start": 0.5, "end": -0.5}.get(sampled, 0.0) * length
-    out = signal.copy()
-    for a, b in grid.segments:
-        out[a:b] = filters.later(signal[a:b], shift)
-    return out
-
-
 def _differentiated(position: Array, grid: Grid, processing: Processing) -> Array:
     """Differentiate the low-passed position ``(n,)`` of the joint."""
     fs = 1 / grid.period
@@ -489,13 +482,10 @@ def _sha256(source: Columns, table: Table) -> str:
 def _named_files(source: Source, folder: Path) -> list[tuple[Path, str]]:
     """Name the files of a source: by its ``name``, by stem, or by the parts that differ."""
     paths = recorded_files(source, folder)
-    if source.name is not None and len(paths) > 1:
-        raise BadInput(
-            f"name = '{source.name}'",
-            f"one name for {len(paths)} files",
-            "leave name out, or give every file its own entry",
-        )
     if source.name is not None:
+        if len(paths) > 1:
+            where, problem = f"name = '{source.name}'", f"one name for {len(paths)} files"
+            raise BadInput(where, problem, "leave name out, or give every file its own entry")
         return [(paths[0], source.name)]
     absolute = [Path(os.path.abspath(path)) for path in paths]  # noqa: PTH100  (links stay)
     common = os.path.commonpath([path.parent for path in absolute])
