@@ -44,7 +44,7 @@ _HOMES = {
     "Joint": "mechanism.joint",
     "Load": "mechanism.element",
     "Model": "fit.model",
-    "Recording": "recordings.recording",
+    "Recording": "recordings.source",
     "Term": "mechanism.own_term",
     "check": "fit.check_report",
     "export": "export.exported",
