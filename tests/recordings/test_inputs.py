@@ -97,15 +97,6 @@ def test_losses_per_kelvin_are_found_again(unit):
     assert model.identification().directions == ()
 
 
-def test_explain_tries_them_where_a_temperature_was_recorded():
-    plain = bf.Joint(
-        [bf.Element("motor", inertia=True, coulomb="symmetric", viscous=True)],
-        load=bf.Load(first_moment=True),
-    )
-    found = bf.Model(plain, warmed()).explain()
-    assert found.findings[0].hint == 'mechanism.elements.motor.temperature = "both"'
-
-
 def test_a_recording_without_one_is_refused():
     with pytest.raises(BadInput, match=r"has no temperature.*temperature = "):
         bf.Model(JOINT, warmed(temperature=None, units={}))
