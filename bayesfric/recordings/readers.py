@@ -233,11 +233,11 @@ def _delimiter(path: Path, lines: Sequence[str], options: TableOptions) -> str:
 
 
 def _width(flags: Sequence[Sequence[bool]]) -> int:
-    """Return the number of columns most lines with numbers have, 0 if there are none."""
+    """Return the number of columns of the lines with most numbers, 0 if there are none."""
     counts = Counter[int]()
     for line in flags:
         counts[len(line)] += sum(line)
-    width, weight = max(counts.items(), key=lambda item: (item[1], item[0]), default=(0, 0))
+    weight, width = max(((weight, width) for width, weight in counts.items()), default=(0, 0))
     return width if weight else 0
 
 
@@ -499,16 +499,10 @@ _UNITS = {
     "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N", "wrench.torque": "N m"},
 }
 # Message types without measurements.
-_NOT_MEASURED = {
-    "rcl_interfaces/msg/Log",
-    "rcl_interfaces/msg/ParameterEvent",
-    "rosbag2_interfaces/msg/WriteSplitEvent",
-    "rosgraph_msgs/msg/Log",
-    "rosgraph_msgs/msg/Clock",
+_NOT_MEASURED = (
+    "rcl_interfaces/", "rosbag2_interfaces/", "rosgraph_msgs/", "diagnostic_msgs/", "tf2_msgs/",
     "std_msgs/msg/String",
-    "diagnostic_msgs/msg/DiagnosticArray",
-    "tf2_msgs/msg/TFMessage",
-}
+)  # fmt: skip
 
 
 def _read_bag(path: Path, options: TableOptions) -> Table:
@@ -534,10 +528,9 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
     names = ["received", *dict.fromkeys(name for row in rows for name in row)]
     units = {"received": "s"}
     for name in names[1:]:
-        first = next(row[name] for row in rows if name in row)
         of_kind = _UNITS.get(kind, {}).items()
         unit = next((unit for begin, unit in of_kind if name.startswith(begin)), "")
-        units[name] = "s" if _is_time(first) else unit
+        units[name] = "s" if _is_time(next(row[name] for row in rows if name in row)) else unit
 
     def load(index: int) -> NDArray[Any]:
         if index == 0:
@@ -563,7 +556,8 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
 def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Sequence[Any]]:
     """Choose a topic: its name, its type and its connections."""
     topics = {name: topic for name, topic in reader.topics.items() if topic.msgcount}
-    useful = [name for name, topic in topics.items() if topic.msgtype not in _NOT_MEASURED]
+    types = {name: topic.msgtype or "several types" for name, topic in topics.items()}
+    useful = [name for name, kind in types.items() if not kind.startswith(_NOT_MEASURED)]
     if wanted is None and len(useful) == 1:
         wanted = useful[0]
     where = str(path) if wanted is None else f"{path}, table '{wanted}'"
@@ -572,13 +566,12 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
         problem = "there is no message on this topic" if wanted else "holds no one topic of numbers"
         hint = f"name one of {known} with table" if known else "check what was recorded"
         raise BadInput(where, problem, hint)
-    topic = topics[wanted]
-    kind = topic.msgtype or "several types"
+    kind = types[wanted]
     if kind not in reader.typestore.fielddefs:
         problem = f"holds messages of {kind}, of which there is no one definition"
         hint = "record one type a topic, as MCAP, which holds definitions, or 'ros2 bag convert' it"
         raise BadInput(where, problem, hint)
-    return wanted, kind, topic.connections
+    return wanted, kind, topics[wanted].connections
 
 
 def _fields(value: Any, name: str = "", joints: Sequence[Any] = ()) -> Iterator[tuple[str, Any]]:
