@@ -460,34 +460,24 @@ def _clocks(names: Sequence[str]) -> dict[str, str]:
 
 
 def _read_matlab(path: Path, options: TableOptions) -> Table:
-    """Read a file, one column a vector; ``options.table`` is a dotted path of structs.
-
-    Objects and functions, which only MATLAB can read, are left out, which is noted.
-    """
+    """Read a file, one column a variable; ``options.table`` is a dotted path of structs."""
     with path.open("rb") as file:
         start = file.read(516)
     # of version 7.3, which is HDF5 behind a header of 512 bytes
     if start.startswith(b"MATLAB 7.3") or b"\x89HDF" in (start[:4], start[512:]):
         return _datasets(path, (options.table or "").replace(".", "/"), matlab=True)
     from scipy.io import loadmat
-    from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # objects have no names, and seem doubled
         content = loadmat(path, simplify_cells=True)
-    contents = {key: value for key, value in content.items() if not key.startswith("__")}
-    kinds = (MatlabFunction, MatlabOpaque)
-    variables = {key: value for key, value in contents.items() if not isinstance(value, kinds)}
-    objects = ", ".join(key for key in contents if key not in variables)
-    variables = _inside(str(path), variables, options.table)
-    if not isinstance(variables, dict):
-        raise BadInput(f"{path}, table '{options.table}'", "is no struct", "name a struct")
-    if not variables:
-        problem = "holds only objects and functions" if contents else "holds no variables"
-        raise BadInput(str(path), problem, "save the columns as plain arrays")
+    content = {key: value for key, value in content.items() if not str(key).startswith("__")}
+    variables = _inside(str(path), content, options.table)
+    if not isinstance(variables, dict) or not variables:
+        where = f"{path}, table '{options.table}'" if options.table else str(path)
+        raise BadInput(where, "holds no variables", "name a struct of vectors with table")
     values = list(variables.values())
-    notes = (f"objects left out, which only MATLAB reads: {objects}",) if objects else ()
-    return Table(str(path), list(variables), lambda i: np.asarray(values[i]), notes=notes)
+    return Table(str(path), list(map(str, variables)), lambda index: np.asarray(values[index]))
 
 
 # --- ROS ----------------------------------------------------------------------------------------
