@@ -112,36 +112,6 @@ class Observation:
         return float(f"{max(turns, 5.0) / max(self.period * centres.size, 1e-9):.2g}")
 
 
-@dataclass(frozen=True)
-class _Numbers:
-    """Processing settings with all defaults resolved."""
-
-    fs: float
-    cutoff: float
-    factor: int
-    band: float | None
-    trim_samples: int
-    reach: int
-    guard: int
-    resolution: Resolution
-
-    @property
-    def filters_torque(self) -> bool:
-        """Whether the torque passes the position's low-pass, too.
-
-        Then both lose the same at the band's end. Not where every sample is an output, as it would
-        colour the noise, nor with central differences, as in published analyses.
-        """
-        return self.reach > 1 and self.cutoff > 0.0 and self.used_band > 0.0
-
-    @property
-    def used_band(self) -> float:
-        """Hz of the parallel filter; 0 for none."""
-        if self.band is not None:
-            return self.band
-        return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
-
-
 def observe(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
 ) -> Observation:
@@ -150,7 +120,7 @@ def observe(
     Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
     carry, and settings that leave no output, are bad input.
     """
-    numbers, prepared = _prepare(recording, processing, resolution)
+    filters, prepared = _prepare(recording, processing, resolution)
     if prepared.filter.n_outputs == 0:
         problem = "the joint is never faster than the dead zone for a whole window"
         hint = "lower dead_zone (0 for none), or decimate less"
@@ -158,19 +128,19 @@ def observe(
     q, qd, windows = prepared.q, prepared.qd, prepared.filter
     segments, period = recording.segments, recording.period
     compared = prepared.compared & ~recording.excluded
-    warnings = [*recording.warnings, *_band_warnings(numbers, recording)]
-    settings = _settings(recording, processing, numbers, prepared)
+    warnings = [*recording.warnings, *_band_warnings(filters, recording)]
+    settings = _settings(recording, processing, filters, prepared)
     if law := checks.feedback(recording.torque, q, qd, compared):
         settings["feedback"] = law[0]
     if recording.velocity is not None:
-        speed = derivative(q, segments, period, numbers.reach)
+        speed = derivative(q, segments, period, filters.reach)
         factor = checks.speed_mismatch(qd, speed, compared)
         warnings += _velocity_warnings(factor, checks.speed_delay(qd, speed, compared, period))
         # a smaller mismatch may come from filters
         if factor is not None and not 0.5 < factor < 2.0:
             settings["velocity_factor"] = factor
     borders = np.array([a for a, _ in segments], dtype=np.int64)
-    torque = applied_torque(recording, numbers.reach)
+    torque = applied_torque(recording, filters.reach)
     filtered_torque = as_position(torque, segments, period, settings)
     inputs, standstill = _filtered_inputs(recording, settings), None
     if processing.rest:
@@ -180,8 +150,8 @@ def observe(
             prepared.parts,
             prepared.still,
             windows.taps,
-            numbers.factor,
-            numbers.guard,
+            filters.factor,
+            filters.guard,
         )
         settings["rest_outputs"] = 0 if standstill is None else standstill.q.size
         if standstill is None:
@@ -193,18 +163,18 @@ def observe(
         name=recording.name,
         q=q,
         qd=qd,
-        qdd=derivative(qd, segments, period, numbers.reach),
+        qdd=derivative(qd, segments, period, filters.reach),
         torque=torque,
         compared=torque,
         filter=windows,
         time=recording.time[windows.centres],
         measured=windows.apply(filtered_torque),
         speed=qd[windows.centres],
-        period=numbers.factor * period,
+        period=filters.factor * period,
         segment_of=np.searchsorted(borders, windows.starts, side="right").astype(np.int64) - 1,
         stamps=recording.time,
         inputs=inputs,
-        steps=(*recording.steps, *_step_sentences(numbers, recording, settings)),
+        steps=(*recording.steps, *_step_sentences(filters, recording, settings)),
         warnings=tuple(warnings),
         settings=settings,
         position_step=finest_step(recording.position),
@@ -217,27 +187,27 @@ def observe(
 
 
 def _settings(
-    recording: Measurement, processing: Processing, numbers: _Numbers, prepared: _Prepared
+    recording: Measurement, processing: Processing, filters: _Filters, prepared: _Windows
 ) -> Settings:
-    resolution = numbers.resolution
+    resolution = filters.resolution
     settings: Settings = {
-        "sampling_rate": numbers.fs,
-        "lowpass": numbers.cutoff,
+        "sampling_rate": filters.fs,
+        "lowpass": filters.cutoff,
         "order": processing.order,
-        "decimate": numbers.factor,
-        "band": numbers.used_band,
-        "filter_cutoff": parallel_cutoff(numbers.factor, numbers.band, numbers.fs),
+        "decimate": filters.factor,
+        "band": filters.used_band,
+        "filter_cutoff": parallel_cutoff(filters.factor, filters.band, filters.fs),
         "differentiation": processing.differentiation,
         "velocity": "differentiated" if recording.velocity is None else "measured",
-        "reach": numbers.reach,
-        "guard": numbers.guard,
+        "reach": filters.reach,
+        "guard": filters.guard,
         "band_by": resolution.reason,
         "noise_seen": resolution.noise,
         "dead_zone": prepared.dead_zone,
         "rest": processing.rest,
-        "trim": numbers.trim_samples * recording.period,
-        "trim_samples": numbers.trim_samples,
-        "torque_lowpass": numbers.cutoff if numbers.filters_torque else 0.0,
+        "trim": filters.trim_samples * recording.period,
+        "trim_samples": filters.trim_samples,
+        "torque_lowpass": filters.cutoff if filters.filters_torque else 0.0,
         "motion": "encoder",
         "taps": len(prepared.filter.taps),
         "n_samples": len(prepared.q),
@@ -267,6 +237,192 @@ def _filtered_inputs(recording: Measurement, settings: Settings) -> Inputs:
         load_torque=None if inputs.load_torque is None else filtered(inputs.load_torque),
         others={name: filtered(signal) for name, signal in inputs.others.items()},
     )
+
+
+# --- choice of filters and windows ----------------------------------------------------------------
+
+
+def settled(recording: Measurement, processing: Processing) -> Processing:
+    """Fix a recording's filters, so that another part of it gets the same."""
+    filters, _ = _prepare(recording, processing)
+    return processing.model_copy(update={"lowpass": filters.cutoff, "decimate": filters.factor})
+
+
+def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
+    """Return the samples of one window, and from one output to the next."""
+    filters = _choose_filters(recording, processing)
+    return parallel_length(filters.factor, filters.band, filters.fs), filters.factor
+
+
+@dataclass(frozen=True)
+class _Filters:
+    """Filters of a recording, with all defaults resolved."""
+
+    fs: float  # Hz, of the sampling
+    cutoff: float  # Hz, of the position's low-pass; 0 for none
+    factor: int  # samples an output
+    band: float | None  # Hz, as given
+    trim_samples: int
+    reach: int  # neighbours on either side of a derivative
+    guard: int  # samples left out next to a standstill
+    resolution: Resolution
+
+    @property
+    def filters_torque(self) -> bool:
+        """Whether the torque passes the position's low-pass, too.
+
+        Then both lose the same at the band's end. Not where every sample is an output, as it would
+        colour the noise, nor with central differences, as in published analyses.
+        """
+        return self.reach > 1 and self.cutoff > 0.0 and self.used_band > 0.0
+
+    @property
+    def used_band(self) -> float:
+        """Hz of the parallel filter; 0 for none."""
+        if self.band is not None:
+            return self.band
+        return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """The filtered motion ``(N,)`` and the windows laid over it."""
+
+    q: Array
+    qd: Array
+    compared: Flags
+    dead_zone: float
+    filter: ParallelFilter
+    dropped: dict[str, int]
+    still: Flags  # (N,) at standstill, where requested
+    parts: Segments  # without their ends and excluded spans
+
+
+def _prepare(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> tuple[_Filters, _Windows]:
+    """Resolve the settings and lay the windows, so that enough of them remain."""
+    filters = _choose_filters(recording, processing, resolution)
+    prepared = _filter_and_lay_windows(recording, processing, filters, SMALL_SHARE)
+    count = prepared.filter.n_outputs
+    # the dead zone must leave a fifth of the windows, and sixty
+    if count < max(0.2 * (count + prepared.dropped["dropped_dead_zone"]), 60):
+        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
+        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
+        if processing.lowpass is None:
+            filters = _lower_lowpass(recording, processing, filters)
+        prepared = _filter_and_lay_windows(recording, processing, filters, LARGE_SHARE)
+    return filters, prepared
+
+
+def _choose_filters(
+    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+) -> _Filters:
+    fs = 1 / recording.period
+    where = f"recording '{recording.name}'"
+    cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
+    if band is not None:
+        check_cutoff(band, fs, f"{where}, band")
+    if cutoff is None and factor is None:
+        # the band that is compared determines both
+        resolution = resolve(recording, band)
+        if band is None:
+            longest = max(b - a for a, b in recording.segments)
+            # twenty windows and trims should fit into the longest segment
+            limit = max(round(0.5 / WIDEST), longest // 20)
+            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
+        else:
+            factor = min(decimation(band, fs), len(recording.time))
+        cutoff = lowpass_above(band or fs / (2 * factor), fs)
+    else:
+        cutoff = fs / 10 if cutoff is None else cutoff
+        if factor is None and band is not None:
+            factor = decimation(band, fs)
+        elif factor is None:
+            factor = max(1, round(fs / cutoff)) if cutoff else 1
+        factor = min(factor, len(recording.time))  # larger ones leave no output either
+        half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
+        resolution = resolution or resolve(recording, half if band is None else band)
+    if cutoff:
+        check_cutoff(cutoff, fs, f"{where}, lowpass")
+    reach = reach_of(processing.differentiation, cutoff, fs)
+    one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
+    if processing.trim is None:
+        trim = max(_TRIM, 2 * reach, one_period)
+    else:
+        # more than there are would only cost memory
+        trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
+    trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
+    return _Filters(fs, cutoff, factor, band, trim, reach, max(_TRIM, one_period), resolution)
+
+
+def _lower_lowpass(recording: Measurement, processing: Processing, filters: _Filters) -> _Filters:
+    """Lower the low-pass until the acceleration behind it is more than its noise."""
+    band = filters.used_band or filters.fs / 2
+    # higher above the band, so that the effect of samples left out reaches fewer neighbours
+    cutoff = lowpass_above(band, filters.fs, 6.0)
+    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
+        cutoff = max(cutoff / 1.5, 2.0 * band)
+    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": filters.factor})
+    return replace(_choose_filters(recording, lower), resolution=filters.resolution)
+
+
+def _filter_and_lay_windows(
+    recording: Measurement, processing: Processing, filters: _Filters, share: float
+) -> _Windows:
+    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
+    segments, trim = recording.segments, filters.trim_samples
+    q, qd = filtered_motion(recording, filters.cutoff, processing.order, filters.reach)
+    # nothing may be left of a segment
+    trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
+    inside = np.zeros(len(q), dtype=np.bool_)
+    for a, b in trimmed:
+        inside[a:b] = True
+    dead_zone = processing.dead_zone
+    if isinstance(dead_zone, str):
+        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
+    elif dead_zone is None:
+        speeds = np.abs(qd[inside])
+        dead_zone = 0.01 * float(np.percentile(speeds, 99)) if speeds.size else 0.0
+    moving = checks.moving_samples(qd, segments, dead_zone, filters.guard)
+    still = np.zeros(len(q), dtype=np.bool_)
+    if processing.rest:
+        still = checks.standstill_samples(recording.position, segments, 2 * filters.guard)
+        moving &= ~near(still, filters.guard)
+    if share > SMALL_SHARE and filters.cutoff:
+        # the low-pass smears the jolt of a reversal over a period on either side
+        moving &= ~near(~moving, round(filters.fs / filters.cutoff))
+    # the low-pass smears excluded samples past their borders, as past a segment's ends
+    parts = without_excluded(trimmed, near(recording.excluded, trim))
+    where = f"recording '{recording.name}'"
+    length = parallel_length(filters.factor, filters.band, filters.fs)
+    longest = max(b - a for a, b in segments)
+    # before the weights are made: there may be more of them than memory
+    if length > longest:
+        problem = f"decimate = {filters.factor} needs windows of {length} samples, and the longest "
+        hint = "decimate less, raise band, or record longer"
+        raise BadInput(f"{where}, decimate", f"{problem}segment has {longest}", hint)
+    taps = parallel_taps(filters.factor, filters.band, filters.fs)
+    everything = np.ones(len(moving), dtype=np.bool_)
+    untrimmed, inner, included = (
+        lay_windows(taps, ranges, filters.factor, everything).n_outputs
+        for ranges in (segments, trimmed, parts)
+    )
+    if inner == 0:
+        problem = f"trim = {trim * recording.period:.3g} s leaves no segment of {length} samples"
+        raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
+    if included == 0:
+        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
+    windows = lay_windows(taps, parts, filters.factor, moving, share)
+    dropped = {
+        "dropped_trim": untrimmed - inner,
+        "dropped_excluded": inner - included,
+        "dropped_dead_zone": included - windows.n_outputs,
+    }
+    return _Windows(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
+
+
+# --- torque and motion ----------------------------------------------------------------------------
 
 
 def applied_torque(recording: Measurement, reach: int) -> Array:
@@ -348,170 +504,20 @@ def with_motion(
     return replace(unchanged, q=q, qd=qd, qdd=qdd, speed=speed, measured=measured)
 
 
-def settled(recording: Measurement, processing: Processing) -> Processing:
-    """Fix a recording's filters, so that another part of it gets the same."""
-    numbers, _ = _prepare(recording, processing)
-    return processing.model_copy(update={"lowpass": numbers.cutoff, "decimate": numbers.factor})
-
-
-def window(recording: Measurement, processing: Processing) -> tuple[int, int]:
-    """Return the samples of one window, and from one output to the next."""
-    numbers = _settle(recording, processing)
-    return parallel_length(numbers.factor, numbers.band, numbers.fs), numbers.factor
-
-
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """The filtered motion ``(N,)`` and the windows laid over it."""
-
-    q: Array
-    qd: Array
-    compared: Flags
-    dead_zone: float
-    filter: ParallelFilter
-    dropped: dict[str, int]
-    still: Flags  # (N,) at standstill, where requested
-    parts: Segments  # without their ends and excluded spans
-
-
-def _prepare(
-    recording: Measurement, processing: Processing, resolution: Resolution | None = None
-) -> tuple[_Numbers, _Prepared]:
-    """Resolve the settings and lay the windows, so that enough of them remain."""
-    numbers = _settle(recording, processing, resolution)
-    prepared = _lay(recording, processing, numbers, SMALL_SHARE)
-    count = prepared.filter.n_outputs
-    # the dead zone must leave a fifth of the windows, and sixty
-    if count < max(0.2 * (count + prepared.dropped["dropped_dead_zone"]), 60):
-        # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
-        # gaps they leave fold noise from above the band into it, which the low-pass must take off.
-        if processing.lowpass is None:
-            numbers = _quieter(recording, processing, numbers)
-        prepared = _lay(recording, processing, numbers, LARGE_SHARE)
-    return numbers, prepared
-
-
-def _settle(
-    recording: Measurement, processing: Processing, resolution: Resolution | None = None
-) -> _Numbers:
-    fs = 1 / recording.period
-    where = f"recording '{recording.name}'"
-    cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
-    if band is not None:
-        check_cutoff(band, fs, f"{where}, band")
-    if cutoff is None and factor is None:
-        # the band that is compared determines both
-        resolution = resolve(recording, band)
-        if band is None:
-            longest = max(b - a for a, b in recording.segments)
-            # twenty windows and trims should fit into the longest segment
-            limit = max(round(0.5 / WIDEST), longest // 20)
-            factor = int(np.clip(round(fs / (2.0 * resolution.band)), 1, limit))
-        else:
-            factor = min(decimation(band, fs), len(recording.time))
-        cutoff = lowpass_above(band or fs / (2 * factor), fs)
-    else:
-        cutoff = fs / 10 if cutoff is None else cutoff
-        if factor is None and band is not None:
-            factor = decimation(band, fs)
-        elif factor is None:
-            factor = max(1, round(fs / cutoff)) if cutoff else 1
-        factor = min(factor, len(recording.time))  # larger ones leave no output either
-        half = fs / (2 * factor) if factor > 1 else cutoff or fs / 2
-        resolution = resolution or resolve(recording, half if band is None else band)
-    if cutoff:
-        check_cutoff(cutoff, fs, f"{where}, lowpass")
-    reach = reach_of(processing.differentiation, cutoff, fs)
-    one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
-    if processing.trim is None:
-        trim = max(_TRIM, 2 * reach, one_period)
-    else:
-        # more than there are would only cost memory
-        trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
-    trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
-    return _Numbers(fs, cutoff, factor, band, trim, reach, max(_TRIM, one_period), resolution)
-
-
-def _quieter(recording: Measurement, processing: Processing, numbers: _Numbers) -> _Numbers:
-    """Lower the low-pass until the acceleration behind it is more than its noise."""
-    band = numbers.used_band or numbers.fs / 2
-    # higher above the band, so that the effect of samples left out reaches fewer neighbours
-    cutoff = lowpass_above(band, numbers.fs, 6.0)
-    while cutoff > 2.0 * band and resolve(recording, cutoff).acceleration_ratio < LEAST_RATIO:
-        cutoff = max(cutoff / 1.5, 2.0 * band)
-    lower = processing.model_copy(update={"lowpass": cutoff, "decimate": numbers.factor})
-    return replace(_settle(recording, lower), resolution=numbers.resolution)
-
-
-def _lay(
-    recording: Measurement, processing: Processing, numbers: _Numbers, share: float
-) -> _Prepared:
-    """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
-    segments, trim = recording.segments, numbers.trim_samples
-    q, qd = filtered_motion(recording, numbers.cutoff, processing.order, numbers.reach)
-    # nothing may be left of a segment
-    trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
-    inside = np.zeros(len(q), dtype=np.bool_)
-    for a, b in trimmed:
-        inside[a:b] = True
-    dead_zone = processing.dead_zone
-    if isinstance(dead_zone, str):
-        dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
-    elif dead_zone is None:
-        speeds = np.abs(qd[inside])
-        dead_zone = 0.01 * float(np.percentile(speeds, 99)) if speeds.size else 0.0
-    moving = checks.moving_samples(qd, segments, dead_zone, numbers.guard)
-    still = np.zeros(len(q), dtype=np.bool_)
-    if processing.rest:
-        still = checks.standstill_samples(recording.position, segments, 2 * numbers.guard)
-        moving &= ~near(still, numbers.guard)
-    if share > SMALL_SHARE and numbers.cutoff:
-        # the low-pass smears the jolt of a reversal over a period on either side
-        moving &= ~near(~moving, round(numbers.fs / numbers.cutoff))
-    # the low-pass smears excluded samples past their borders, as past a segment's ends
-    parts = without_excluded(trimmed, near(recording.excluded, trim))
-    where = f"recording '{recording.name}'"
-    length = parallel_length(numbers.factor, numbers.band, numbers.fs)
-    longest = max(b - a for a, b in segments)
-    # before the weights are made: there may be more of them than memory
-    if length > longest:
-        problem = f"decimate = {numbers.factor} needs windows of {length} samples, and the longest "
-        hint = "decimate less, raise band, or record longer"
-        raise BadInput(f"{where}, decimate", f"{problem}segment has {longest}", hint)
-    taps = parallel_taps(numbers.factor, numbers.band, numbers.fs)
-    everything = np.ones(len(moving), dtype=np.bool_)
-    untrimmed, inner, included = (
-        lay_windows(taps, ranges, numbers.factor, everything).n_outputs
-        for ranges in (segments, trimmed, parts)
-    )
-    if inner == 0:
-        problem = f"trim = {trim * recording.period:.3g} s leaves no segment of {length} samples"
-        raise BadInput(f"{where}, trim", problem, "trim less, decimate less, or record longer")
-    if included == 0:
-        raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
-    windows = lay_windows(taps, parts, numbers.factor, moving, share)
-    dropped = {
-        "dropped_trim": untrimmed - inner,
-        "dropped_excluded": inner - included,
-        "dropped_dead_zone": included - windows.n_outputs,
-    }
-    return _Prepared(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
-
-
 # --- warnings and steps in words ----------------------------------------------------------------
 
 
-def _band_warnings(numbers: _Numbers, recording: Measurement) -> Iterator[str]:
+def _band_warnings(filters: _Filters, recording: Measurement) -> Iterator[str]:
     """Warn of a band unlike the decimation, and of an acceleration that its noise drowns."""
-    band, half, resolution = numbers.band, numbers.fs / (2 * numbers.factor), numbers.resolution
-    hint = "" if band is None else f"decimate = {decimation(band, numbers.fs)} would fit"
+    band, half, resolution = filters.band, filters.fs / (2 * filters.factor), filters.resolution
+    hint = "" if band is None else f"decimate = {decimation(band, filters.fs)} would fit"
     # the small share is rounding
     if band is not None and band > FOLDING * half * (1.0 + 1e-9):
         yield (
             f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
             f"so higher frequencies fold back; {hint}"
         )
-    if band is not None and numbers.factor > 1 and band < SHARING * half:
+    if band is not None and filters.factor > 1 and band < SHARING * half:
         yield (
             f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
             f"neighbouring outputs share noise and intervals come out too narrow; {hint}"
@@ -541,13 +547,13 @@ def _velocity_warnings(factor: float | None, late: float | None) -> Iterator[str
         )
 
 
-def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Settings) -> Iterator[str]:
-    resolution, trim = numbers.resolution, numbers.trim_samples
+def _step_sentences(filters: _Filters, recording: Measurement, settings: Settings) -> Iterator[str]:
+    resolution, trim = filters.resolution, filters.trim_samples
     both = ", of both position and torque" if settings["torque_lowpass"] else ""
-    how = f"zero-phase Butterworth of order {settings['order']} at {numbers.cutoff:.4g} Hz "
-    how += f"({numbers.fs:.4g} Hz sampling){both}"
-    yield f"low-pass: {how if numbers.cutoff else 'none'}"
-    end = numbers.used_band or numbers.cutoff or 0.25 * numbers.fs
+    how = f"zero-phase Butterworth of order {settings['order']} at {filters.cutoff:.4g} Hz "
+    how += f"({filters.fs:.4g} Hz sampling){both}"
+    yield f"low-pass: {how if filters.cutoff else 'none'}"
+    end = filters.used_band or filters.cutoff or 0.25 * filters.fs
     for signal, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
         if lag:
             times = math.hypot(1.0, (end / lag.cutoff) ** lag.order)
@@ -557,7 +563,7 @@ def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Setting
             )
     length = "rad" if recording.motion == "rotary" else "m"
     signal, unit = ("position", length) if recording.velocity is None else ("speed", f"{length}/s")
-    how = "central differences" if numbers.reach == 1 else f"{2 * numbers.reach + 1} points"
+    how = "central differences" if filters.reach == 1 else f"{2 * filters.reach + 1} points"
     used = "differentiated position" if recording.velocity is None else "measured velocity"
     yield f"velocity: {used}; acceleration: differentiated by {how}"
     if "acceleration_ratio" in settings:
@@ -578,7 +584,7 @@ def _step_sentences(numbers: _Numbers, recording: Measurement, settings: Setting
     yield f"band: ends at {end:.3g} Hz, {ended[resolution.reason]}"
     yield f"trim: {trim} samples off both ends of every segment"
     how = f"{settings['taps']} taps, cut-off {settings['filter_cutoff']:.4g} Hz, one output in "
-    how += f"{numbers.factor} samples"
+    how += f"{filters.factor} samples"
     every = "none, every sample is an output"
     yield f"parallel filter: {every if settings['taps'] == 1 else how}"
     slow = checks.too_slow(f"{settings['dead_zone']:.3g} {length}/s")
