@@ -101,6 +101,8 @@ def test_current_and_voltage_become_torque():
     keys = {"side": "joint", "ratio": ratio, "torque_constant": "50 mN m/A"}
     current = recorded(t, q, None, current=1000 * tau / kt, units={"current": "mA"}, **keys)
     np.testing.assert_allclose(current.torque, tau)
+    # in the motor's unit, whatever it was given in
+    assert current.torque_constant == pytest.approx(kt)
     keys |= {"voltage": resistance * tau / kt + kt * ratio * speed, "resistance": "2 ohm"}
     np.testing.assert_allclose(recorded(t, q, None, velocity=speed, **keys).torque, tau, atol=1e-12)
     torque = recorded(t, q, None, **keys).torque
