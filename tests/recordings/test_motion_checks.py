@@ -1,27 +1,26 @@
 """What reading tells: angles that wrap, other units, counts, limits, controllers' torques."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bayesfric.base.errors import BadInput
 from bayesfric.recordings.checks import clipped, feedback, speed_delay, unwrapped
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.source import Position, Processing, Torque, Velocity
+from bayesfric.recordings.source import Processing, Recording
 from tests.conftest import made_recording
-from tests.recordings.samples import has, read, refused, source, write
+from tests.recordings.samples import has, measured
 
 T = 0.005 * np.arange(4000)
 Q, V = np.sin(3 * T), 3 * np.cos(3 * T)
 TURNING = 1.2 * T + 0.8 * np.sin(2 * np.pi * 0.4 * T)
 
 
-def table(folder, columns):
-    names = ",".join(columns)
-    rows = "\n".join(
-        ",".join(f"{x:.9g}" for x in row) for row in zip(*columns.values(), strict=True)
-    )
-    write(folder, f"{names}\n{rows}\n")
+def recorded(*, t=T, q=Q, tau=V, **channels):
+    keys = {"time": "t", "position": "q", "torque": "tau"} | channels
+    return measured(Recording.from_dataframe(pd.DataFrame({"t": t, "q": q, "tau": tau}), **keys))
 
 
 @pytest.mark.parametrize(
@@ -32,25 +31,27 @@ def table(folder, columns):
         (lambda q: np.floor(q / (2 * np.pi) * 4096) % 4096, "turn/4096"),
     ],
 )
-def test_an_angle_that_wraps_is_unwrapped_and_that_is_said(tmp_path, wrap, unit):
+def test_an_angle_that_wraps_is_unwrapped(wrap, unit):
     """0.1.0 differentiated the jumps: an inertia of -0.0009 without a warning."""
-    table(tmp_path, {"t": T, "q": wrap(TURNING), "tau": np.sin(T)})
-    used = source(position=Position(column="q", unit=unit))
-    (found,) = read(tmp_path, used)
-    apart = found.position - TURNING
+    recording = recorded(q=wrap(TURNING), units={"position": unit})
+    apart = recording.position - TURNING
     # a turn is no motion; 4096 counts are rounded
     np.testing.assert_allclose(apart - apart[0], 0.0, atol=2 * np.pi / 4096 * 1.01)
-    has(" ".join(found.steps), "unwrapped")
+    has(" ".join(recording.steps), "unwrapped")
 
 
-def test_one_column_as_two_signals_is_refused(tmp_path):
-    table(tmp_path, {"t": T, "q": TURNING, "tau": np.sin(T)})
-    message = refused(tmp_path, source(torque=Torque(column="q", unit="N m")))
-    has(message, "'q'", "position", "torque")
-    message = refused(tmp_path, source(torque=Torque(column=2, unit="N m")))
-    has(message, "position", "torque")
-    message = refused(tmp_path, source(velocity=Velocity(column="tau", unit="rad/s")))
-    has(message, "velocity", "torque")
+@pytest.mark.parametrize(
+    ("channels", "parts"),
+    [
+        ({"torque": "q"}, ["'q'", "position", "torque"]),
+        ({"torque": 2}, ["position", "torque"]),
+        ({"velocity": "tau"}, ["velocity", "torque"]),
+    ],
+)
+def test_one_column_as_two_signals_is_refused(channels, parts):
+    with pytest.raises(BadInput) as refused:
+        recorded(**channels)
+    has(str(refused.value), *parts)
 
 
 @pytest.mark.parametrize("sd", [0.0, 0.3])
@@ -71,32 +72,27 @@ def test_a_velocity_of_another_size_than_the_differentiated_position(factor, say
     assert bool(says) == ("factor between" in said)
 
 
-def warned(tmp_path, columns, word, **used):
-    table(tmp_path, columns)
-    (found,) = read(tmp_path, source(**used))
-    return [w for w in found.warnings if word in w]
-
-
 @pytest.mark.parametrize(
-    ("columns", "channels", "used"),
+    ("columns", "warned", "right"),
     [
-        ({"q": np.round(4096 * Q)}, ["position"], {"position": ("q", "turn/4096", {})}),
+        ({"q": np.round(4096 * Q)}, ["position"], {"units": {"position": "turn/4096"}}),
         (
-            {"t": 1000 * T, "tau": np.round(1000 * V)},
+            {"t": np.round(1000 * T), "tau": np.round(1000 * V)},
             ["time", "torque"],
-            {"time": ("t", "ms", {}), "torque": ("tau", "N m", {"constant": "0.001"})},
+            {
+                "units": {"time": "ms"},
+                "torque": {"column": "tau", "unit": "N m", "constant": "0.001"},
+            },
         ),
         ({"tau": np.sign(V)}, [], {}),  # switched
     ],
 )
-def test_counts_and_thousandths_that_are_taken_for_whole(tmp_path, columns, channels, used):
-    columns = {"t": T, "q": Q, "tau": V} | columns
-    said = warned(tmp_path, columns, "whole")
-    assert [w.partition(":")[0] for w in said] == channels
-    right = {
-        key: {"column": column, "unit": unit, **more} for key, (column, unit, more) in used.items()
-    }
-    assert not warned(tmp_path, columns, "whole", **right)
+def test_counts_and_thousandths_that_are_taken_for_whole(columns, warned, right):
+    def channels(recording):
+        return [text.partition(":")[0] for text in recording.warnings if "whole" in text]
+
+    assert channels(recorded(**columns)) == warned
+    assert channels(recorded(**columns, **right)) == []
 
 
 def test_limits_to_both_sides_are_one():
