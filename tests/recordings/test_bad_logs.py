@@ -9,14 +9,13 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pandas as pd
 import pytest
+from scipy.io import savemat
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.tables import Table
-from tests.recordings import logs
+from tests.recordings import file_formats, logs
 from tests.recordings.samples import has
 
 from .samples import read, refused, source
@@ -160,103 +159,6 @@ def test_rosbags_is_not_installed(tmp_path, monkeypatch):
     has(refused(tmp_path, used("bag")), "pip install 'bayesfric[ros]'")
 
 
-# -- lists of signals
-
-LISTS = ("parquet", "json", "jsonl", "h5", "7.3")
-
-
-def listed(folder, form, n=200, turned=False):
-    """Write three signals in one column, a row a sample or ``turned``; the file's name and keys."""
-    t = np.arange(n) * 0.01
-    state = np.stack([np.sin(t + i) for i in range(3)], axis=1)
-    columns = {"t": t, "q": state.T if turned else state, "tau": np.cos(t)}
-    lists = {name: values.tolist() for name, values in columns.items()}
-    path = folder / f"run.{form}"
-    match form:
-        case "parquet":
-            pq.write_table(pa.table(lists), path)
-        case "json":
-            path.write_text(json.dumps(lists))
-        case "jsonl":
-            rows = zip(*lists.values(), strict=True)
-            path.write_text("\n".join(json.dumps(dict(zip(lists, r, strict=True))) for r in rows))
-        case "h5":
-            with h5py.File(path, "w") as file:
-                file.update(columns)
-        case "7.3":
-            path = logs.write_matlab_73(folder / "run.mat", t, columns["q"], state, state)
-            return path.name, {"table": "log"}, state
-    return path.name, {}, state
-
-
-@pytest.mark.parametrize("form", LISTS)
-def test_one_of_several_signals(tmp_path, form):
-    file, keys, state = listed(tmp_path, form)
-    table = opened(tmp_path / file, **keys)
-    for k in range(3):
-        assert table.column(f"q[{k}]").tolist() == state[:, k].tolist()
-    has(refusal(lambda: table.column("q[3]")), "'q[3]'", "from 0 to 2")
-    has(refusal(lambda: table.column("q")), "'q'", "'q[0]'")
-    has(refusal(lambda: table.column("t[0]")), "'t[0]'")
-    has(refusal(lambda: table.column("p[0]")), "'p[0]'")
-
-
-@pytest.mark.parametrize("form", ["h5", "json", "7.3"])
-def test_a_row_for_each_joint(tmp_path, form):
-    file, keys, state = listed(tmp_path, form, turned=True)
-    assert opened(tmp_path / file, **keys).column("q[2]").tolist() == state[:, 2].tolist()
-
-
-def test_the_longer_axis_is_time_unless_a_row_has_a_list(tmp_path):
-    wide = np.arange(12.0).reshape(3, 4)
-    table = Table("run", ["q"], [wide].__getitem__)
-    assert table.column("q[1]").tolist() == wide[1].tolist()
-    pq.write_table(pa.table({"q": wide.tolist()}), tmp_path / "run.parquet")
-    assert opened(tmp_path / "run.parquet").column("q[1]").tolist() == wide[:, 1].tolist()
-
-
-@pytest.mark.parametrize("form", ["parquet", "jsonl"])
-def test_lists_that_are_ragged(tmp_path, form):
-    rows = [[0.0, 1.0]] * 5 + [[0.0]] + [[0.0, 1.0]] * 5
-    if form == "parquet":
-        pq.write_table(pa.table({"q": rows}), tmp_path / "run.parquet")
-    else:
-        (tmp_path / "run.jsonl").write_text("\n".join(json.dumps({"q": row}) for row in rows))
-    table = opened(tmp_path / f"run.{form}")
-    assert table.column("q[0]").tolist() == [0.0] * 11
-    has(refusal(lambda: table.column("q[1]")), "'q[1]'", "row 6")
-
-
-# -- rows by a column's value
-
-
-def test_conditions_are_all_to_hold():
-    arrays = [np.arange(6.0), np.array([1, 1, 2, 2, 3, 3.0]), np.array([1, 0, 1, 0, 1, 0.0])]
-    table = Table("run", ["t", "episode", "on"], arrays.__getitem__)
-    assert table.only({"episode": 2, "on": True}).column("t").tolist() == [2.0]
-    assert table.only({"on": 0}).column("t").tolist() == [1.0, 3.0, 5.0]
-    assert table.only({}).column("t").tolist() == arrays[0].tolist()
-    has(refusal(lambda: table.only({"episode": 2, "t": 0})), "'t', where", "2, 3")
-    has(refusal(lambda: table.only({"run": 2})), "'run'")
-
-
-def test_text_and_numbered_columns_in_a_csv(tmp_path):
-    (tmp_path / "run.csv").write_text("task,t,q\nlift,0,1\nswing,1,2\nswing,2,x\nlift,3,4\n")
-    assert opened(tmp_path / "run.csv", where={"task": "lift"}).column("q").tolist() == [1.0, 4.0]
-    assert opened(tmp_path / "run.csv", where={"2": 1}).column("q").tolist() == [2.0]
-    message = refusal(lambda: opened(tmp_path / "run.csv", where={"task": "drop"}))
-    has(message, "'drop'", "'lift', 'swing'")
-    swings = opened(tmp_path / "run.csv", where={"task": "swing"})
-    # a bad cell is named by its row in the file, not among those used
-    has(refusal(lambda: swings.column("q")), "'q'", "row 3 (line 4)")
-
-
-def test_a_column_of_another_length_cannot_be_chosen_from(tmp_path):
-    np.savez(tmp_path / "run.npz", t=np.arange(5.0), q=np.arange(4.0))
-    table = opened(tmp_path / "run.npz", where={"t": 1})
-    has(refusal(lambda: table.column("q")), "'q'", "4", "5")
-
-
 # -- HDF5, JSON lines, MATLAB's objects
 
 
@@ -294,3 +196,37 @@ def test_matlab_objects_are_no_columns():
     if not (folder / "some_functions.mat").exists():
         pytest.skip("this SciPy comes without its test data")
     has(refusal(lambda: opened(folder / "some_functions.mat").column("parabola")), "'parabola'")
+
+
+# -- JSON and structs
+
+
+def with_row(change):
+    rows = pd.DataFrame(file_formats.columns()).to_dict("records")
+    change(rows[16])
+    return json.dumps(rows)
+
+
+@pytest.mark.parametrize(
+    ("text", "table", "parts"),
+    [
+        *((text, None, []) for text in (
+            "3", '"x"', "null", "{}", '{"a": 1}', "[1, 2]", "[]")),
+        ('{"log": {"rows": []}}', "log.entries", ["'entries'", "'rows'"]),
+        ('{"log": {"rows": []}}', "log.rows", []),
+        ('{"a": [{"t": 1}], "b": [{"t": 1}]}', None, ["'a'", "'b'"]),
+        (with_row(lambda row: row.pop("q")), None, ["'q'", "row 17"]),
+        *((with_row(lambda row, x=x: row.update(q=x)), None, ["'q'", "row 17"]) for x in (
+            None, [1.0], {"x": 1}, "high")),
+    ],
+)  # fmt: skip
+def test_unfit_json(tmp_path, text, table, parts):
+    (tmp_path / "run.json").write_text(text)
+    used = source("run.json", **({"table": table} if table else {}))
+    has(refused(tmp_path, used), "run.json", *parts)
+
+
+def test_struct_that_is_not_there(tmp_path):
+    savemat(tmp_path / "run.mat", {"log": file_formats.columns(), "x": 1.0})
+    has(refused(tmp_path, source("run.mat", table="logg")), "'logg'", "'log'")
+    has(refused(tmp_path, source("run.mat", table="x")), "'x'")
