@@ -157,12 +157,12 @@ def standstill_outputs(
     factor: int,
     guard: int,
     *,
-    most: int = 200,
+    max_outputs: int = 200,
 ) -> Rest | None:
     """Lay windows over standstills, ``guard`` samples off their ends; ``None`` where none fits.
 
-    ``torque`` is filtered as for outputs in motion. ``most`` outputs are kept, evenly spaced: more
-    hold no more information.
+    ``torque`` is filtered as for outputs in motion. More than ``max_outputs``, which are evenly
+    spaced, hold no more information.
     """
     inner = tuple(
         (begin + guard, end - guard)
@@ -173,7 +173,7 @@ def standstill_outputs(
     windows = lay_windows(taps, inner, factor, np.ones(still.size, dtype=np.bool_))
     if windows.n_outputs == 0:
         return None
-    chosen = np.unique(np.linspace(0, windows.n_outputs - 1, most).astype(int))
+    chosen = np.unique(np.linspace(0, windows.n_outputs - 1, max_outputs).astype(int))
     centres = windows.centres[chosen]
     torque = windows.apply(torque)[chosen]
     return Rest(recording.position[centres], torque, recording.time[centres])
@@ -199,14 +199,14 @@ def speed_mismatch(velocity: Array, differentiated: Array, usable: Flags) -> flo
 
 
 def speed_delay(
-    velocity: Array, differentiated: Array, usable: Flags, period: float, *, most: float = 0.1
+    velocity: Array, differentiated: Array, usable: Flags, period: float, *, longest: float = 0.1
 ) -> float | None:
     """Estimate the delay, s, of a measured velocity behind the differentiated position.
 
     ``None`` where it is negligible, or explains less than half of what the two differ by.
     """
     at = np.flatnonzero(usable)
-    furthest = min(round(most / period), at.size // 10)
+    furthest = min(round(longest / period), at.size // 10)
     power = float(velocity[at] @ velocity[at])
     if furthest < 2 or not power > 0.0:
         return None

@@ -89,21 +89,26 @@ def differentiator(reach: int) -> Array:
 
 
 def reach_of(
-    how: Literal["exact", "central"], cutoff: float, fs: float, *, least: int = 4, most: int = 24
+    how: Literal["exact", "central"],
+    cutoff: float,
+    fs: float,
+    *,
+    shortest: int = 4,
+    longest: int = 24,
 ) -> int:
     """Choose the neighbours on either side of a derivative: one for ``central`` differences.
 
-    Else so many that its gain is right within 1e-4 up to the cut-off; ``least`` without (0).
+    Else so many that its gain is right within 1e-4 up to the cut-off; ``shortest`` without (0).
     """
     if how == "central":
         return 1
     w = 2.0 * np.pi * cutoff / fs
-    angles = np.arange(1, most + 1)
-    for reach in range(least, most):
+    angles = np.arange(1, longest + 1)
+    for reach in range(shortest, longest):
         gain = 2.0 * differentiator(reach)[reach + 1 :] @ np.sin(angles[:reach] * w)
         if abs(gain - w) <= 1e-4 * w:
             return reach
-    return most if cutoff else least
+    return longest if cutoff else shortest
 
 
 def derivative(values: Array, segments: Segments, period: float, reach: int = 1) -> Array:

@@ -115,9 +115,11 @@ def _evenly(stamps: Array, period: float) -> Array:
     return np.asarray(np.minimum(stamps[0] + period * np.arange(n), stamps[-1]))
 
 
-def spread_ranges(count: int, limit: int, *, most: int = 8, least: int = 1000) -> Segments:
-    """Spread up to ``most`` ranges of ``least`` samples evenly over ``count``, ``limit`` in all."""
-    parts = min(most, max(1, limit // least))
+def spread_ranges(
+    count: int, limit: int, *, max_parts: int = 8, least_samples: int = 1000
+) -> Segments:
+    """Spread up to ``max_parts`` ranges of ``least_samples`` samples evenly over ``count``, ``limit`` in all."""
+    parts = min(max_parts, max(1, limit // least_samples))
     length = limit // parts
     begins = np.linspace(0, count - length, parts).astype(np.int64).tolist()
     return tuple((begin, begin + length) for begin in begins)

@@ -451,12 +451,12 @@ def _datasets(path: Path, table: str, *, matlab: bool) -> Table:
 
 
 def _clocks(names: Sequence[str]) -> dict[str, str]:
-    """Give the columns of each group that holds time stamps those as their own."""
+    """Give the columns of each group that holds time stamps those as their clocks."""
     stamps = ("time", "timestamp", "timestamps", "stamp", "stamps", "t")
     groups = {name: name.rpartition("/") for name in names if "/" in name}
     times = {group: name for name, (group, _, last) in groups.items() if last.lower() in stamps}
-    own = {name: times[group] for name, (group, _, _) in groups.items() if group in times}
-    return {name: clock for name, clock in own.items() if name != clock}
+    clocks = {name: times[group] for name, (group, _, _) in groups.items() if group in times}
+    return {name: clock for name, clock in clocks.items() if name != clock}
 
 
 def _read_matlab(path: Path, options: TableOptions) -> Table:

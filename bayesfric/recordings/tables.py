@@ -188,24 +188,32 @@ class Table:
         Linearly; of a ``flag`` the last value before counts. Rows beyond the common span go.
         """
         clocks = {key: self.clock(key) for key in keys}
-        others = {key: own for key, own in clocks.items() if own not in (None, clock)}
+        others = {
+            key: other_clock
+            for key, other_clock in clocks.items()
+            if other_clock not in (None, clock)
+        }
         if not others:
             return self
         stamps = self.column(clock)
         columns, common = dict[str | int, Array](), np.ones(stamps.size, dtype=np.bool_)
-        for key, own in others.items():
-            assert own is not None
-            time, values = self.column(own), self.column(key)
-            self.check_order(time, own)
+        for key, other_clock in others.items():
+            assert other_clock is not None
+            time, values = self.column(other_clock), self.column(key)
+            self.check_order(time, other_clock)
             common &= (stamps >= time[0]) & (stamps <= time[-1])
             before = np.searchsorted(time, stamps, "right") - 1
             columns[key] = values[before] if key == flag else np.interp(stamps, time, values)
         rows = np.flatnonzero(common)
         if not rows.size:
-            own = next(iter(others.values()))
+            other_clock = next(iter(others.values()))
             problem = f"has no time in common with '{clock}'"
-            raise BadInput(f"{self.where}, column '{own}'", problem, "check both time stamps")
-        note = f"time: columns {', '.join(map(repr, others))} have time stamps of their own "
+            raise BadInput(
+                f"{self.where}, column '{other_clock}'", problem, "check both time stamps"
+            )
+        note = (
+            f"time: columns {', '.join(map(repr, others))} have time stamps of their other_clock "
+        )
         note += f"({', '.join(map(repr, dict.fromkeys(others.values())))}), and are interpolated "
         note += f"at those of '{clock}'; {stamps.size - rows.size} rows without a partner left out"
         table = replace(self.at(rows, stamps.size), notes=(*self.notes, note))
