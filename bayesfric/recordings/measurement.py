@@ -118,7 +118,7 @@ def _evenly(stamps: Array, period: float) -> Array:
 def spread_ranges(
     count: int, limit: int, *, max_parts: int = 8, least_samples: int = 1000
 ) -> Segments:
-    """Spread up to ``max_parts`` ranges of ``least_samples`` samples evenly over ``count``, ``limit`` in all."""
+    """Spread ranges evenly over ``count`` samples, ``limit`` of them in all."""
     parts = min(max_parts, max(1, limit // least_samples))
     length = limit // parts
     begins = np.linspace(0, count - length, parts).astype(np.int64).tolist()

@@ -187,35 +187,25 @@ class Table:
 
         Linearly; of a ``flag`` the last value before counts. Rows beyond the common span go.
         """
-        clocks = {key: self.clock(key) for key in keys}
-        others = {
-            key: other_clock
-            for key, other_clock in clocks.items()
-            if other_clock not in (None, clock)
-        }
-        if not others:
+        clocks = {key: own for key in keys if (own := self.clock(key)) not in (None, clock)}
+        if not clocks:
             return self
         stamps = self.column(clock)
         columns, common = dict[str | int, Array](), np.ones(stamps.size, dtype=np.bool_)
-        for key, other_clock in others.items():
-            assert other_clock is not None
-            time, values = self.column(other_clock), self.column(key)
-            self.check_order(time, other_clock)
+        for key, column in clocks.items():
+            assert column is not None
+            time, values = self.column(column), self.column(key)
+            self.check_order(time, column)
             common &= (stamps >= time[0]) & (stamps <= time[-1])
             before = np.searchsorted(time, stamps, "right") - 1
             columns[key] = values[before] if key == flag else np.interp(stamps, time, values)
-        rows = np.flatnonzero(common)
+        rows, others = np.flatnonzero(common), ", ".join(map(repr, dict.fromkeys(clocks.values())))
         if not rows.size:
-            other_clock = next(iter(others.values()))
-            problem = f"has no time in common with '{clock}'"
-            raise BadInput(
-                f"{self.where}, column '{other_clock}'", problem, "check both time stamps"
-            )
-        note = (
-            f"time: columns {', '.join(map(repr, others))} have time stamps of their other_clock "
-        )
-        note += f"({', '.join(map(repr, dict.fromkeys(others.values())))}), and are interpolated "
-        note += f"at those of '{clock}'; {stamps.size - rows.size} rows without a partner left out"
+            problem = f"have no time in common with those of '{clock}'"
+            raise BadInput(f"{self.where}, stamps of {others}", problem, "check both")
+        note = f"time: columns {', '.join(map(repr, clocks))} have time stamps of their own "
+        note += f"({others}), and are interpolated at those of '{clock}'; "
+        note += f"{stamps.size - rows.size} rows without a partner left out"
         table = replace(self.at(rows, stamps.size), notes=(*self.notes, note))
         table._columns.update({key: values[rows] for key, values in columns.items()})
         return table
