@@ -341,15 +341,10 @@ class Resolution:
     acceleration_ratio: float  # rms of the acceleration over that of its noise, in the band
 
 
-@dataclass(frozen=True)
-class _Spectra:
-    """Power densities at frequencies ``(K,)``, averaged over neighbours."""
-
-    frequency: Array
-    width: Array
-    motion: Array  # of the acceleration
-    noise: Array  # of the acceleration for unit white noise in the position (or speed)
-    torque: Array
+# Power densities at frequencies (K,), averaged over neighbours: frequency and its width in Hz, and
+# the densities of the acceleration, of its noise for unit white noise in the position (or speed),
+# and of the torque.
+_Spectra = tuple[Array, Array, Array, Array, Array]
 
 
 def resolve(recording: Measurement, band: float | None = None) -> Resolution:
@@ -358,19 +353,19 @@ def resolve(recording: Measurement, band: float | None = None) -> Resolution:
     spectra = _spectra(recording)
     reason: Reason = "sampling" if band is None else "asked"
     if spectra is None:
-        chosen = WIDEST * fs if band is None else band
-        return Resolution(chosen, reason, 0.0, math.inf)
+        return Resolution(WIDEST * fs if band is None else band, reason, 0.0, math.inf)
+    frequency, width, motion, unit_noise, _ = spectra
     # a position is assumed to be noise above 0.3 of the sampling rate, where no joint moves
-    quiet = spectra.frequency >= 0.3 * fs
-    floor = float(np.median(spectra.motion[quiet] / spectra.noise[quiet])) if quiet.any() else 0.0
+    quiet = frequency >= 0.3 * fs
+    floor = float(np.median(motion[quiet] / unit_noise[quiet])) if quiet.any() else 0.0
     variance = max(floor, _steps(recording))
     if band is None:
         band, reason = _choose(recording, spectra, variance)
-    inside = spectra.frequency <= band
+    inside = frequency <= band
     inside[0] = True
-    noise = float((spectra.noise * spectra.width)[inside].sum()) * variance
-    motion = float((spectra.motion * spectra.width)[inside].sum()) - noise
-    ratio = math.sqrt(max(motion, 0.0) / noise) if noise > 0.0 else math.inf
+    noise = float((unit_noise * width)[inside].sum()) * variance
+    power = float((motion * width)[inside].sum()) - noise
+    ratio = math.sqrt(max(power, 0.0) / noise) if noise > 0.0 else math.inf
     return Resolution(float(band), reason, math.sqrt(variance), ratio)
 
 
@@ -420,22 +415,22 @@ def _choose(
     each frequency, for noise models that weigh the band's end most, and over the band: about the
     inverse share of an inertia that is lost.
     """
-    fs, f = 1.0 / recording.period, spectra.frequency
+    fs, (f, width, motion, unit_noise, torque) = 1.0 / recording.period, spectra
     ends: list[tuple[float, Reason]] = [(WIDEST * fs, "sampling")]
     if variance > 0.0:
-        noise = spectra.noise * variance
+        noise = unit_noise * variance
         # from the frequency of the largest speeds on: below there is little to resolve
-        peak = int(np.argmax(spectra.motion / f**2))
-        ratio = np.cumsum(spectra.motion * spectra.width) / np.cumsum(noise * spectra.width) - 1.0
+        peak = int(np.argmax(motion / f**2))
+        ratio = np.cumsum(motion * width) / np.cumsum(noise * width) - 1.0
         # beyond a ratio of 1e7 noise does not matter under any weighting
-        poor = (spectra.motion < (1.0 + local) * noise) & (ratio < 1e7)
+        poor = (motion < (1.0 + local) * noise) & (ratio < 1e7)
         ended = np.flatnonzero((poor | (ratio < overall))[peak + 1 :])
         if ended.size:
             ends.append((float(f[peak + ended[0]]), "position"))
         # A torque without power is no sufficient reason: a smoothly driven joint jolts when it
         # reverses, and inertia and friction balance at all frequencies.
         if ratio[min(int(np.searchsorted(f, WIDEST * fs)), f.size - 1)] < 1e4:
-            power = np.cumsum(spectra.torque * spectra.width)
+            power = np.cumsum(torque * width)
             last = min(int(np.searchsorted(power, 0.999 * power[-1])), f.size - 1)
             ends.append((float(f[last]), "torque"))
     band, reason = min(ends)
@@ -495,4 +490,4 @@ def _spectra(recording: Measurement, least: int = 64) -> _Spectra | None:
         return np.add.reduceat(x, edges[:-1]) / counts
 
     width = counts * (f[1] - f[0])
-    return _Spectra(mean(f), width, mean(motion / total), mean(noise), mean(torque / total))
+    return mean(f), width, mean(motion / total), mean(noise), mean(torque / total)
