@@ -29,7 +29,9 @@ def recorded(**more):
 
 
 def test_it_gives_leg_and_gearbox_their_scale():
-    (estimate,) = bf.Model(CHAIN, recorded()).estimates(["input-error"])
+    model = bf.Model(CHAIN, recorded())
+    assert model.identification().directions == ()
+    (estimate,) = model.estimates(["input-error"])
     for name in ("load.first_moment", "gearbox.load_drive", "gearbox.load_back", "load.inertia"):
         assert estimate[name].determined, name
         assert abs(estimate[name].value - KNEE.values[name]) < 4.0 * estimate[name].sd, name
