@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -510,23 +510,25 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
     # bags of sqlite3 before ROS 2 Iron hold no definitions
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         topic, kind, connections = _topic(path, reader, options.table)
-        received, rows = list[int](), list[dict[str, Any]]()
+        received, messages = list[int](), list[Any]()
         for connection, stamp, raw in reader.messages(connections=connections):
             received.append(int(stamp))
-            message = reader.deserialize(raw, connection.msgtype)
-            rows.append(dict(_fields(message, joints=_joints(message))))
-    names = ["received", *dict.fromkeys(name for row in rows for name in row)]
-    units = {"received": "s"}
-    for name in names[1:]:
-        of_kind = _UNITS.get(kind, {}).items()
-        unit = next((unit for begin, unit in of_kind if name.startswith(begin)), "")
-        units[name] = "s" if _is_time(next(row[name] for row in rows if name in row)) else unit
+            messages.append(reader.deserialize(raw, connection.msgtype))
+    places, is_known = dict[str, _Place](), set[tuple[str, ...]]()
+    for k, message in enumerate(messages):
+        joints = tuple(_joints(message))
+        # lists may fill in later, and other joints may be on the topic
+        if k < 100 or joints not in is_known:
+            is_known.add(joints)
+            places |= _places(message, joints)
+    units = [("s" if is_time else _unit(kind, name)) for name, (_, _, is_time) in places.items()]
 
     def load(index: int) -> NDArray[Any]:
         if index == 0:
             return _since_first(received)
-        values: list[Any] = [row.get(names[index]) for row in rows]
-        if not _is_time(values[0]):
+        place = list(places.values())[index - 1]
+        values: list[Any] = [_value(message, place) for message in messages]
+        if not place.is_time:
             return _cells(values)
         stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]
         if values[0].__msgtype__ == _STAMP:
@@ -535,10 +537,10 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
 
     return Table(
         f"{path}, table '{topic}'",
-        names,
+        ["received", *places],
         load,
-        units=list(units.values()),
-        notes=(f"topic {topic} ({kind}), {len(rows)} messages",),
+        units=["s", *units],
+        notes=(f"topic {topic} ({kind}), {len(messages)} messages",),
         by_rows=True,
     )
 
@@ -564,27 +566,59 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
     return wanted, kind, topics[wanted].connections
 
 
-def _fields(value: Any, name: str = "", joints: Sequence[Any] = ()) -> Iterator[tuple[str, Any]]:
-    """Yield a message's values by their paths, and those of its ``joints`` also by joint."""
-    if isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
-        for k, part in enumerate(value):
-            yield from _fields(part, f"{name}[{k}]", joints)
-    elif hasattr(value, "__msgtype__") and not _is_time(value):
-        for field in dataclasses.fields(value):
-            inner = f"{name}.{field.name}" if name else field.name
-            yield from _fields(getattr(value, field.name), inner, joints)
-    else:
-        yield name, value
-        is_list = isinstance(value, np.ndarray | list) and len(value) == len(joints)
-        if is_list and not any(isinstance(part, str) for part in value):
-            yield from ((f"{name}[{joint}]", x) for joint, x in zip(joints, value, strict=True))
+class _Place(NamedTuple):
+    """Where a message has a value: attributes and indices, and the joint of a list by joints."""
+
+    path: tuple[str | int, ...]
+    joint: str | None
+    is_time: bool
 
 
-def _joints(message: Any) -> list[Any]:
+def _places(message: Any, joints: Sequence[str]) -> dict[str, _Place]:
+    """Name a message's values by their paths, and those of its joints also by joint."""
+    places = dict[str, _Place]()
+
+    def walk(value: Any, name: str, path: tuple[str | int, ...]) -> None:
+        if isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
+            for k, part in enumerate(value):
+                walk(part, f"{name}[{k}]", (*path, k))
+        elif hasattr(value, "__msgtype__") and not _is_time(value):
+            for field in dataclasses.fields(value):
+                inner = f"{name}.{field.name}" if name else field.name
+                walk(getattr(value, field.name), inner, (*path, field.name))
+        else:
+            places[name] = _Place(path, None, _is_time(value))
+            is_list = isinstance(value, np.ndarray | list) and len(value) == len(joints)
+            if is_list and not any(isinstance(part, str) for part in value):
+                places.update({f"{name}[{j}]": _Place(path, j, is_time=False) for j in joints})
+
+    walk(message, "", ())
+    return places
+
+
+def _value(message: Any, place: _Place) -> Any:
+    """Return a value of a message, None where it has none."""
+    value = message
+    for step in place.path:
+        if isinstance(step, int) and step >= len(value):
+            return None
+        value = value[step] if isinstance(step, int) else getattr(value, step)
+    if place.joint is None:
+        return value
+    joints = _joints(message)
+    has_joint = place.joint in joints and len(value) == len(joints)
+    return value[joints.index(place.joint)] if has_joint else None
+
+
+def _joints(message: Any) -> list[str]:
     """Return the names of the joints that a message lists."""
-    names = getattr(message, "name", None) or getattr(message, "joint_names", None)
-    is_text = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    return names if is_text and isinstance(names, list) else []
+    names: Any = getattr(message, "name", None) or getattr(message, "joint_names", None)
+    return names if isinstance(names, list) and all(isinstance(n, str) for n in names) else []
+
+
+def _unit(kind: str, name: str) -> str:
+    units = _UNITS.get(kind, {}).items()
+    return next((unit for begin, unit in units if name.startswith(begin)), "")
 
 
 def _is_time(value: Any) -> bool:
