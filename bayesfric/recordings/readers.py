@@ -583,9 +583,10 @@ def _places(message: Any, joints: Sequence[str]) -> dict[str, _Place]:
             for k, part in enumerate(value):
                 walk(part, f"{name}[{k}]", (*path, k))
         elif hasattr(value, "__msgtype__") and not _is_time(value):
-            for field in dataclasses.fields(value):
-                inner = f"{name}.{field.name}" if name else field.name
-                walk(getattr(value, field.name), inner, (*path, field.name))
+            fields = (field.name for field in dataclasses.fields(value))
+            for field in (field for field in fields if not field.startswith("_")):
+                inner = f"{name}.{field}" if name else field
+                walk(getattr(value, field), inner, (*path, field))
         else:
             places[name] = _Place(path, None, _is_time(value))
             is_list = isinstance(value, np.ndarray | list) and len(value) == len(joints)
