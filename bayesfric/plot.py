@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.fit.result import result_of
-from bayesfric.report.figures.registry import FinishedRun, run_figures
-from bayesfric.report.figures.rollout import rollout_figure
+from bayesfric.report.figures.prediction import rollout_figure
+from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
 from bayesfric.results.roll_out import RollOut
 
 
@@ -20,12 +20,12 @@ def rollout(found: RollOut) -> Figure:
 
 
 def __getattr__(name: str) -> Callable[[Any], Figure]:
-    if name.startswith("__") or name not in run_figures():
-        raise AttributeError(f"there is no figure {name!r}; {nearest(name, run_figures())}")
+    if name.startswith("__") or name not in RUN_FIGURES:
+        raise AttributeError(f"there is no figure {name!r}; {nearest(name, RUN_FIGURES)}")
 
     def draw(posterior: Any) -> Figure:
         result = result_of(posterior)
-        figure = run_figures()[name].draw(FinishedRun(result.fit, result.summary))
+        figure = RUN_FIGURES[name].draw(FinishedRun(result.fit, result.summary))
         if figure is None:
             raise BadInput(f"plot.{name}", "there is nothing to show", "draw another figure")
         return figure
@@ -36,4 +36,4 @@ def __getattr__(name: str) -> Callable[[Any], Figure]:
 
 
 def __dir__() -> list[str]:
-    return sorted({*run_figures(), "rollout"})
+    return sorted({*RUN_FIGURES, "rollout"})

@@ -46,7 +46,7 @@ LONG = {
         advise again bad_runs compare doubts estimate explain fit identify killed
         little_explained own_offsets pool report terminal_and_disk validation voltage""",
     "diagnostics": """
-        calibration_check explanation laid_beside regression""",
+        calibration_check explanation regression""",
     "estimates": """
         attenuation collinear_losses delay input_error output_error shooting""",
     "export": """
@@ -67,7 +67,7 @@ LONG = {
     "recovery": """
         circular_angle friction_terms output_error""",
     "report": """
-        bounds browser corner figures model_error prediction residual ridge
+        bounds browser corner figures model_error prediction ridge
         run_directory self_check summary validation""",
     "rollouts": """
         rollout""",

@@ -278,9 +278,6 @@ def export(
         None, "-o", "--output", help="folder to make; RUN-FORMAT if left out"
     ),
     joint: str = Option("joint", help="what the simulator calls the joint"),
-    at_load: float | None = Option(
-        None, metavar="TORQUE", help="N m at the joint, for a load loss' constant"
-    ),
     into: Path | None = Option(None, metavar="MODEL", help="mujoco: model whose joint is changed"),
     draws: int | None = Option(None, help="csv: how many draws"),
     force: bool = Option(False, "--force", help="keep an old export aside"),
@@ -290,7 +287,7 @@ def export(
     from bayesfric.export.exported import export as run_to
 
     place = output or Path(f"{run.resolve().name}-{to}")
-    options: dict[str, Any] = {"joint": joint, "at_load": at_load, "into": into, "draws": draws}
+    options: dict[str, Any] = {"joint": joint, "into": into, "draws": draws}
     exported = run_to(run, to, output=place, force=force, **options)
     written = [str(place / name) for name in (*exported.files, "export.json")]
     lines = [*exported.text().splitlines(), "", f"Written: {', '.join(written)}"]

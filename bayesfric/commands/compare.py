@@ -34,7 +34,7 @@ def compare(
     # slow imports that the table does not need
     from bayesfric.base.atomic_write import check_output_folder, new_folder
     from bayesfric.report.comparison.between_runs import between_runs, between_runs_csv, read_draws
-    from bayesfric.report.figures.forest import FOREST
+    from bayesfric.report.figures.registry import FOREST
     from bayesfric.report.figures.style import save
     from bayesfric.report.page.pages import compare_page, read_provenance, shared_recordings
     from bayesfric.report.paper.tables import methods_latex

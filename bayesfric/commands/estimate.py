@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base.progress import ProgressCallback, no_progress
-from bayesfric.estimates.methods import ESTIMATORS
+from bayesfric.estimates.methods import TITLES
 from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.fit.model import Model
 from bayesfric.report.summary.summary import estimate_summary
@@ -32,7 +32,7 @@ def estimate(
     lines = []
     for estimate in estimates:
         lines += [
-            ESTIMATORS[estimate.method].title,
+            TITLES[estimate.method],
             f"  {estimate.n_outputs} residuals, rms {estimate.residual_rms:.4g} "
             f"{estimate.residual_unit}. {estimate.assumption}.",
             f"  {'':<30} {'value':>11}   {'sd':>9}   {'sd HAC':>9}   {'sd %':>6}",

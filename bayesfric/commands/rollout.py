@@ -12,8 +12,8 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import ProgressCallback
 from bayesfric.base.safe_read import read_text
 from bayesfric.commands.report import report
-from bayesfric.report.figures.registry import read_captions
-from bayesfric.report.figures.rollout import FIGURE, rollout_figure
+from bayesfric.report.figures.prediction import rollout_figure
+from bayesfric.report.figures.registry import ROLL_OUT, read_captions
 from bayesfric.report.figures.style import save
 from bayesfric.report.messages import roll_out_messages
 from bayesfric.report.summary.record import read_summary_file
@@ -45,8 +45,8 @@ def rollout(
         with add_files(run / "figures") as beside:
             found = played(run, config, every=every, draws=draws, seed=seed, progress=progress)
             told = rollout_part(found)
-            captions[FIGURE.stem] = FIGURE.caption_of(found)
-            save(rollout_figure(found), beside, FIGURE.stem)
+            captions[ROLL_OUT.stem] = ROLL_OUT.caption_of(found)
+            save(rollout_figure(found), beside, ROLL_OUT.stem)
     except OSError as error:
         raise BadInput(
             str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"

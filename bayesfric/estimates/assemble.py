@@ -6,16 +6,14 @@ open (section 4.2), the range of values that fit as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.information import Information
-from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.point_estimate import Bound, Estimate, EstimatedValue, Kind
+from bayesfric.estimates.point_estimate import Bound, Estimate, EstimatedValue, Kind, Knowledge
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
@@ -24,11 +22,6 @@ from bayesfric.mechanism.quantities import State
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
-
-# Closer to a bound than this share of its size, a parameter is on it.
-_ON_BOUND = 1e-6
-# A load-dependent friction is identified if its sd is less than this share of the sum of all.
-_IDENTIFIED = 0.5
 
 
 def open_scalings(
@@ -118,21 +111,72 @@ def assemble(
     bounds out: with a parameter on a bound held, others would look far too certain.
     """
     columns = np.array([chain.names.index(name) for name in knowledge.free(chain)], dtype=np.int64)
+    directions = information.directions
     scale = np.zeros(values.size)
     # these also suit parameters that are zero
-    scale[columns] = information.directions.units
+    scale[columns] = directions.units
     still_open = open_scalings(chain, knowledge, observations)
-    stated = _Stated(values, columns, information, at_bound, still_open)
-    numbers = list(_totals(chain, observations, values, scale, stated))
-    totals = {value.name for value in numbers}
-    load = typical_load(chain, observations, values)
-    numbers += [v for v in _derived(chain, values, load, scale, stated) if v.name not in totals]
+
+    def value_of(
+        number: tuple[str, str, str, str, float],
+        gradient: Array,
+        kind: Kind,
+        *,
+        gauge_free: bool = True,
+        along: Callable[[Array], Array] | None = None,
+    ) -> EstimatedValue:
+        # a function of parameters on bounds alone is on a bound, too
+        by_free, sds, span = gradient[columns], (np.nan, np.nan), None
+        bound: Bound | None = None
+        if np.any(by_free) and not np.any(by_free[at_bound == 0]):
+            bound = "lower" if by_free @ at_bound < 0 else "upper"
+        else:
+            sds = information.sds(directions.off_known(by_free) if gauge_free else by_free)
+        if along is not None and not np.isfinite(sds[0]) and len(still_open) == 1:
+            span = _span(still_open[0], values, along)
+        return EstimatedValue(*number, *sds, kind, gauge_free, bound, span)
+
+    numbers: list[EstimatedValue] = []
+    projection = TotalsProjection(chain, observations)
+    if projection.names:
+        torque = np.concatenate([filtered_torque(chain, o, values[None])[0] for o in observations])
+        totals = projection.solve(torque)
+        gradients = projection.solve(torque_jacobian(chain, observations, values, 1e-6 * scale))
+        for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
+            if label in chain.names:
+                continue  # a parameter, listed as such
+            number = label, *projection.describe(name), float(totals[i])
+            if projection.open[i]:
+                numbers.append(EstimatedValue(*number, np.inf, np.inf))
+            else:
+                numbers.append(value_of(number, gradients[i], "total"))
+
+    listed, load = {value.name for value in numbers}, typical_load(chain, observations, values)
+    moving, k = np.flatnonzero(scale), np.count_nonzero(scale)
+    shifts = np.eye(values.size)[moving] * 1e-5 * scale
+    vectors = values + np.concatenate([shifts, -shifts, np.zeros((1, values.size))])
+    for q in derive(chain, vectors, load):
+        gradient = np.zeros(values.size)
+        gradient[moving] = (q.values[:k] - q.values[k : 2 * k]) / (2e-5 * scale[moving])
+        if (
+            q.name in listed
+            or not np.isfinite([*gradient, q.values[-1]]).all()
+            or not any(gradient)
+        ):
+            continue  # a total, undefined here, or a function of fixed values only
+
+        def along(x: Array, name: str = q.name) -> Array:
+            return next(d.values for d in derive(chain, x, load) if d.name == name)
+
+        number = q.name, q.unit, q.symbol, q.meaning, float(q.values[-1])
+        numbers.append(value_of(number, gradient, "derived", gauge_free=q.gauge_free, along=along))
+
     scaled = {name for scaling in scalings(chain) for name in scaling.names}
     open_names = {name for scaling in still_open for name in scaling.names}
     for column in columns.tolist():
         p = chain.parameters[column]
         numbers.append(
-            stated(
+            value_of(
                 (p.name, p.unit, p.symbol, p.meaning, float(values[column])),
                 np.eye(values.size)[column],
                 "parameter",
@@ -143,105 +187,34 @@ def assemble(
     return tuple(numbers)
 
 
-@dataclass(frozen=True, eq=False)
-class _Stated:
-    """Makes the estimated values of functions of a fitted vector."""
-
-    values: Array  # (n_parameters,)
-    columns: NDArray[np.int64]  # (d,) the free ones among them
-    information: Information  # Of the free ones
-    at_bound: NDArray[np.int_]
-    scalings: tuple[Scaling, ...]  # Those that are open
-
-    def __call__(
-        self,
-        number: tuple[str, str, str, str, float],
-        gradient: Array,
-        kind: Kind,
-        *,
-        gauge_free: bool = True,
-        along: Callable[[Array], Array] | None = None,
-    ) -> EstimatedValue:
-        """Make one from its gradient ``(n_parameters,)``.
-
-        A function of parameters on bounds alone is on a bound, too.
-        """
-        by_free, directions = gradient[self.columns], self.information.directions
-        bound: Bound | None = None
-        sds = np.nan, np.nan
-        if np.any(by_free) and not np.any(by_free[self.at_bound == 0]):
-            bound = "lower" if by_free @ self.at_bound < 0 else "upper"
-        else:
-            sds = self.information.sds(directions.off_known(by_free) if gauge_free else by_free)
-        span = None if along is None or np.isfinite(sds[0]) else self._span(along)
-        return EstimatedValue(*number, *sds, kind, gauge_free, bound, span)
-
-    def _span(self, along: Callable[[Array], Array]) -> tuple[float, float] | None:
-        """Range of a number along the one open scaling that a passive gearbox allows."""
-        if len(self.scalings) != 1:
-            return None
-        low, high = self.scalings[0].bounds(self.values)
-        # the lower end of k is where alpha_2 would be one; at zero it is no end at all
-        factors = np.geomspace(max(low, 1e-6 * high), high, 101)
-        numbers = along(self.scalings[0].scaled(self.values, factors))
-        numbers = numbers[np.isfinite(numbers)]
-        return (float(numbers.min()), float(numbers.max())) if numbers.size else None
+def _span(
+    scaling: Scaling, values: Array, along: Callable[[Array], Array]
+) -> tuple[float, float] | None:
+    """Range of a number along an open scaling that a passive gearbox allows."""
+    low, high = scaling.bounds(values)
+    # the lower end of k is where alpha_2 would be one; at zero it is no end at all
+    numbers = along(scaling.scaled(values, np.geomspace(max(low, 1e-6 * high), high, 101)))
+    numbers = numbers[np.isfinite(numbers)]
+    return (float(numbers.min()), float(numbers.max())) if numbers.size else None
 
 
-def bounds_met(values: Array, lower: Array, upper: Array, sizes: Array) -> NDArray[np.int_]:
-    """Give -1 for each free parameter on its lower bound, 1 on its upper one, else 0."""
-    width = _ON_BOUND * np.maximum(np.abs(values), sizes)
+def bounds_met(
+    values: Array, lower: Array, upper: Array, sizes: Array, *, share: float = 1e-6
+) -> NDArray[np.int_]:
+    """Give -1 for each free parameter on its lower bound, 1 on its upper one, else 0.
+
+    It is on a bound that is closer than the ``share`` of its size.
+    """
+    width = share * np.maximum(np.abs(values), sizes)
     ends = np.zeros(values.size, dtype=np.int_)
     ends[values - lower <= width] = -1
     ends[upper - values <= width] = 1
     return ends
 
 
-def _totals(
-    chain: Joint, observations: Sequence[Observation], values: Array, scale: Array, stated: _Stated
-) -> Iterator[EstimatedValue]:
-    """Compute the totals that least squares would find in the torque of this vector."""
-    projection = TotalsProjection(chain, observations)
-    if not projection.names:
-        return
-    torque = np.concatenate([filtered_torque(chain, o, values[None])[0] for o in observations])
-    totals = projection.solve(torque)
-    jacobian = torque_jacobian(chain, observations, values, 1e-6 * scale)
-    gradients = projection.solve(jacobian)
-    for i, (name, label) in enumerate(zip(projection.names, projection.labels, strict=True)):
-        if label in chain.names:
-            continue  # a parameter, listed as such
-        number = label, *projection.describe(name), float(totals[i])
-        if projection.open[i]:
-            yield EstimatedValue(*number, np.inf, np.inf)
-        else:
-            yield stated(number, gradients[i], "total")
-
-
-def _derived(
-    chain: Joint, values: Array, load: float, scale: Array, stated: _Stated
-) -> Iterator[EstimatedValue]:
-    """Compute derived quantities that depend on a free parameter."""
-    steps = 1e-5 * scale
-    moving = np.flatnonzero(steps)
-    k = moving.size
-    shifts = np.eye(values.size)[moving] * steps
-    vectors = values + np.concatenate([shifts, -shifts, np.zeros((1, values.size))])
-    for q in derive(chain, vectors, load):
-        middle = float(q.values[-1])
-        gradient = np.zeros(values.size)
-        gradient[moving] = (q.values[:k] - q.values[k : 2 * k]) / (2 * steps[moving])
-        if not np.isfinite(middle) or not np.isfinite(gradient).all() or not gradient.any():
-            continue  # undefined here, or a function of fixed values only
-
-        def along(x: Array, name: str = q.name) -> Array:
-            return next(d.values for d in derive(chain, x, load) if d.name == name)
-
-        number = q.name, q.unit, q.symbol, q.meaning, middle
-        yield stated(number, gradient, "derived", gauge_free=q.gauge_free, along=along)
-
-
-def collinear_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -> tuple[str, ...]:
+def collinear_losses(
+    chain: Joint, estimate: Estimate, known: Collection[str], *, share: float = 0.5
+) -> tuple[str, ...]:
     """Name the load-dependent frictions of several elements where none is identified separately.
 
     The torque behind one element enters the next, so a motion determines little more than the sum
@@ -254,6 +227,7 @@ def collinear_losses(chain: Joint, estimate: Estimate, known: Collection[str]) -
         return ()
     values = [estimate[n] for n in names]
     total = sum(abs(v.value) for v in values)
-    # a parameter on a limit has no sd, and is not identified either
-    identified = (v.determined and v.larger_sd < _IDENTIFIED * total for v in values)
+    # one is identified if its sd is less than a share of the sum of all; not one on a limit, which
+    # has no sd
+    identified = (v.determined and v.larger_sd < share * total for v in values)
     return () if any(identified) else tuple(names)

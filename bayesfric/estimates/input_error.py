@@ -1,65 +1,64 @@
 """Every parameter from the error of the modelled torque: the input error, section 4.2.
 
-For any chain, with bounds, priors and several recordings. Where the torque has the form of
-eq. (13), eqs. (18) and (19) give a start.
+Bounded nonlinear least squares for any chain, with bounds, priors and several recordings. Where the
+torque has the form of eq. (13), eqs. (18) and (19) give a start.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 from itertools import cycle, islice
+from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
+from scipy import optimize
+from threadpoolctl import threadpool_limits
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates import assemble as fitted
-from bayesfric.estimates.descent import (
-    ROUNDING,
-    LocalMinimum,
-    Terms,
-    TorqueProblem,
-    few_threads,
-    minimise,
+from bayesfric.estimates.assemble import (
+    assemble,
+    bounds_met,
+    centred,
+    open_directions,
+    open_scalings,
+    units_of,
 )
 from bayesfric.estimates.information import Information
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.sizes import sizes_at, typical_sizes
-from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import scale_known, torque_form
-from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.estimates.least_squares import (
+    least_squares,
+    sizes_at,
+    starting_values,
+    typical_sizes,
+)
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
+from bayesfric.estimates.torque import (
+    VariableProjection,
+    filtered_torque,
+    places,
+    scale_known,
+    torque_form,
+    torque_jacobian,
+)
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
-Bounds = NDArray[np.int_]
-
 # Splits of the totals to start from: load-dependent friction, and the motor's share.
 _SPLITS = ((0.05, 0.5), (0.2, 0.2), (0.2, 0.5), (0.2, 0.8), (0.5, 0.3), (0.5, 0.7))
-# Residual variances between the sums of squares of two minima that differ.
-_SAME = 0.01
-# Minima of the first pass that the second starts from.
-_MINIMA = 3
+# Residuals below this share of the torque are rounding.
+_ROUNDING = 1e-9
 # Steps with the whole of long recordings before the lowest of a subsample's minima is taken; and
 # with shapes held, where the torque is linear but for products such as rise times friction.
-_STEPS = 3
-# Of the starts at shapes to try, so many of the lowest are followed; sums of squares that differ
-# by a smaller share than the second number are the same.
-_FOLLOWED, _SAME_SHAPE = 4, 1e-6
-# A search this close, relatively, to the unbounded minimum ends the searches.
-_CLOSE = 1e-6
-# Least effect on the torque of a unit change, as a share of it.
-_LEAST_EFFECT = 1e-3
+_FEW_STEPS = 3
 # Standard deviations between a prior and the data that are a contradiction.
 CONTRADICTED = 3.0
-# Rounds of reweighting, and the relative change of weights at which they are settled.
-_ROUNDS = 8
-_SETTLED = 1e-3
 
 
 def input_error(
@@ -109,7 +108,9 @@ def input_error(
     """
     _check(chain, observations, knowledge)
     with few_threads(observations):
-        return _estimate(TorqueProblem(chain, observations, knowledge), options, start)
+        problem = TorqueProblem(chain, observations, knowledge)
+        minima, note = _minima(problem, options, start)
+        return _estimate(*_refined(problem, minima), note)
 
 
 def contradicted(
@@ -150,59 +151,199 @@ def contradicted(
     return far
 
 
-def _estimate(
+class Minimum(NamedTuple):
+    """Where a search ended."""
+
+    x: Array  # (d,) free parameters
+    cost: float  # half the sum of squares there
+
+
+class TorqueProblem:
+    """Weighted residuals of the torque, and of priors, as a function of the free parameters."""
+
+    def __init__(
+        self, chain: Joint, observations: Sequence[Observation], knowledge: Knowledge
+    ) -> None:
+        self.chain, self.observations, self.knowledge = chain, observations, knowledge
+        # names of the d free parameters, and their indices among the chain's
+        self.free = knowledge.free(chain)
+        self.columns = np.array([chain.names.index(name) for name in self.free], dtype=np.int64)
+        self.lower, self.upper = knowledge.limits(chain)
+        self.measured = np.concatenate([o.measured for o in observations])
+        self.weights = np.ones(self.measured.size)
+        # factor on the priors' residuals over their sds: the torque's sd; zero without priors
+        self.prior_weight = 0.0
+        self.totals = least_squares(chain, observations)
+        # (n_parameters,) fixed values, zero elsewhere
+        self.base = np.zeros(len(chain.names))
+        for name, value in knowledge.fixed.items():
+            self.base[chain.names.index(name)] = value
+        # (n_parameters,) sizes for steps and units; any will do at zero, the torque is linear
+        self.typical = np.abs(self.split(0.2, 0.5))
+        self.typical[self.typical == 0.0] = 0.1
+        # sum of squares that is rounding
+        self.rounding = (_ROUNDING**2) * float(self.measured @ self.measured)
+
+    def weighted(self, weights: Array, prior_weight: float = 0.0) -> TorqueProblem:
+        """Give the same problem with other weights ``(n_outputs,)``, and with priors."""
+        other = copy(self)
+        other.weights, other.prior_weight = weights, prior_weight
+        return other
+
+    def excerpt(self) -> TorqueProblem:
+        """Give the problem of subsamples of long recordings; itself where none is long."""
+        subsamples = [o.excerpt() for o in self.observations]
+        if sum(o.filter.n_outputs for o in subsamples) == self.measured.size:
+            return self
+        return TorqueProblem(self.chain, subsamples, self.knowledge)
+
+    def split(self, mu: float, share: float) -> Array:
+        """Split the totals of least squares into parameters ``(n_parameters,)``, to start from."""
+        return self.chain.vector(starting_values(self.chain, self.totals, mu, share))
+
+    def vector(self, x: Array) -> Array:
+        """Give the parameters ``(n_parameters,)`` that free ones ``(d,)`` and fixed ones make."""
+        values = self.base.copy()
+        values[self.columns] = x
+        return values
+
+    def inside(self, values: Array) -> Array:
+        """Free parameters ``(d,)`` of a vector ``(n_parameters,)``, put within their limits."""
+        return self.knowledge.inside(self.chain, values[self.columns])
+
+    def torque_error(self, x: Array) -> Array:
+        """Measured minus modelled torque ``(n_outputs,)`` at free parameters ``(d,)``."""
+        values = self.vector(x)[None]
+        # a trial step to where the torque is not finite is not taken
+        with np.errstate(invalid="ignore", over="ignore"):
+            model = [filtered_torque(self.chain, o, values)[0] for o in self.observations]
+        return np.asarray(self.measured - np.concatenate(model))
+
+    def weighted_jacobian(self, x: Array) -> Array:
+        """Differentiate the weighted modelled torque by the free parameters: ``(n_outputs, d)``."""
+        steps = np.zeros(self.base.size)
+        steps[self.columns] = 1e-6 * np.maximum(np.abs(x), self.typical[self.columns])
+        full = torque_jacobian(self.chain, self.observations, self.vector(x), steps)
+        return self.weights[:, None] * full[:, self.columns]
+
+    def residual(self, x: Array) -> Array:
+        """Weighted residuals ``(n_outputs + k,)`` at free parameters ``(d,)``, priors last."""
+        residual = self.weights * self.torque_error(x)
+        if not self.prior_weight:
+            return residual
+        rows, targets = self.knowledge.rows(self.chain)
+        rows, targets = self.prior_weight * rows, self.prior_weight * targets
+        return np.concatenate([residual, targets - rows @ x])
+
+    def jacobian(self, x: Array) -> Array:
+        """Differentiate :meth:`residual`: ``(n_outputs + k, d)``."""
+        jacobian = -self.weighted_jacobian(x)
+        if not self.prior_weight:
+            return jacobian
+        return np.concatenate([jacobian, -self.prior_weight * self.knowledge.rows(self.chain)[0]])
+
+    def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> Minimum:
+        """Minimise the sum of squares from a start ``(d,)`` within the limits.
+
+        SciPy's trust region reflects steps off the limits and ends a little inside them: what ends
+        there is put exactly on its limit, unless that raises the sum of squares by more than
+        rounding. ``held`` are the indices of free parameters that stay as they are.
+        """
+        moving = np.setdiff1d(np.arange(x.size), held)
+
+        def point(part: Array) -> Array:
+            full = x.copy()
+            full[moving] = part
+            return full
+
+        def residual(part: Array) -> Array:
+            return self.residual(point(part))
+
+        def jacobian(part: Array) -> Array:
+            return self.jacobian(point(part))[:, moving]
+
+        start = Minimum(x, 0.5 * float(np.sum(self.residual(x) ** 2)))
+        if not moving.size or not np.isfinite(start.cost):
+            return start
+        result = optimize.least_squares(
+            residual,
+            x[moving],
+            jacobian,
+            (self.lower[moving], self.upper[moving]),
+            x_scale="jac",
+            ftol=1e-12,
+            xtol=1e-12,
+            gtol=1e-12,
+            max_nfev=steps + 1,
+        )
+        minimum = Minimum(point(result.x), float(result.cost))
+        met = self.bounds_met(minimum.x)
+        met[list(held)] = 0
+        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, minimum.x))
+        limited = Minimum(on_limits, 0.5 * float(np.sum(self.residual(on_limits) ** 2)))
+        rise = 1e-9 * minimum.cost + 0.5 * self.rounding
+        return limited if limited.cost <= minimum.cost + rise else minimum
+
+    def bounds_met(self, x: Array) -> NDArray[np.int_]:
+        """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""
+        return bounds_met(x, self.lower, self.upper, self.typical[self.columns])
+
+
+@contextmanager
+def few_threads(observations: Sequence[Observation], long: int = 200_000) -> Iterator[None]:
+    """Keep linear algebra to one thread, and compiled kernels below ``long`` samples.
+
+    Between many short calls the threads of the kernels and those of linear algebra wait for each
+    other: on two busy cores that was measured to cost thirty times the work.
+    """
+    threads = numba.get_num_threads()
+    if sum(o.q.size for o in observations) < long:
+        numba.set_num_threads(1)
+    try:
+        with threadpool_limits(1, "blas"):
+            yield
+    finally:
+        numba.set_num_threads(threads)
+
+
+def _minima(
     problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
-) -> Estimate:
-    """Search from all starts, weigh recordings and priors, and make the estimate."""
-    chain, observations = problem.chain, problem.observations
+) -> tuple[list[Minimum], str]:
+    """Search from all starts without weights and priors: distinct minima, and a note on them."""
     subsample = problem.excerpt() if start is None else problem
-    plain = Terms(np.ones(subsample.measured.size))
     if start is None:
-        starts, lowest, note = _starts(subsample, plain, options)
+        starts, lowest, note = _starts(subsample, options)
     else:
-        starts, lowest, note = [problem.inside(chain.vector(start))], -math.inf, ""
+        starts, lowest, note = [problem.inside(problem.chain.vector(start))], -math.inf, ""
     minima = []
     for x in starts:
-        minima.append(minimise(subsample, plain, x))
-        if minima[-1].squares <= lowest:
+        minima.append(subsample.minimise(x))
+        if 2.0 * minima[-1].cost <= lowest:
             break
-    minima.sort(key=lambda minimum: minimum.squares)
-    agreement = _agreement(subsample, minima)
+    minima.sort(key=lambda minimum: minimum.cost)
+    # sums of squares of two minima differ by more than a share of the residual variance
+    variance = 2.0 * minima[0].cost / max(subsample.measured.size - len(subsample.free), 1)
+    difference = 0.5 * (0.01 * variance + subsample.rounding)
+    agreeing = sum(minimum.cost <= minima[0].cost + difference for minimum in minima)
+    note = f"{agreeing} of {len(minima)} starts reached the minimum{note}"
+    minima = _distinct(minima, lambda cost: cost + difference)[:3]
     if subsample is not problem:
-        plain = Terms(np.ones(problem.measured.size))
         # a few steps decide which of them is the lowest of the whole
-        refits = [
-            minimise(problem, plain, x.x, iterations=_STEPS) for x in _distinct(subsample, minima)
-        ]
-        minima = [minimise(problem, plain, min(refits, key=lambda minimum: minimum.squares).x)]
-    terms, x = _refined(problem, minima)
-    values = fitted.centred(chain, problem.knowledge, observations, problem.vector(x))
-    x = problem.inside(values)
-    values = problem.vector(x)
-    at_bound = fitted.bounds_met(x, problem.lower, problem.upper, problem.typical[problem.columns])
-    information = _information(problem, terms, x)
-    residual = problem.residual(x)
-    notes = [
-        agreement + note,
-        *_scale_notes(problem, information),
-    ]
-    return Estimate(
-        method="input-error",
-        values=fitted.assemble(
-            chain, observations, problem.knowledge, values, information, at_bound
-        ),
-        residual_rms=float(np.sqrt(np.mean(residual**2))),
-        n_outputs=residual.size,
-        assumption=_assumption(problem, terms, at_bound),
-        residual_unit="N m" if chain.motor_motion == "rotary" else "N",
-        notes=tuple(notes),
-        point=tuple(zip(chain.names, values.tolist(), strict=True)),
-    )
+        refits = [problem.minimise(minimum.x, steps=_FEW_STEPS) for minimum in minima]
+        minima = [problem.minimise(min(refits, key=lambda minimum: minimum.cost).x)]
+    return minima, note
 
 
-def _starts(
-    problem: TorqueProblem, plain: Terms, options: Estimation
-) -> tuple[list[Array], float, str]:
+def _distinct(minima: Sequence[Minimum], limit: Callable[[float], float]) -> list[Minimum]:
+    """List minima, lowest first, whose costs are above the ``limit`` of the next lower one."""
+    distinct: list[Minimum] = []
+    for minimum in sorted(minima, key=lambda minimum: minimum.cost):
+        if not distinct or minimum.cost > limit(distinct[-1].cost):
+            distinct.append(minimum)
+    return distinct
+
+
+def _starts(problem: TorqueProblem, options: Estimation) -> tuple[list[Array], float, str]:
     """Make starts from variable projection, splits of the totals, random vectors, and shapes.
 
     Gives free parameters ``(d,)`` within the limits, the sum of squares that ends the search, and a
@@ -220,19 +361,58 @@ def _starts(
     note = ""
     if form is not None:
         projection = VariableProjection(form, problem.observations)
-        projected = projection.minimise([form.thetas(vector)[1] for vector in vectors])
+        thetas = [form.thetas(vector)[1] for vector in vectors]
+        theta1, theta2, agreeing = projection.minimise(thetas)
         # the projection covers random starts; the splits search minima that limits make
         vectors = vectors[: len(_SPLITS)]
-        vectors.insert(0, form.parameters(projected.theta1, projected.theta2, fixed))
+        vectors.insert(0, form.parameters(theta1, theta2, fixed))
         if _single_pass(problem):  # without priors the projection has the lowest
-            lowest = (1.0 + _CLOSE) * projection.criterion(projected.theta2) + problem.rounding
-        if projected.theta2.size:
-            note = f"; of eqs. (18) and (19), {projected.starts_agreeing} of {projected.starts}"
+            lowest = (1.0 + 1e-6) * projection.criterion(theta2) + problem.rounding
+        if theta2.size:
+            note = f"; of eqs. (18) and (19), {agreeing} of {len(thetas)}"
     starts = [problem.inside(vector) for vector in vectors]
-    starts, count = _at_trial_shapes(problem, plain, starts, rng)
-    if count:
+    if shapes := _trial_shapes(problem):
+        starts, count = _at_trial_shapes(problem, shapes, starts, rng)
         note = f", those that fitted best of {count} with shapes held at values to try"
     return starts, lowest, note
+
+
+def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
+    """List the trial values of each free shape within its limits, by column."""
+    chain = problem.chain
+    free = [(k, chain.parameters[chain.names.index(name)]) for k, name in enumerate(problem.free)]
+    shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
+    if not shaping:
+        return {}
+    scales = typical_sizes(chain, problem.observations)
+    trials = {}
+    for k, p, tries in shaping:
+        values = np.array(tries(sizes_at(chain, p.owner, scales)))
+        trials[k] = np.unique(np.clip(values, problem.lower[k], problem.upper[k]))
+    return trials
+
+
+def _at_trial_shapes(
+    problem: TorqueProblem,
+    shapes: Mapping[int, Array],
+    starts: Sequence[Array],
+    rng: np.random.Generator,
+    *,
+    followed: int = 4,
+) -> tuple[list[Array], int]:
+    """Move starts ``(d,)`` to trial values of the shapes, all else to what fits best there.
+
+    Far from its own, a shape (exponent, Stribeck velocity, time constant) has no effect at any
+    value, and a search ends at a limit. Gives the lowest of these, and their number.
+    """
+    count = max(len(starts), *(len(values) for values in shapes.values()))
+    shifted = np.stack(list(islice(cycle(starts), count)))
+    for column, values in shapes.items():
+        shifted[:, column] = np.resize(rng.permutation(values), count)
+    ends = [problem.minimise(x, held=list(shapes), steps=_FEW_STEPS) for x in shifted]
+    rounding = 0.5 * problem.rounding
+    distinct = _distinct(ends, lambda cost: (1.0 + 1e-6) * cost + rounding)
+    return [end.x for end in distinct[:followed]], count
 
 
 def _single_pass(problem: TorqueProblem) -> bool:
@@ -241,60 +421,55 @@ def _single_pass(problem: TorqueProblem) -> bool:
     return not prior_terms and len(problem.observations) == 1
 
 
-def _refined(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> tuple[Terms, Array]:
+def _refined(
+    problem: TorqueProblem, minima: Sequence[Minimum], *, rounds: int = 8
+) -> tuple[TorqueProblem, Array]:
     """Second pass, if needed: recordings weighted by their own sd, and priors.
 
-    Gives the minimised terms and free parameters ``(d,)``.
+    Gives the weighted problem and its minimum ``(d,)``.
     """
-    n = problem.measured.size
-    floor = ROUNDING * _rms(problem.measured)
-    several = len(problem.observations) > 1
-    rows, targets = problem.knowledge.rows(problem.chain)
-    terms = Terms(np.ones(n))
-    best = minima[0]
     if _single_pass(problem):
-        return terms, best.x
+        return problem, minima[0].x
+    n, best = problem.measured.size, minima[0]
+    several = len(problem.observations) > 1
+    knows = bool(problem.knowledge.rows(problem.chain)[0].size)
+    # another minimum of the first pass may be lower now
+    vectors = [_toward_priors(problem, problem.vector(minimum.x)) for minimum in minima]
+    starts = [problem.inside(vector) for vector in vectors]
     # sds from a fit that a noisy recording dominates are estimated again
-    for k in range(_ROUNDS if several else 1):
-        residual = problem.residual(best.x)
-        weights = _recording_weights(problem, terms, best.x, residual) if several else np.ones(n)
-        sd = _rms(weights * residual) * float(np.sqrt(n / max(n - len(problem.free), 1)))
-        sd = max(sd, floor)
-        previous, terms = terms, Terms(weights)
-        if rows.size:
-            terms = replace(terms, rows=sd * rows, targets=sd * targets)
-        # another minimum of the first pass may be lower now
-        starts = [best.x] if k else _second_starts(problem, minima)
-        best = min(
-            (minimise(problem, terms, x) for x in starts), key=lambda minimum: minimum.squares
-        )
-        if np.allclose(weights, previous.weights, rtol=_SETTLED, atol=0.0):
+    for _ in range(rounds if several else 1):
+        error = problem.torque_error(best.x)
+        weights = _recording_weights(problem, best.x, error) if several else np.ones(n)
+        sd = _rms(weights * error) * float(np.sqrt(n / max(n - len(problem.free), 1)))
+        sd = max(sd, _ROUNDING * _rms(problem.measured))
+        previous, problem = problem.weights, problem.weighted(weights, sd if knows else 0.0)
+        best = min((problem.minimise(x) for x in starts), key=lambda minimum: minimum.cost)
+        starts = [best.x]
+        if np.allclose(weights, previous, rtol=1e-3, atol=0.0):
             break
-    return terms, best.x
+    return problem, best.x
 
 
-def _rms(residual: Array) -> float:
-    return float(np.sqrt(np.mean(residual**2)))
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
-def _recording_weights(problem: TorqueProblem, terms: Terms, x: Array, residual: Array) -> Array:
+def _recording_weights(problem: TorqueProblem, x: Array, error: Array) -> Array:
     """Give each output ``(n_outputs,)`` one over its recording's residual standard deviation.
 
-    Times their geometric mean, so that N m stay N m. Degrees of freedom are shared out by leverage.
+    Times their geometric mean, so that N m stay N m. A fit takes from each recording as many
+    degrees of freedom as its leverage.
     """
     counts = np.array([o.measured.size for o in problem.observations])
     borders = np.cumsum(counts)[:-1]
-    # a fit takes from each recording as many degrees of freedom as its leverage
-    left, singular, _ = np.linalg.svd(
-        terms.weights[:, None] * problem.jacobian(x) * problem.typical[problem.columns],
-        full_matrices=False,
-    )
+    scaled = problem.weighted_jacobian(x) * problem.typical[problem.columns]
+    left, singular, _ = np.linalg.svd(scaled, full_matrices=False)
     leverage = (left[:, singular > 1e-9 * singular.max(initial=0.0)] ** 2).sum(axis=1)
     leverages = np.array([part.sum() for part in np.split(leverage, borders)])
-    sds = np.array([_rms(part) for part in np.split(residual, borders)])
+    sds = np.array([_rms(part) for part in np.split(error, borders)])
     sds *= np.sqrt(counts / np.maximum(counts - leverages, 1e-3 * counts))
     # residuals of a recording without noise are rounding, and must not dominate
-    sds = np.maximum(sds, max(1e-3 * sds.max(), ROUNDING * _rms(problem.measured)))
+    sds = np.maximum(sds, max(1e-3 * sds.max(), _ROUNDING * _rms(problem.measured)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
 
 
@@ -326,63 +501,45 @@ def _prior_factor(
     if not low < high:
         return 1.0
     ends = (float(np.log(low)), float(np.log(high)))
-    return float(np.exp(minimize_scalar(misfit, bounds=ends, method="bounded").x))
+    return float(np.exp(optimize.minimize_scalar(misfit, bounds=ends, method="bounded").x))
 
 
-def _information(problem: TorqueProblem, terms: Terms, x: Array) -> Information:
-    """Give the information on the free parameters.
-
-    Those on a limit are among them: held, they would leave those they trade off against with
-    standard deviations far too small.
-    """
-    residual = terms.weights * problem.residual(x)
-    rows, _ = problem.knowledge.rows(problem.chain)
-    jacobian = terms.weights[:, None] * problem.jacobian(x)
+def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:
+    """Make the estimate of a minimum ``(d,)``; ``note`` is on the search."""
+    chain, observations, knowledge = problem.chain, problem.observations, problem.knowledge
+    values = centred(chain, knowledge, observations, problem.vector(x))
+    x = problem.inside(values)
+    values = problem.vector(x)
+    at_bound = problem.bounds_met(x)
+    error, jacobian = problem.torque_error(x), problem.weighted_jacobian(x)
     # the unit of a value of zero, as on a bound, is one with an effect on the torque
     effect = np.linalg.norm(jacobian, axis=0)
-    least_unit = (
-        _LEAST_EFFECT * np.linalg.norm(problem.measured) / np.where(effect > 0.0, effect, np.inf)
-    )
-    units = fitted.units_of(problem.chain, problem.free, problem.vector(x))
-    return Information(
+    least_unit = 1e-3 * np.linalg.norm(problem.measured) / np.where(effect > 0.0, effect, np.inf)
+    # parameters on a limit are among the free ones: held, they would leave those they trade off
+    # against with standard deviations far too small
+    information = Information(
         jacobian,
-        residual,
-        np.maximum(units, least_unit),
-        places=places(problem.observations),
-        known=rows,
-        known_null=fitted.open_directions(
-            problem.chain, problem.knowledge, problem.observations, problem.vector(x)
-        ),
+        problem.weights * error,
+        np.maximum(units_of(chain, problem.free, values), least_unit),
+        places=places(observations),
+        known=knowledge.rows(chain)[0],
+        known_null=open_directions(chain, knowledge, observations, values),
     )
-
-
-def _least_difference(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> float:
-    """Least difference of the sums of squares of two distinct minima."""
-    variance = minima[0].squares / max(problem.measured.size - len(problem.free), 1)
-    return _SAME * variance + problem.rounding
-
-
-def _distinct(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> list[LocalMinimum]:
-    """List the lowest distinct minima, lowest first."""
-    difference = _least_difference(problem, minima)
-    distinct: list[LocalMinimum] = []
-    for minimum in minima:
-        if not distinct or minimum.squares > distinct[-1].squares + difference:
-            distinct.append(minimum)
-    return distinct[:_MINIMA]
-
-
-def _second_starts(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> list[Array]:
-    """Give the lowest distinct minima, moved to where the priors fit best."""
-    distinct = _distinct(problem, minima)
-    vectors = [_toward_priors(problem, problem.vector(minimum.x)) for minimum in distinct]
-    return [problem.inside(vector) for vector in vectors]
-
-
-def _agreement(problem: TorqueProblem, minima: Sequence[LocalMinimum]) -> str:
-    limit = minima[0].squares + _least_difference(problem, minima)
-    return (
-        f"{sum(one.squares <= limit for one in minima)} of {len(minima)} starts reached the minimum"
+    assumption = "sd: uncorrelated residuals of equal variance"
+    assumption += " within each recording" if np.ptp(problem.weights) else ""
+    assumption += "; sd_robust: correlated ones (HAC)"
+    assumption += "; priors are independent of the data" if problem.prior_weight else ""
+    if names := [name for name, bound in zip(problem.free, at_bound, strict=True) if bound]:
+        assumption += f"; {', '.join(names)} on a bound: the sds of the others are those without it"
+    return Estimate(
+        method="input-error",
+        values=assemble(chain, observations, knowledge, values, information, at_bound),
+        residual_rms=_rms(error),
+        n_outputs=error.size,
+        assumption=assumption,
+        residual_unit="N m" if chain.motor_motion == "rotary" else "N",
+        notes=(note, *_scale_notes(problem, information)),
+        point=tuple(zip(chain.names, values.tolist(), strict=True)),
     )
 
 
@@ -390,7 +547,7 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
     """State what fixes the scale between leg and alpha, or that nothing does."""
     notes = []
     knowledge, free = problem.knowledge, np.array(problem.free)
-    still_open = fitted.open_scalings(problem.chain, knowledge, problem.observations)
+    still_open = open_scalings(problem.chain, knowledge, problem.observations)
     for scaling in scalings(problem.chain):
         scale = f"the scale between {scaling.element}.alpha and what is behind it"
         gradients = [(free == name).astype(np.float64) for name in scaling.names if name in free]
@@ -405,18 +562,6 @@ def _scale_notes(problem: TorqueProblem, information: Information) -> list[str]:
         if by:
             notes.append(f"{scale} is fixed by {', '.join(by)}")
     return notes
-
-
-def _assumption(problem: TorqueProblem, terms: Terms, at_bound: Bounds) -> str:
-    """State in one sentence what the standard deviations assume."""
-    text = "sd: uncorrelated residuals of equal variance"
-    text += " within each recording" if np.ptp(terms.weights) else ""
-    text += "; sd_robust: correlated ones (HAC)"
-    text += "; priors are independent of the data" if terms.rows is not None else ""
-    names = [name for name, bound in zip(problem.free, at_bound, strict=True) if bound]
-    if names:
-        text += f"; {', '.join(names)} on a bound: the sds of the others are those without it"
-    return text
 
 
 def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> None:
@@ -436,49 +581,3 @@ def _check(chain: Joint, observations: Sequence[Observation], knowledge: Knowled
             f"{outputs} outputs cannot determine {len(free)} parameters",
             "use a longer recording, or decimate less",
         )
-
-
-def _at_trial_shapes(
-    problem: TorqueProblem, terms: Terms, starts: Sequence[Array], rng: np.random.Generator
-) -> tuple[list[Array], int]:
-    """Move starts ``(d,)`` to trial values of the shapes, all else to what fits best there.
-
-    Far from its own, a shape (exponent, Stribeck velocity, time constant) has no effect at any
-    value, and a search ends at a limit. Gives the lowest of these, and their number; no shape, 0.
-    """
-    shapes = _trial_shapes(problem)
-    if not shapes:
-        return list(starts), 0
-    count = max(len(starts), *(len(values) for values in shapes.values()))
-    shifted = np.stack(list(islice(cycle(starts), count)))
-    for column, values in shapes.items():
-        shifted[:, column] = np.resize(rng.permutation(values), count)
-    held = list(shapes)
-    ends: list[LocalMinimum] = []
-    for x in shifted:
-        lower, upper = problem.lower.copy(), problem.upper.copy()
-        lower[held] = upper[held] = x[held]
-        ends.append(minimise(problem, terms, x, lower=lower, upper=upper, iterations=_STEPS))
-    distinct: list[LocalMinimum] = []
-    for end in sorted(ends, key=lambda end: end.squares):
-        if (
-            not distinct
-            or end.squares > (1.0 + _SAME_SHAPE) * distinct[-1].squares + problem.rounding
-        ):
-            distinct.append(end)
-    return [end.x for end in distinct[:_FOLLOWED]], count
-
-
-def _trial_shapes(problem: TorqueProblem) -> dict[int, Array]:
-    """List the trial values of each free shape within its limits, by column."""
-    chain = problem.chain
-    free = [(k, chain.parameters[chain.names.index(name)]) for k, name in enumerate(problem.free)]
-    shaping = [(k, p, p.row.tries) for k, p in free if p.row.tries is not None]
-    if not shaping:
-        return {}
-    scales = typical_sizes(chain, problem.observations)
-    trials = {}
-    for k, p, tries in shaping:
-        values = np.array(tries(sizes_at(chain, p.owner, scales)))
-        trials[k] = np.unique(np.clip(values, problem.lower[k], problem.upper[k]))
-    return trials

@@ -1,27 +1,36 @@
-"""The totals at the motor: linear least squares, section 4.1, eqs. (10) and (11)."""
+"""The totals at the motor: linear least squares, section 4.1, eqs. (10) and (11).
+
+With them, starts of a search and the typical sizes that default priors are scaled by.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.information import Information
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
-from bayesfric.estimates.torque import places
-from bayesfric.estimates.torque_form import (
+from bayesfric.estimates.torque import (
     OPEN,
     column_names,
     columns,
     filled_columns,
     minimum_norm,
+    places,
 )
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.own_term import CarriedTerm, along
 from bayesfric.mechanism.parameter import Parameter, effort_words
-from bayesfric.mechanism.quantities import SHAPES, TOTALS
+from bayesfric.mechanism.quantities import SHAPES, TOTALS, Sizes
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
+
+# Quantile that is taken for the largest: a glitch must not set a scale.
+_NEARLY_ALL = 0.999
 
 
 def least_squares(
@@ -266,3 +275,81 @@ def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tupl
     names = [name for name in column_names(chain) if name in kinds]
     blocks = [o.filter.apply(columns(chain, o, names)).T for o in observations if names]
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))
+
+
+@dataclass(frozen=True)
+class TypicalSizes:
+    """Sizes of what was measured."""
+
+    torque: float  # Largest measured of the motor (99.9th percentile), N m or N
+    speed: float  # Root mean square at the joint, rad or m and s
+    acceleration: float
+    lean: float = 1.0  # Largest sine of the joint's angle that gravity was seen at
+    exchanged: float = 0.0  # Torque that one term surely takes, from another maybe, N m or N
+    position: float = 1.0  # Range of the joint's, rad or m
+    duration: float = 1.0  # Of the longest recording, s
+    position_step: float = 0.0  # Finest that one was read in, rad or m; 0 where it is not known
+    # rms torque of each custom or signal term, for a value of one
+    columns: Mapping[str, float] = field(default_factory=dict)
+
+
+def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalSizes:
+    """Take the scales from all recordings together."""
+    torque = np.concatenate([o.measured for o in observations])
+    # only where outputs are: an excluded glitch must not set a scale
+    speed = np.concatenate([o.qd[o.filter.centres] for o in observations])
+    acceleration = np.concatenate([o.acceleration for o in observations])
+    duration = sum(o.period * o.measured.size for o in observations)
+    lean = max(float(np.abs(np.sin(o.q[o.filter.centres])).max()) for o in observations)
+    return TypicalSizes(
+        torque=float(np.quantile(np.abs(torque), _NEARLY_ALL)),
+        # from an unknown zero the angle may be any
+        lean=1.0 if any(p.circular for p in chain.parameters) else lean or 1.0,
+        exchanged=_surely_taken(chain, observations),
+        speed=_rms(speed),
+        # a motion changes its speed at least once in all recordings
+        acceleration=max(_rms(acceleration), _rms(speed) / duration),
+        position=max(float(np.ptp(o.q[o.filter.centres])) for o in observations),
+        duration=max(float(np.ptp(o.stamps)) for o in observations),
+        position_step=min(o.position_step for o in observations),
+        columns={chain.names[c.index]: _rms_of(c, observations) for c in chain.carried},
+    )
+
+
+def sizes_at(chain: Joint, owner: str, scales: TypicalSizes) -> Sizes:
+    """Give the sizes at the input of an element, or of ``load``; losses on the way are left out."""
+    to_joint = chain.reaches[owner]
+    return Sizes(
+        scales.torque * (chain.ratio / to_joint),
+        scales.speed * to_joint,
+        scales.acceleration * to_joint,
+        chain.load.gravity,
+        scales.lean,
+        scales.duration,
+    )
+
+
+def _surely_taken(chain: Joint, observations: Sequence[Observation]) -> float:
+    """Give the largest torque of a single term by least squares, less two standard deviations."""
+    projection = TotalsProjection(chain, observations)
+    with suppress(BadInput):
+        estimate = least_squares(chain, observations, projection)
+        sizes = np.quantile(np.abs(projection.regressors), _NEARLY_ALL, axis=0)
+        determined = np.array([v.determined for v in estimate.values])
+        sds = np.array([max(v.sd, np.nan_to_num(v.sd_robust)) for v in estimate.values])
+        lowest = np.abs([v.value for v in estimate.values]) - 2.0 * sds
+        return float(np.max(lowest[determined] * sizes[determined], initial=0.0))
+    return 0.0
+
+
+def _rms_of(carried: CarriedTerm, observations: Sequence[Observation]) -> float:
+    """Root mean square torque of a custom or signal term, for a value of one."""
+    at = [o.filter.centres for o in observations]
+    arguments = [
+        (o.q[k], o.qd[k], o.stamps[k], o.inputs) for k, o in zip(at, observations, strict=True)
+    ]
+    return _rms(np.concatenate([along(carried.row, carried.reach, *a) for a in arguments]))
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))

@@ -1,50 +1,46 @@
-"""Every parameter from the error of a simulated position: the output error, section 4.3."""
+"""Every parameter from the error of a simulated position: the output error, section 4.3.
+
+Every segment of a recording is simulated from its own initial state, driven by the measured
+torque: multiple shooting without continuity constraints. Segments do not depend on each other, so
+moving all their initial positions (or speeds) at once differentiates by each of them, and one QR
+decomposition a segment takes them out of the least-squares problem (variable projection).
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates import assemble as fitted
+from bayesfric.estimates.assemble import (
+    assemble,
+    bounds_met,
+    centred,
+    open_directions,
+    units_of,
+)
 from bayesfric.estimates.information import LEAST_GROUPS, Information
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.least_squares import least_squares, starting_values
-from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.shooting import Shooting, choose_substeps, resolution
-from bayesfric.estimates.shooting_fit import (
-    Frame,
-    Linearised,
-    Solution,
-    descend_afresh,
-    residual_of,
-    settle_states,
-)  # fmt: skip
-from bayesfric.estimates.torque import filtered_torque, torque_jacobian
+from bayesfric.estimates.input_error import TorqueProblem
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
+from bayesfric.estimates.torque import torque_jacobian
+from bayesfric.mechanism.forward import simulate_segments
 from bayesfric.mechanism.joint import Joint
-from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.recordings.observation import Observation
 from bayesfric.recordings.trajectory import Trajectory, divided
 
-# Segment lengths to try, s: short ones suit a fine encoder, as noise of the torque is integrated,
-# long ones a coarse one; measured: beyond 1 s drift dominates.
-LENGTHS = (0.2, 0.5, 1.0)
-# Shortest segment, samples: two states come off each.
-_LEAST_SAMPLES = 40
-# A longer segment is taken where it lowers the logarithm of robust sds by this much.
-_LEAST_GAIN = 0.2
-# Residual variances that a full step may promise at a minimum, though no step keeps it.
-_LARGEST_GAIN = 100.0
-# Ratio of unexplained torque that shows another minimum.
-_WORSE = 2.0
-# Rounds of reweighting recordings and priors.
-_WEIGHINGS = 4
-# Finite differences carry errors of 1e-8; smaller relative singular values than this are null.
-_NULL = 1e-6
+# Relative steps of finite differences: measured, truncation and rounding are below 1e-7.
+_STEP = 1e-5
+# Repetitions: of weighing recordings and priors, of restarts from measured states, of fits of the
+# states alone.
+_WEIGHINGS, _RESTARTS, _STATE_STEPS = 4, 3, 20
 
 
 def output_error(
@@ -84,8 +80,7 @@ def output_error(
     Raises
     ------
     BadInput
-        If the joint has no inertia or cannot be simulated, or there are not more samples than
-        unknowns.
+        If the joint has no inertia or cannot be simulated.
 
     Notes
     -----
@@ -93,55 +88,231 @@ def output_error(
     residuals within a segment drift together; ``sd_robust`` rests on segments being independent of
     each other. Segments of 0.2, 0.5 and 1 s are tried, as far as there are two for each parameter;
     a longer one is taken where it clearly lowers the robust standard deviations. The search begins
-    at the input error or the split totals of least squares, whichever simulates better, and at the
-    other if that gets stuck.
+    at the input error.
     """
-    _check(chain, trajectories, knowledge)
+    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
+    inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
+    if not inertias and not all(t.inputs.added_mass for t in trajectories):
+        raise BadInput(
+            "mechanism",
+            "has no inertia, so a torque does not determine a motion to compare with",
+            "give an element or the load inertia, or use the input error",
+        )
     problem = OutputError(chain, trajectories, observations, knowledge, options)
     values = chain.vector({**dict(start.point), **knowledge.fixed})
-    lengths = problem.lengths()
-    best: Fit | None = None
-    # the start that simulates better; the other if the search from it gets stuck
-    starts = [values, _split_totals(chain, observations, knowledge)]
-    starts.sort(key=lambda v: problem.distance(v, lengths[0]))
-    for vector in starts:
-        fit = problem.fit(vector, lengths[0])
-        if fit is not None and (best is None or fit.solution.cost < best.solution.cost):
-            best = fit
-        if best is not None and (best.solution.converged or problem.late):
+    fits: list[Fit] = []
+    for length in problem.lengths():
+        if fits and problem.late:
             break
-    if best is None:
-        raise BadInput(
-            ", ".join(f"recording '{t.name}'" for t in trajectories),
-            "the joint cannot be simulated: from no start does the torque give a bounded motion",
-            "check units and sign of the torque, bound the load_loss, or shorten 'segment'",
-        )
-    fits = [best]
-    for length in lengths[1:]:
-        if problem.late:
-            break
-        longer = problem.fit(fits[-1].solution.values, length)
-        if longer is not None:
-            fits.append(longer)
-    # more segments make better sds, so a longer length must clearly gain; on other bounds it only
-    # seems to, as bounds count as certain
+        fit = problem.fit(fits[-1].values if fits else values, length)
+        if fit is not None:
+            fits.append(fit)
+        elif not fits:
+            raise BadInput(
+                ", ".join(f"recording '{t.name}'" for t in trajectories),
+                "the joint cannot be simulated: the torque gives no bounded motion",
+                "check units and sign of the torque, bound the load_loss, or shorten 'segment'",
+            )
+    # more segments make better sds, so a longer length must clearly lower their logarithm; on other
+    # bounds it only seems to, as bounds count as certain
     chosen = fits[0]
     for longer in fits[1:]:
-        same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.solution.converged
-        if same and _spread(longer) < _spread(chosen) - _LEAST_GAIN:
+        same = np.array_equal(longer.at_bound, fits[0].at_bound) and longer.converged
+        if same and longer.spread() < chosen.spread() - 0.2:
             chosen = longer
     return problem.estimate(chosen, values)
+
+
+class Sensitivities(NamedTuple):
+    """Simulated positions and their derivatives."""
+
+    positions: Array  # (n,) rad or m
+    parameters: Array  # (n, d) by the free parameters
+    states: Array  # (n, 2) by position and speed at the start of the segment each sample is in
+
+
+class Shooting:
+    """Simulation of recordings, each of their K segments from its own state."""
+
+    def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
+        self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
+        # (n,) position inside the segments of all recordings, rad or m; of each sample the
+        # recording, the segment counted over all, the place on an even grid of time
+        self.measured = np.concatenate([t.position[t.samples] for t in trajectories])
+        sizes = [t.samples.size for t in trajectories]
+        self.recording_of = np.repeat(np.arange(len(sizes)), sizes)
+        lengths = np.concatenate([np.diff(t.segments, axis=1)[:, 0] for t in trajectories])
+        # (K + 1,): segment k is borders[k]:borders[k + 1] of these
+        self.borders = np.concatenate([[0], np.cumsum(lengths)])
+        self.segment_of = np.repeat(np.arange(lengths.size), lengths)
+        self.periods = np.repeat(
+            [t.period for t in trajectories], [len(t.segments) for t in trajectories]
+        )
+        # (K, 2) position and speed to start the search for the initial states from
+        self.initial = np.concatenate([np.stack([t.q0, t.qd0], axis=1) for t in trajectories])
+        # a gap of a tenth of the recording keeps it from being a neighbour of the next
+        spans = [t.position.size + t.position.size // 10 + 1 for t in trajectories]
+        firsts = np.cumsum([0, *spans[:-1]])
+        self.places = np.concatenate(
+            [t.samples + first for t, first in zip(trajectories, firsts, strict=True)]
+        )
+
+    def positions(self, values: Array, states: Array, substeps: int | None = None) -> Array:
+        """Simulate the positions ``(m, n)`` of vectors ``(m, n_parameters)``; NaN if unstable.
+
+        ``states`` are ``(K, 2)``, or ``(m, K, 2)`` for each vector.
+        """
+        return self.motion(values, states, substeps)[0]
+
+    def motion(
+        self, values: Array, states: Array, substeps: int | None = None
+    ) -> tuple[Array, Array]:
+        """Simulate as :meth:`positions` does; positions and speeds, ``(m, n)`` each."""
+        m = values.shape[0]
+        states = np.broadcast_to(states, (m, len(self.initial), 2))
+        blocks, first = [], 0
+        for t in self.trajectories:
+            part = states[:, first : first + len(t.segments)]
+            first += len(t.segments)
+            simulated = simulate_segments(
+                self.chain,
+                values,
+                t.torque,
+                t.period,
+                t.segments,
+                part[..., 0],
+                part[..., 1],
+                inputs=t.inputs,
+                begin=float(t.time[0]),
+                hold=t.hold,
+                substeps=self.substeps if substeps is None else substeps,
+            )
+            blocks.append([x[:, t.samples] for x in simulated])
+        q, qd = (np.concatenate(both, axis=1) for both in zip(*blocks, strict=True))
+        return q, qd
+
+    def sensitivities(
+        self, values: Array, states: Array, steps: Array, state_steps: tuple[float, float]
+    ) -> Sensitivities:
+        """Simulate and differentiate, all finite differences side by side.
+
+        By the parameters with a step ``(n_parameters,)``: central differences, one-sided of the
+        same order at an end of the support.
+        """
+        moving = np.flatnonzero(steps)
+        d, h = moving.size, steps[moving]
+        lower, upper = np.array([(p.lower, p.upper) for p in self.chain.parameters])[moving].T
+        first = np.where(values[moving] - h < lower, 1.0, -1.0)
+        second = np.where(first > 0, 2.0, np.where(values[moving] + h > upper, -2.0, 1.0))
+        # (2 sides, d parameters and both states), then the middle
+        widths = np.array([[*(first * h), *state_steps], [*(second * h), *state_steps]])
+        widths[1, d:] *= -1.0
+        rows = widths.size + 1
+        vectors, starts = np.tile(values, (rows, 1)), np.tile(states, (rows, 1, 1))
+        for side, changes in enumerate(widths):
+            begin = side * (d + 2)
+            vectors[begin + np.arange(d), moving] += changes[:d]
+            for i in range(2):
+                starts[begin + d + i, :, i] += changes[d + i]
+        *ends, middle = self.positions(vectors, starts)
+        # slope at the middle of the parabola through the three
+        a, b = widths[:, :, None]
+        up, down = (np.array(ends) - middle).reshape(2, d + 2, -1)
+        slopes = ((up * b / a - down * a / b) / (b - a)).T
+        return Sensitivities(middle, slopes[:, :d], slopes[:, d:])
+
+    def follow(
+        self, values: Array, states: Array, change: Array, weights: Array
+    ) -> tuple[Array, Array]:
+        """Give each segment the share of a change of its state ``(K, 2)`` that suits it best.
+
+        States and residuals ``(n,)`` at a vector; NaN where no share gives a motion. Where a
+        segment starts at standstill, Newton's steps only ever halve its speed: zero is tried, too.
+        """
+        starts = np.array([states + share * change for share in (1.0, 0.2, 0.0)])
+        starts = np.concatenate([starts, [(states + change) * (1.0, 0.0)]])
+        residuals = self.measured - self.positions(np.tile(values, (len(starts), 1)), starts)
+        costs = np.add.reduceat((residuals * weights) ** 2, self.borders[:-1], axis=1)
+        best = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
+        left = residuals[best[self.segment_of], np.arange(self.measured.size)]
+        return starts[best, np.arange(best.size)], left
+
+
+def eliminate_states(
+    shooting: Shooting, by_state: Array, columns: Array, *, least_reach: float = 1e-2
+) -> tuple[Array, Array, int]:
+    """Take the states' derivatives ``(n, 2)`` out of columns ``(n, k)``, segment by segment.
+
+    Gives the columns projected, their coefficients in the states ``(K, 2, k)``, and the number of
+    states. An initial speed that carries the joint for less than ``least_reach`` of a sample, as
+    where it sticks, is noise of the differences, and left out.
+    """
+    projected = columns.copy()
+    onto = np.zeros((len(shooting.initial), 2, columns.shape[1]))
+    eliminated = 0
+    for k, (a, b) in enumerate(pairwise(shooting.borders)):
+        q, r = np.linalg.qr(by_state[a:b])
+        rank = 2 if abs(r[1, 1]) > least_reach * shooting.periods[k] * abs(r[0, 0]) else 1
+        eliminated += rank
+        coefficients = q[:, :rank].T @ columns[a:b]
+        projected[a:b] -= q[:, :rank] @ coefficients
+        onto[k, :rank] = np.linalg.solve(r[:rank, :rank], coefficients)
+    return projected, onto, eliminated
+
+
+def resolution(position: Array) -> float:
+    """Smallest change of position ``(N,)`` that a recording resolves.
+
+    The larger of the smallest step between values and the noise of neighbouring samples (third
+    differences: motion itself hardly shows in them).
+    """
+    span = float(np.ptp(position))
+    gaps = np.diff(np.unique(position))
+    # rounding of a conversion of units is not a step of the encoder
+    gaps = gaps[gaps > 1e-9 * span]
+    step = float(gaps.min()) if gaps.size else 0.0
+    noise = float(np.median(np.abs(np.diff(position, 3)))) / (0.6745 * np.sqrt(20.0))
+    return float(max(step, noise, 1e-9 * span, 1e-12))
+
+
+def choose_substeps(
+    shooting: Shooting, values: Array, states: Array, small: float | None = None, most: int = 64
+) -> tuple[int, float]:
+    """Choose integration steps a sample: the fewest powers of two that err little.
+
+    ``small`` is the tolerated error, if left out a hundredth of the encoder's resolution.
+    """
+    if small is None:
+        small = 0.01 * min(resolution(t.position) for t in shooting.trajectories)
+    substeps = 1
+    coarse = shooting.positions(values[None], states, substeps)[0]
+    while True:
+        fine = shooting.positions(values[None], states, 2 * substeps)[0]
+        error = float(np.nanmax(np.abs(fine - coarse))) * 16.0 / 15.0
+        if not error > small or substeps >= most:
+            return substeps, error
+        substeps, coarse = 2 * substeps, fine
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fit with segments of one length."""
 
-    frame: Frame
-    solution: Solution
+    shooting: Shooting
+    values: Array  # (n_parameters,)
+    states: Array  # (K, 2)
+    residual: Array  # (n,) measured minus simulated position, rad or m
+    weights: Array  # (n,) of the residuals
     # of the free parameters, those on a bound included: held, others would look far too certain
     information: Information
     at_bound: NDArray[np.int_]  # (d,): -1 on the lower bound, 1 on the upper, else 0
+    converged: bool
+
+    def spread(self) -> float:
+        """Mean logarithm of the robust standard deviations of identified directions."""
+        d = self.information.directions
+        sds = [self.information.sds(row / d.units)[1] for row in d.rows[~d.null]]
+        return float(np.mean(np.log(np.maximum(sds, 1e-300)))) if sds else np.inf
 
 
 class OutputError:
@@ -157,104 +328,115 @@ class OutputError:
     ) -> None:
         self.chain, self.knowledge, self.options = chain, knowledge, options
         self.trajectories, self.observations = tuple(trajectories), tuple(observations)
-        self.free = knowledge.free(chain)
-        self.columns = np.array([chain.names.index(n) for n in self.free], dtype=np.int64)
-        self.limits = knowledge.limits(chain)
-        self.scalings = fitted.open_scalings(chain, knowledge, observations)
+        self.torque = TorqueProblem(chain, observations, knowledge)
+        self.columns = self.torque.columns
         self.deadline = time.process_time() + options.max_seconds
         # sd of the rounding to counts, of each recording, rad or m
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
+        # steps of the states' differences
+        speeds = np.concatenate([o.qd for o in observations])
+        self.span = max(float(np.ptp(t.position)) for t in trajectories) or 1e-12
+        speed = max(float(np.sqrt(np.mean(speeds**2))), 1e-12)
+        self._state_steps = _STEP * self.span, _STEP * speed
 
     @property
     def late(self) -> bool:
         """Whether the time for the search is over."""
         return time.process_time() >= self.deadline
 
-    def distance(self, values: Array, length: float) -> float:
-        """Sum of squares at a start ``(n_parameters,)``, states fitted; infinite if unstable."""
-        *_, residual = self._begin(values, length)
-        squares = float(np.sum(residual**2))
-        return squares if np.isfinite(squares) else np.inf
-
-    def _begin(self, values: Array, length: float) -> tuple[Frame, Array, Array, Array]:
-        """Divide the recordings, put a start within the limits, and fit its states."""
-        cut = [
-            divided(t, o, length) for t, o in zip(self.trajectories, self.observations, strict=True)
-        ]
-        values = values.copy()
-        values[self.columns] = self.knowledge.inside(self.chain, values[self.columns])
-        frame = self._frame(Shooting(self.chain, cut, self.options.substeps or 1), values)
-        states = settle_states(frame, values, frame.shooting.initial)
-        return frame, values, states, residual_of(frame, values, states)
-
-    def fit(self, values: Array, length: float) -> Fit | None:
-        """Fit from a start ``(n_parameters,)`` with segments of one length; ``None`` if unstable.
-
-        Recordings and priors are reweighted four times by the residuals. Along an open scaling the
-        fit is moved to the middle of what a gearbox allows.
-        """
-        frame, values, states, residual = self._begin(values, length)
-        shooting = frame.shooting
-        if not np.isfinite(residual).all():
-            return None
-        if self.options.substeps is None:
-            substeps, _ = choose_substeps(shooting, values, states)
-            if substeps != shooting.substeps:
-                frame = self._frame(Shooting(self.chain, shooting.trajectories, substeps), values)
-        several = len(self.trajectories) > 1
-        for _ in range(_WEIGHINGS if several or self.knowledge.priors else 1):
-            frame = self._weighted(frame, residual)
-            solution = descend_afresh(frame, values, states)
-            if not np.isfinite(solution.cost):
-                return None
-            values, states, residual = solution.values, solution.states, solution.residual
-        middle = fitted.centred(self.chain, self.knowledge, self.observations, values).copy()
-        middle[self.columns] = self.knowledge.on_turn(self.chain, middle[self.columns])
-        if not np.array_equal(middle, values):
-            moved = residual_of(frame, middle, states)
-            solution = replace(solution, values=middle, residual=moved)
-        at_bound = fitted.bounds_met(solution.values[self.columns], *self.limits, frame.units)
-        information = self._information(frame, solution)
-        return Fit(frame, solution, information, at_bound)
-
-    def lengths(self) -> tuple[float, ...]:
+    def lengths(
+        self, tried: Sequence[float] = (0.2, 0.5, 1.0), least_samples: int = 40
+    ) -> tuple[float, ...]:
         """Segment lengths to try, s: the configured one, or those with two segments a parameter.
 
-        ``sd_robust`` needs these; two states come off each segment, so none is below 40 samples.
+        Short ones suit a fine encoder, as noise of the torque is integrated, long ones a coarse
+        one; measured: beyond 1 s drift dominates. ``sd_robust`` needs two segments a parameter; two
+        states come off each, so none is below 40 samples.
         """
         if self.options.segment is not None:
             return (self.options.segment,)
         total = sum(float(np.diff(t.segments, axis=1).sum()) * t.period for t in self.trajectories)
-        period = max(t.period for t in self.trajectories)
+        shortest = least_samples * max(t.period for t in self.trajectories)
         needed = LEAST_GROUPS * max(self.columns.size, 1)
-        shortest = _LEAST_SAMPLES * period
-        fitting = [length for length in LENGTHS if length >= shortest and total >= needed * length]
-        return tuple(fitting) or (max(LENGTHS[0], shortest),)
+        fitting = [length for length in tried if length >= shortest and total >= needed * length]
+        return tuple(fitting) or (max(tried[0], shortest),)
 
-    def estimate(self, fit: Fit, start: Array) -> Estimate:
+    def fit(self, values: Array, length: float) -> Fit | None:
+        """Fit from a start ``(n_parameters,)`` with segments of one length; ``None`` if unstable.
+
+        Recordings and priors are weighed four times by the residuals. A bad start can drive a state
+        into a separate minimum (a joint that stops where the measured one passes) that no small
+        step leaves: segments that fit better from their measured state are fitted again from there.
+        Along an open scaling the fit is moved to the middle of what a gearbox allows.
+        """
+        pairs = zip(self.trajectories, self.observations, strict=True)
+        parts = [divided(t, o, length) for t, o in pairs]
+        shooting = Shooting(self.chain, parts, self.options.substeps or 1)
+        values = self.torque.vector(self.torque.inside(values))
+        states, residual = self._with_states(shooting, values)
+        if not np.isfinite(residual).all():
+            return None
+        if self.options.substeps is None:
+            shooting.substeps, _ = choose_substeps(shooting, values, states)
+        units = self._units(values)
+        several = len(self.trajectories) > 1
+        late = False
+        for _ in range(_WEIGHINGS if several or self.knowledge.priors else 1):
+            weights = self._weights(shooting, residual)
+            for _ in range(_RESTARTS + 1):
+                values, states, residual, late = self._search(
+                    shooting, values, states, weights, units
+                )
+                restarted, left = self._with_states(shooting, values)
+                before, after = (
+                    np.add.reduceat((weights * r) ** 2, shooting.borders[:-1])
+                    for r in (residual, left)
+                )
+                better = after < (1.0 - 1e-6) * before
+                if late or (before - after)[better].sum() <= 1e-6 * before.sum():
+                    break
+                states = np.where(better[:, None], restarted, states)
+        values = centred(self.chain, self.knowledge, self.observations, values)
+        values = self.torque.vector(self.knowledge.on_turn(self.chain, values[self.columns]))
+        residual = shooting.measured - shooting.positions(values[None], states)[0]
+        at_bound = self._bounds_met(values[self.columns], units)
+        projected, _, eliminated = self._linearised(shooting, values, states, weights, units)
+        rows, _ = self.knowledge.rows(self.chain)
+        information = Information(
+            projected[:, 1:],
+            projected[:, 0],
+            units,
+            places=shooting.places,
+            known=rows,
+            known_null=self._open_directions(values),
+            tolerance=1e-6,  # finite differences carry errors of 1e-8
+            groups=shooting.segment_of,
+            lost=eliminated,
+            least=float(np.min(weights * self.grain[shooting.recording_of])),
+        )
+        converged = not late and self._at_minimum(
+            values, weights * residual, projected, units, at_bound == 0
+        )
+        return Fit(shooting, values, states, residual, weights, information, at_bound, converged)
+
+    def estimate(self, fit: Fit, start: Array, worse: float = 2.0) -> Estimate:
         """Make the estimate of a fit; ``start`` is the input error's vector.
 
-        Warnings come first in its notes: no convergence, or a minimum that leaves more than twice
-        the input error's unexplained torque.
+        Warnings come first in its notes: no convergence, or a minimum that leaves more than
+        ``worse`` times the input error's unexplained torque.
         """
         unit = "rad" if self.chain.load.motion == "rotary" else "m"
-        solution, shooting = fit.solution, fit.frame.shooting
+        shooting, n = fit.shooting, len(fit.states)
         data = self.chain, self.observations, self.knowledge
-        values = fitted.assemble(*data, solution.values, fit.information, fit.at_bound)
+        values = assemble(*data, fit.values, fit.information, fit.at_bound)
         length = float(np.median(np.diff(shooting.borders) * shooting.periods))
-        n = shooting.n_segments
         notes = [f"simulated in {n} segments of {length:.3g} s"]
         if n < LEAST_GROUPS * self.columns.size:
             notes.append(
                 f"{n} segments are too few for sums over segments: sd_robust treats residuals as "
                 "a stationary series and is too small where they drift; give a shorter 'segment'"
             )
-        # residuals that are rounding cannot be lowered
-        variance = float(np.mean(solution.residual**2))
-        rounding = 1e-12 * fit.frame.span**2
-        near_minimum = solution.gain * variance <= _LARGEST_GAIN * max(variance, rounding)
-        converged = solution.converged or (near_minimum and not self.late)
-        if not converged:
+        if not fit.converged:
             values = tuple(replace(v, sd=np.nan, sd_robust=np.nan, span=None) for v in values)
             reason = (
                 f"the search was stopped after {self.options.max_seconds:g} s of CPU time (raise "
@@ -264,8 +446,11 @@ class OutputError:
                 "longer recordings, may help)"
             )
             notes.insert(0, f"NOT CONVERGED, these numbers are not an estimate: {reason}")
-        before, after = self._torque_left(start), self._torque_left(solution.values)
-        if converged and after > _WORSE * before:
+        before, after = (
+            float(np.sqrt(np.mean(self.torque.torque_error(v[self.columns]) ** 2)))
+            for v in (start, fit.values)
+        )
+        if fit.converged and after > worse * before:
             notes.insert(
                 0,
                 f"ANOTHER MINIMUM than the input error's: these numbers leave {after / before:.2g} "
@@ -274,112 +459,147 @@ class OutputError:
         return Estimate(
             method="output-error",
             values=values,
-            residual_rms=float(np.sqrt(np.mean(solution.residual**2))),
-            n_outputs=solution.residual.size,
+            residual_rms=float(np.sqrt(np.mean(fit.residual**2))),
+            n_outputs=fit.residual.size,
             assumption="sd: uncorrelated noise of the position; sd_robust: residuals correlated "
             "in any way within segments, as noise of the torque makes them",
             residual_unit=unit,
             notes=tuple(notes),
-            point=tuple(zip(self.chain.names, solution.values.tolist(), strict=True)),
-            converged=converged,
+            point=tuple(zip(self.chain.names, fit.values.tolist(), strict=True)),
+            converged=fit.converged,
         )
 
-    def _torque_left(self, values: Array) -> float:
-        """Root mean square of the unexplained torque."""
-        pairs = (
-            (o.measured, filtered_torque(self.chain, o, values[None])) for o in self.observations
-        )
-        return float(np.sqrt(np.mean(np.concatenate([y - x[0] for y, x in pairs]) ** 2)))
+    def _with_states(self, shooting: Shooting, values: Array) -> tuple[Array, Array]:
+        """Fit the initial states ``(K, 2)`` alone, from the measured ones; residuals ``(n,)``."""
+        states, even = shooting.initial, np.ones(shooting.measured.size)
+        residual = shooting.measured - shooting.positions(values[None], states)[0]
+        for _ in range(_STATE_STEPS):
+            if not np.isfinite(residual).all():
+                break
+            derivatives = shooting.sensitivities(
+                values, states, np.zeros(values.size), self._state_steps
+            )
+            by_state = np.nan_to_num(derivatives.states)
+            _, onto, _ = eliminate_states(shooting, by_state, residual[:, None])
+            before = residual
+            states, residual = shooting.follow(values, states, onto[:, :, 0], even)
+            if residual @ residual >= (1.0 - 1e-6) * (before @ before):
+                break
+        return states, residual
 
-    def _frame(self, shooting: Shooting, values: Array) -> Frame:
-        """Collect what a descent keeps fixed, with equal weights."""
+    def _search(
+        self, shooting: Shooting, values: Array, states: Array, weights: Array, units: Array
+    ) -> tuple[Array, Array, Array, bool]:
+        """Minimise the weighted squares of positions and priors within limits, by SciPy.
+
+        States follow a step of the parameters to first order. Gives parameters, states, residuals
+        ``(n,)``, and whether the time is over.
+        """
         rows, targets = self.knowledge.rows(self.chain)
-        speeds = np.concatenate([o.qd for o in self.observations])
-        return Frame(
-            shooting,
-            self.columns,
-            self._units(values)[self.columns],
-            self.limits,
-            self.scalings,
-            rows,
-            targets,
-            speed=max(float(np.sqrt(np.mean(speeds**2))), 1e-12),
-            span=max(float(np.ptp(t.position)) for t in self.trajectories) or 1e-12,
-            rows=np.ones(shooting.measured.size),
-            sigma=1.0,
-            deadline=self.deadline,
-        )
+        lower, upper, vector = self.torque.lower, self.torque.upper, self.torque.vector
+        x = values[self.columns]
+        left = shooting.measured - shooting.positions(values[None], states)[0]
+        sd = float(np.sqrt(np.mean((weights * left) ** 2)))  # scale of the priors
+        # where the states are known to fit, their slopes there, and the last trial
+        point, slopes = (x, states), np.zeros((*states.shape, 1 + x.size))
+        trial = best = (x, states, left)
+
+        def residual(x: Array) -> Array:
+            nonlocal trial
+            if self.late:
+                raise TimeoutError
+            change = slopes[:, :, 0] - slopes[:, :, 1:] @ (x - point[0])
+            trial = (x.copy(), *shooting.follow(vector(x), point[1], change, weights))
+            return np.concatenate([weights * trial[2], sd * (targets - rows @ x)])
+
+        def jacobian(x: Array) -> Array:
+            nonlocal point, slopes, best
+            # SciPy differentiates at its best, which is the last that it tried
+            if not np.array_equal(x, trial[0]):
+                residual(x)
+            best, point = trial, trial[:2]
+            projected, slopes, _ = self._linearised(shooting, vector(x), trial[1], weights, units)
+            return -np.concatenate([projected[:, 1:], sd * rows])
+
+        try:
+            optimize.least_squares(
+                residual, x, jacobian, (lower, upper), x_scale=units,
+                ftol=1e-9, xtol=1e-9, gtol=1e-15, max_nfev=100,
+            )  # fmt: skip
+            # what ends next to a limit stands on it
+            met = self._bounds_met(best[0], units)
+            on_limits = np.where(met < 0, lower, np.where(met > 0, upper, best[0]))
+            ends = [(float(np.sum(residual(x) ** 2)), trial) for x in (best[0], on_limits)]
+            best = ends[1][1] if ends[1][0] <= (1.0 + 1e-9) * ends[0][0] else ends[0][1]
+        except TimeoutError:
+            return vector(best[0]), best[1], best[2], True
+        return vector(best[0]), best[1], best[2], False
+
+    def _linearised(
+        self, shooting: Shooting, values: Array, states: Array, weights: Array, units: Array
+    ) -> tuple[Array, Array, int]:
+        """Eliminate the states from weighted residual and Jacobian: ``(n, 1 + d)``, as columns.
+
+        Derivatives along the open scalings are zero.
+        """
+        steps = np.zeros(values.size)
+        steps[self.columns] = _STEP * units
+        simulated = shooting.sensitivities(values, states, steps, self._state_steps)
+        jacobian = np.nan_to_num(simulated.parameters) * units
+        tangents, _ = np.linalg.qr((self._open_directions(values) / units).T)
+        jacobian -= (jacobian @ tangents) @ tangents.T
+        by_state = np.nan_to_num(simulated.states) * weights[:, None]
+        columns = np.column_stack([shooting.measured - simulated.positions, jacobian / units])
+        return eliminate_states(shooting, by_state, weights[:, None] * columns)
+
+    def _bounds_met(self, x: Array, units: Array) -> NDArray[np.int_]:
+        return bounds_met(x, self.torque.lower, self.torque.upper, units)
+
+    def _open_directions(self, values: Array) -> Array:
+        return open_directions(self.chain, self.knowledge, self.observations, values)
+
+    def _at_minimum(
+        self,
+        values: Array,
+        residual: Array,
+        projected: Array,
+        units: Array,
+        free: Flags,
+        *,
+        most: float = 100.0,
+    ) -> bool:
+        """Whether a full step promises less than ``most`` residual variances.
+
+        Kinks of the torque and rounding stop a search although one promises some.
+        """
+        rows, targets = self.knowledge.rows(self.chain)
+        variance = float(np.mean(residual**2))
+        prior = np.sqrt(variance) * (targets - rows @ values[self.columns])
+        target = np.concatenate([projected[:, 0], prior])
+        matrix = np.concatenate([projected[:, 1:], np.sqrt(variance) * rows])[:, free] * units[free]
+        rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-6)[0]
+        by_states = residual @ residual - projected[:, 0] @ projected[:, 0]
+        gain = float(by_states + target @ target - rest @ rest)
+        # residuals that are rounding cannot be lowered
+        return gain <= most * max(variance, (1e-6 * self.span) ** 2)
 
     def _units(self, values: Array) -> Array:
-        """Give the change of each parameter that changes the torque by its rms."""
-        sizes = fitted.units_of(self.chain, self.chain.names, values)
+        """Give the change of each free parameter that changes the torque by its rms."""
+        sizes = units_of(self.chain, self.chain.names, values)
         steps = 1e-6 + 1e-4 * sizes
         jacobian = torque_jacobian(self.chain, self.observations, values, steps)
         torque = np.concatenate([o.measured for o in self.observations])
         effect = np.sqrt(np.mean(jacobian**2, axis=0))
-        torque_rms = float(np.sqrt(np.mean(torque**2)))
-        return np.where(effect > 0.0, torque_rms / np.where(effect > 0.0, effect, 1.0), sizes)
+        with np.errstate(divide="ignore"):
+            units = np.where(effect > 0.0, np.sqrt(np.mean(torque**2)) / effect, sizes)
+        return np.asarray(units[self.columns])
 
-    def _weighted(self, frame: Frame, residual: Array) -> Frame:
+    def _weights(self, shooting: Shooting, residual: Array) -> Array:
         """Weight recordings by one over their residual rms, the encoder's rounding at least."""
-        recording_of = frame.shooting.recording_of
-        rows = np.ones(residual.size)
-        if len(self.trajectories) > 1:
-            sizes = np.sqrt(np.bincount(recording_of, residual**2) / np.bincount(recording_of))
-            # a joint at standstill is simulated exactly, but measured to a count only
-            sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
-            rows = float(np.sqrt(np.mean(residual**2))) / np.maximum(sizes, 1e-300)[recording_of]
-        return replace(frame, rows=rows, sigma=float(np.sqrt(np.mean((residual * rows) ** 2))))
-
-    def _information(self, frame: Frame, solution: Solution) -> Information:
-        """Give the information on the free parameters, states eliminated, segments as groups."""
-        linear = Linearised(frame, solution.values, solution.states)
-        projected = linear.elimination.projected
-        return Information(
-            projected[:, 1:],
-            projected[:, 0],
-            frame.units,
-            places=frame.shooting.places,
-            known=frame.prior_rows,
-            known_null=fitted.open_directions(
-                self.chain, self.knowledge, self.observations, solution.values
-            ),
-            tolerance=_NULL,
-            groups=frame.shooting.segment_of,
-            lost=linear.elimination.lost,
-            least=float(np.min(frame.rows * self.grain[frame.shooting.recording_of])),
-        )
-
-
-def _spread(fit: Fit) -> float:
-    """Mean logarithm of the robust standard deviations of identified directions."""
-    d = fit.information.directions
-    identified = d.rows[~d.null]
-    sds = [fit.information.sds(row / d.units)[1] for row in identified]
-    return float(np.mean(np.log(np.maximum(sds, 1e-300)))) if sds else np.inf
-
-
-def _split_totals(chain: Joint, observations: Sequence[Observation], knowledge: Knowledge) -> Array:
-    """Split the least-squares totals into parameters, as a second start."""
-    values = starting_values(chain, least_squares(chain, observations), 0.2, 0.5)
-    return chain.vector({**values, **knowledge.fixed})
-
-
-def _check(chain: Joint, trajectories: Sequence[Trajectory], knowledge: Knowledge) -> None:
-    """Refuse a mechanism without inertia, and fewer samples than unknowns."""
-    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
-    inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
-    if not inertias and not all(t.inputs.added_mass for t in trajectories):
-        raise BadInput(
-            "mechanism",
-            "has no inertia, so a torque does not determine a motion to compare with",
-            "give an element or the load inertia, or use the input error",
-        )
-    unknowns = len(knowledge.free(chain)) + 2 * len(trajectories)
-    samples = sum(t.samples.size for t in trajectories)
-    if samples <= unknowns:
-        raise BadInput(
-            ", ".join(f"recording '{t.name}'" for t in trajectories),
-            f"{samples} samples cannot determine {unknowns} unknowns",
-            "use a longer recording",
-        )
+        if len(self.trajectories) == 1:
+            return np.ones(residual.size)
+        recording = shooting.recording_of
+        sizes = np.sqrt(np.bincount(recording, residual**2) / np.bincount(recording))
+        # a joint at standstill is simulated exactly, but measured to a count only
+        sizes = np.maximum(sizes, np.maximum(self.grain, 1e-3 * sizes.max()))
+        return np.asarray(np.sqrt(np.mean(residual**2)) / np.maximum(sizes, 1e-300)[recording])

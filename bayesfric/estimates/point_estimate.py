@@ -1,10 +1,19 @@
-"""A point estimate of any method: numbers, standard deviations, assumptions."""
+"""Into and out of an estimate: prior knowledge and options; numbers, sds and assumptions."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, get_args
+
+import numpy as np
+from pydantic import Field
+
+from bayesfric.base.options import Options
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import turned
+from bayesfric.recordings.arrays import Array
 
 # In the order of results; a method comes after the one that it starts from.
 Method = Literal["least-squares", "input-error", "output-error"]
@@ -87,3 +96,94 @@ class Estimate:
 
     def __contains__(self, name: str) -> bool:
         return any(value.name == name for value in self.values)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Known values, bounds and data-sheet values of a chain's parameters, by name, in SI units."""
+
+    # values of parameters that are not estimated
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    # limits of others; the support where left out
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # mean and standard deviation of others, one more residual each
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def free(self, chain: Joint) -> tuple[str, ...]:
+        """Names of the parameters to estimate, in the chain's order."""
+        return tuple(name for name in chain.names if name not in self.fixed)
+
+    def limits(self, chain: Joint) -> tuple[Array, Array]:
+        """Lower and upper limits ``(d,)`` of the free parameters."""
+        support = {p.name: (p.lower, p.upper) for p in chain.parameters}
+        pairs = [self.bounds.get(name, support[name]) for name in self.free(chain)]
+        return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+    def on_turn(self, chain: Joint, values: Array) -> Array:
+        """Bring angles of free parameters ``(d,)`` to the turn of their limits."""
+        described = {p.name: p for p in chain.parameters}
+        out = values.copy()
+        for j, (name, low, high) in enumerate(
+            zip(self.free(chain), *self.limits(chain), strict=True)
+        ):
+            if described[name].circular:
+                middle = (low + high) / 2.0 if np.isfinite(high - low) else 0.0
+                out[j] = turned(float(values[j]), middle)
+        return out
+
+    def inside(self, chain: Joint, values: Array) -> Array:
+        """Put free parameters ``(d,)`` within their limits."""
+        return np.clip(self.on_turn(chain, values), *self.limits(chain))
+
+    def rows(self, chain: Joint) -> tuple[Array, Array]:
+        """Write priors as rows ``1/sd`` ``(k, d)`` and targets ``mean/sd`` ``(k,)``."""
+        free = self.free(chain)
+        known = [name for name in free if name in self.priors]
+        means, sds = np.array([self.priors[name] for name in known]).reshape(-1, 2).T
+        rows = np.eye(len(free))[[free.index(name) for name in known]]
+        return rows / sds[:, None], means / sds
+
+
+class Estimation(Options):
+    """How point estimates are made."""
+
+    starts: int = Field(8, ge=1, le=1000, description="random starts beside the derived ones")
+    seed: int = Field(1, ge=0, lt=2**63, description="of the random starts")
+    output_error: bool = Field(
+        False,
+        description="whether 'fit' makes the output-error estimate beside the posterior, as with "
+        "--output-error; it simulates, and may take many times as long as the posterior",
+    )
+    max_seconds: float = Field(
+        60.0,
+        gt=0,
+        le=1e9,
+        description="CPU time that the output-error estimate may take, s; what it has by then is "
+        "marked as not converged, and is another one on another machine. An output-error "
+        "likelihood starts from that estimate, and allows it all it needs",
+    )
+    segment: float | None = Field(
+        None,
+        gt=0,
+        le=1e5,
+        description="s after which the output-error simulation starts anew; chosen if left out",
+    )
+    substeps: int | None = Field(
+        None, ge=1, le=64, description="integration steps a sample; chosen if left out"
+    )
+
+
+class Reference(Options):
+    """A value from elsewhere to compare results with; it enters no fit."""
+
+    value: float = Field(
+        allow_inf_nan=False,
+        description="in SI units, as results are shown",
+    )
+    sd: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="its standard deviation, if it is known",
+    )
+    source: str = Field("reference", description="where it is from, such as CAD")

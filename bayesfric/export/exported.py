@@ -14,23 +14,26 @@ import numpy as np
 from bayesfric.base import __version__
 from bayesfric.base.atomic_write import check_output_folder, new_folder
 from bayesfric.base.errors import BadInput
-from bayesfric.export.extra_terms import LINK_AND_DRIVE, fold_extra_terms, lost_by_law, lost_terms
-from bayesfric.export.format import Files, Format, Options, filled, format_of, pendulum
+from bayesfric.export.formats import Files, Format, Options, body_of, filled, format_of, omitted
 from bayesfric.export.joint_model import (
+    LINK_AND_DRIVE,
+    LOSSES,
     NUMBERS,
-    STRIBECK,
-    JointModel,
+    Numbers,
     Trajectory,
-    joint_model,
-    simulated_torque,
+    exact_numbers,
+    loss_columns,
+    number_of,
     stacked,
     torque_along,
-    without_load_friction,
+    undelayed,
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
 from bayesfric.export.written_law import law, unwritten
 from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.identifiability.friction_curve import covered, friction_torque
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.parameter import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
@@ -93,7 +96,6 @@ def export(
     output: Path | str | None = None,
     force: bool = False,
     joint: str = "joint",
-    at_load: float | None = None,
     into: Path | str | None = None,
     draws: int | None = None,
 ) -> Exported:
@@ -112,8 +114,6 @@ def export(
         Whether to replace an old one.
     joint
         Its name in the simulator.
-    at_load
-        Torque at the joint, N m or N, at which load-dependent friction is exact.
     into
         MuJoCo: model whose joint is changed.
     draws
@@ -130,7 +130,7 @@ def export(
         If there is no such format or option, or the joint has a term that the format cannot take.
     """
     form = format_of(to)
-    options = Options(joint, at_load, None if into is None else Path(into), draws)
+    options = Options(joint, None if into is None else Path(into), draws)
     _check(form, options)
     if output is not None:
         check_output_folder(Path(output), force=force, marker="export.json")
@@ -147,8 +147,6 @@ def _check(form: Format, options: Options) -> None:
             raise BadInput(f"--{name}", f"has no effect in the format {form.name}", "leave it out")
     if options.into is not None and not options.into.is_file():
         raise BadInput(f"--into {options.into}", "does not exist", "name an MJCF file")
-    if options.at_load is not None and not (np.isfinite(options.at_load) and options.at_load >= 0):
-        raise BadInput("--at-load", f"is {options.at_load:g}", "give a torque of zero or more")
     if options.draws is not None and options.draws < 1:
         raise BadInput("--draws", f"is {options.draws}", "give 1 or more")
     if not re.fullmatch(r"[\w./-]+", options.joint):
@@ -156,51 +154,46 @@ def _check(form: Format, options: Options) -> None:
 
 
 def _export(run: Finished, form: Format, options: Options) -> Exported:
-    chain, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
+    joint, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
     vectors = parameter_vectors(run, motions, options.draws or _DRAWS)
-    values = np.vstack([vectors.point, vectors.draws])
-    if "load" in form.keeps:
-        values = without_load_friction(chain, values)
-    model = joint_model(chain, values, motions, options.at_load)
-    # a model that is changed keeps its own link and drive
+    recorded = covered(run.model, vectors.point, open_scale=True)
+    load = float(np.abs(recorded[1]).mean())
+    fitted = form.fit(joint, np.vstack([vectors.point, vectors.draws]), motions, load)
+    # the torque that held the joint at standstill is a lower limit of its static friction
+    law_friction = fitted["static_friction"]
+    held = max((rest.held for rest in run.summary.fit.rests), default=0.0)
+    fitted["static_friction"] = np.maximum(law_friction, held * fitted["gain"])
+    at_least = bool(fitted["static_friction"][0] > law_friction[0])
+    numbers = {name: float(x[0]) for name, x in fitted.items()}
+    draws = {name: x[1:] for name, x in fitted.items()}
+    error = _torque_error(run, form, vectors.point, fitted, motions)
+    if form.friction and not form.complete:
+        error["friction"] = _friction_error(run, numbers, vectors, recorded)
+    motor_unit = "N m" if joint.motor_motion == "rotary" else "N"
+    lost = lost_terms(joint, form, vectors.point, motions)
     names = {
-        k: number
-        for k, number in form.names.items()
+        name: number
+        for name, number in form.names.items()
+        # a model that is changed keeps its own link and drive
         if options.into is None or number not in LINK_AND_DRIVE
     }
-    carries, keeps = names.values(), STRIBECK if form.complete else form.keeps
-    folded, lost = fold_extra_terms(model, carries, motions, chain, keeps)
-    # the torque that held the joint at standstill is a lower limit of its static friction
-    fitted_friction = folded["static_friction"]
-    held = max((rest.held for rest in run.summary.fit.rests), default=0.0)
-    folded["static_friction"] = np.maximum(fitted_friction, held * folded["gain"])
-    at_least = bool(folded["static_friction"][0] > fitted_friction[0])
-    if form.complete:
-        lost = lost_by_law(chain, vectors.point)
-    else:
-        lost = lost_terms(chain, model, vectors.point, carries, form.keeps) + lost
-    numbers = {name: float(x[0]) for name, x in folded.items()}
-    draws = {name: x[1:] for name, x in folded.items()}
-    error = _torque_error(run, form, vectors.point, numbers, motions)
-    if form.torque is None:
-        error["friction"] = _friction_error(run, numbers, vectors)
-    motor_unit = "N m" if chain.motor_motion == "rotary" else "N"
     record: dict[str, Any] = {
         "bayesfric": __version__,
         "run": run.name,
         "format": form.name,
         "meaning": form.meaning,
         "joint": options.joint,
-        "numbers": _number_rows(run, names, numbers, draws, model, vectors, at_least=at_least),
-        "at_load": options.at_load,
-        "reference": {name: float(x[0]) for name, x in model.reference.items()},
-        "lost": [{**x, "says": filled("lost.txt.j2", **x).strip()} for x in lost],
+        "numbers": _number_rows(run, form, names, numbers, draws, vectors, at_least=at_least),
+        "lost": [
+            {**x, "says": filled("lost.txt.j2", **x, whole=error["torque_rms"]).strip()}
+            for x in lost
+        ],
         "error": error,
         "unit": motor_unit,
         "draws": len(vectors.draws),
         "central": vectors.kind,
     }
-    rotary, language = chain.load.motion == "rotary", form.language
+    rotary, language = joint.load.motion == "rotary", form.language
     with_body = bool(form.notes & {"body", "mujoco"}) and options.into is None
     # everything that templates and writers use
     content: dict[str, Any] = {
@@ -214,18 +207,18 @@ def _export(run: Finished, form: Format, options: Options) -> Exported:
         "numbers": numbers,
         "draws": draws,
         "rotary": rotary,
-        "ratio": chain.ratio,
-        "gravity": chain.load.gravity,
-        "body": pendulum(numbers, rotary) if with_body else None,
+        "ratio": joint.ratio,
+        "gravity": joint.load.gravity,
+        "body": body_of(numbers, rotary) if with_body else None,
         "unit": motor_unit,
         "position_unit": "rad" if rotary else "m",
     }
-    record["notes"] = _notes(content, form, model, error)
+    record["notes"] = _notes(content, form, error)
     content["remarks"] = [
         _harmless(line) for line in filled("remarks.txt.j2", **record).splitlines() if line
     ]
-    if language is not None and (form.write is None or unwritten(chain) is None):
-        content["law"] = law(chain, vectors.point, language)
+    if language is not None and (form.write is None or unwritten(joint) is None):
+        content["law"] = law(joint, vectors.point, language)
     files: Files = {
         name.format(stem=content["stem"]): filled(template, **content)
         for name, template in form.templates.items()
@@ -235,22 +228,87 @@ def _export(run: Finished, form: Format, options: Options) -> Exported:
     return Exported({**record, "files": list(files)}, files)
 
 
+def lost_terms(
+    joint: Joint, form: Format, vector: Array, motions: Sequence[Trajectory]
+) -> list[dict[str, Any]]:
+    """List the terms of a vector ``(d,)`` that a format has no number for.
+
+    Of each, the rms of its torque at the motor along the recorded motion, and of what is left of
+    it where the losses that the format has are fitted to it.
+    """
+    values = undelayed(joint, vector[None])
+    losses = [name for name in LOSSES if name in form.carried and form.friction]
+    basis = loss_columns(losses, motions)
+    whole, lost = torque_along(joint, values, motions)[0], []
+    for p, value in zip(joint.parameters, vector.tolist(), strict=True):
+        row = {"parameters": [p.name], "value": value, "unit": p.unit, "meaning": p.meaning}
+        number = number_of(p.owner, p.quantity)
+        if form.complete:
+            if omitted(p.row) or _of_recording(p):
+                lost.append({"kind": "left out", **row})
+        elif _of_recording(p):
+            lost.append({"kind": "left out", **row})
+        elif number == "armature" and number not in form.carried:
+            lost.append({"kind": "armature", **row})
+        elif number not in form.carried and form.friction and not _is_shape(p):
+            without = values.copy()
+            without[0, joint.names.index(p.name)] = 0.0
+            term = whole - torque_along(joint, without, motions)[0]
+            left = term
+            if number not in ("stiffness", "stiffness_cubic"):
+                left = term - basis @ (np.linalg.pinv(basis) @ term)
+            fitted = losses if left is not term else []
+            sizes: dict[str, Any] = {"torque": rms_of(term), "left": rms_of(left), "fitted": fitted}
+            sizes["torque_unit"] = "N m" if joint.motor_motion == "rotary" else "N"
+            lost.append({"kind": "fitted", **row, **sizes})
+    return lost
+
+
+def _of_recording(p: Parameter) -> bool:
+    """Whether it is a property of recordings: a delay, or the separate offset of one."""
+    return p.quantity == "delay" or (p.owner == "" and p.name != "offset")
+
+
+def _is_shape(p: Parameter) -> bool:
+    """Whether it only shapes another term, which is zero without it or not."""
+    return p.row.role == "form" and p.row.default != 0.0
+
+
+def _sources(run: Finished, form: Format) -> dict[str, list[str]]:
+    """Name the parameters that each number of a format is made from."""
+    names: dict[str, list[str]] = {number: [] for number in form.numbers}
+    instead = {"armature": "link_inertia", "stiffness_cubic": "stiffness"}
+    for p in run.joint.parameters:
+        number = number_of(p.owner, p.quantity)
+        if number and number not in form.carried:
+            number = instead.get(number, "")
+        if number:
+            names[number].append(p.name)
+        elif not _of_recording(p) and not _is_shape(p):
+            for loss in (*LOSSES, *(name for name in names if name not in NUMBERS)):
+                names[loss].append(p.name)
+        if p.quantity in ("load_drive", "load_back"):
+            names["gain"].append(p.name)
+        if number == "friction" or p.quantity.startswith(("coulomb_", "load", "stribeck_")):
+            names["static_friction"].append(p.name)
+    return names
+
+
 def _harmless(remark: str) -> str:
     """Keep a remark, which may hold names of folders and recordings, from ending a comment."""
     printable = "".join(c for c in remark if c.isprintable())
     return printable.replace('"', "'").replace("\\", "/").replace("*/", "* /").replace("--", "- -")
 
 
-def _notes(
-    content: Mapping[str, Any], form: Format, model: JointModel, error: Mapping[str, Any]
-) -> list[str]:
+def _notes(content: Mapping[str, Any], form: Format, error: Mapping[str, Any]) -> list[str]:
     """List notes on the format and the run."""
     run, motions = content["run"], content["motions"]
     placeholder = None
     # a link whose inertia is in the rotor's
     if content["body"] is not None and not content["numbers"]["link_inertia"]:
-        values = {name: float(x[0]) for name, x in model.values.items()}
-        placeholder = pendulum(values, content["rotary"])
+        exact = exact_numbers(run.joint, content["vectors"].point[None])
+        own = {name: float(x[0]) for name, x in exact.items()}
+        placeholder = body_of(own, content["rotary"])
     position, speed, _ = stacked(motions)
     text = filled(
         "notes.txt.j2",
@@ -269,10 +327,10 @@ def _notes(
 
 def _number_rows(
     run: Finished,
+    form: Format,
     names: Mapping[str, str],
     numbers: Mapping[str, float],
     draws: Mapping[str, Array],
-    model: JointModel,
     vectors: ParameterVectors,
     *,
     at_least: bool,
@@ -283,12 +341,12 @@ def _number_rows(
     """
     ends = [50.0 - 50.0 * LEVEL, 50.0 + 50.0 * LEVEL]
     unusable = run.summary.sampler.status == "unusable"
-    rows = []
+    sources, rows = _sources(run, form), []
     for attribute, number in names.items():
-        made_from = model.made_from[number]
-        if not made_from and number != "gain":
-            continue  # the joint has none
+        made_from = tuple(sources[number])
         value, spread = numbers[number], draws[number]
+        if number != "gain" and not (made_from and (value or np.any(spread))):
+            continue  # the joint has none
         limit = at_least and number == "static_friction"
         fixed = float(np.ptp(spread)) <= 1e-9 * abs(value) or unusable or limit
         rows.append(
@@ -297,8 +355,8 @@ def _number_rows(
                 "value": value,
                 "at_least": limit,
                 "interval": None if fixed else np.percentile(spread, ends).tolist(),
-                "unit": NUMBERS[number].unit(run.joint),
-                "meaning": NUMBERS[number].meaning,
+                "unit": form.numbers[number].unit(run.joint),
+                "meaning": form.numbers[number].meaning,
                 "made_from": list(made_from),
                 "not_identified": _not_identified(run, made_from, vectors),
             }
@@ -331,42 +389,31 @@ def _torque_error(
     run: Finished,
     form: Format,
     vector: Array,
-    numbers: Mapping[str, float],
+    fitted: Numbers,
     motions: Sequence[Trajectory],
 ) -> dict[str, Any]:
-    """Compare motor torques of the fitted joint and of a format along the recorded motion.
-
-    Without the delay, which is a property of the recording.
-    """
-    chain, undelayed = run.joint, vector[None].copy()
-    if chain.delay_name:
-        undelayed[0, chain.names.index(chain.delay_name)] = 0.0
-    expected = torque_along(chain, undelayed, motions)[0]
-    if form.torque is None:
-        torque = simulated_torque(chain, numbers, motions)
-    else:
-        torque = form.torque(chain, vector, motions)
-    error = torque - expected
+    """Compare motor torques of the fitted joint and of a format along the recorded motion."""
+    expected = torque_along(run.joint, undelayed(run.joint, vector[None]), motions)[0]
+    numbers = {name: x[:1] for name, x in fitted.items()}
+    error = form.torque(run.joint, vector, numbers, motions) - expected
     motor = {"rms": rms_of(error), "largest": float(np.abs(error).max())}
     return {"motor": motor, "torque_rms": rms_of(expected)}
 
 
 def _friction_error(
-    run: Finished, numbers: Mapping[str, float], vectors: ParameterVectors
+    run: Finished, numbers: Mapping[str, float], vectors: ParameterVectors, recorded: Array
 ) -> dict[str, float]:
     """Compare a format's friction with the median over draws, at recorded speeds and loads.
 
     Both are at the motor, of its true torque, each speed as often as it was recorded.
     """
-    chain = run.joint
-    samples = covered(run.model, vectors.point, open_scale=True)
-    count = samples.shape[1]
-    speed, load = samples[:, np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)]
+    joint, count = run.joint, recorded.shape[1]
+    speed, load = recorded[:, np.linspace(0, count - 1, min(count, _SAMPLES)).astype(int)]
     with np.errstate(all="ignore"):
-        drawn = friction_torque(chain, vectors.draws, speed, load, open_scale=True)
+        drawn = friction_torque(joint, vectors.draws, speed, load, open_scale=True)
     curve = np.median(drawn, axis=0)
-    size = np.abs(speed / chain.ratio)
-    exported = numbers["friction"] + numbers["damping"] * size + numbers["quadratic"] * size**2
-    gain = vectors.point[chain.names.index("drive.gain")] if chain.gain else 1.0
+    size = np.abs(speed / joint.ratio)
+    exported = sum(numbers[name] * function(size) for name, function in LOSSES.items())
+    gain = vectors.point[joint.names.index("drive.gain")] if joint.gain else 1.0
     error = (exported * gain / numbers["gain"] - curve)[np.isfinite(curve)]
     return {"rms": rms_of(error), "curve_rms": rms_of(curve[np.isfinite(curve)])}

@@ -11,8 +11,7 @@ from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
-from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Explanation, Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.identification import Identification, SpeedTerm, identify, speed_term

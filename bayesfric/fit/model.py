@@ -17,7 +17,7 @@ from bayesfric.base.progress import (
     no_progress,
     progress_shown,
 )
-from bayesfric.estimates.descent import few_threads
+from bayesfric.estimates.input_error import few_threads
 from bayesfric.estimates.methods import estimate_by
 from bayesfric.estimates.point_estimate import METHODS, Method
 from bayesfric.fit.fit import fit
@@ -25,7 +25,6 @@ from bayesfric.fit.pooled_fit import Pooled, pooled
 from bayesfric.fit.result import Result
 from bayesfric.identifiability.identification import Identification, identify, speed_term
 from bayesfric.identifiability.local import estimate_point, local_information
-from bayesfric.identifiability.next_recording import Ranking, ranking
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
@@ -37,6 +36,8 @@ from bayesfric.report.summary.summary import estimate_summary
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+    from bayesfric.identifiability.next_recording import Ranking
 
 
 class Model(Problem):
@@ -167,6 +168,8 @@ class Model(Problem):
         BadInput
             If nothing has that name, it is fixed, or nothing can be estimated here.
         """
+        from bayesfric.identifiability.next_recording import ranking
+
         target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
             local = local_information(target, point)

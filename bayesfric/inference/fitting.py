@@ -14,10 +14,8 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.estimates.least_squares import least_squares, starting_values
-from bayesfric.estimates.methods import ESTIMATORS
+from bayesfric.estimates.least_squares import least_squares, starting_values, typical_sizes
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.estimates.sizes import typical_sizes
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
@@ -200,9 +198,7 @@ def fit(
     progress(Progress("searching the mode"))
     rng = np.random.default_rng(np.random.SeedSequence(sampling.seed, spawn_key=(2**31,)))
     # simulating estimates may be cut off by the clock and must not influence the posterior
-    simulating = {estimator.name for estimator in ESTIMATORS.values() if estimator.simulates} - {
-        likelihood.method
-    }
+    simulating = {"output-error"} - {likelihood.method}
     starting_estimates = [e for e in estimates if e.method not in simulating]
     points = _starting_points(target, starting_estimates)
     target = target.with_circular_cut_at(points[0])

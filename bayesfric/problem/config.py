@@ -16,7 +16,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.base.safe_read import read_json, read_text
 from bayesfric.diagnostics.calibration_check import CalibrationCheckOptions
-from bayesfric.estimates.knowledge import Estimation, Reference
+from bayesfric.estimates.point_estimate import Estimation, Reference
 from bayesfric.identifiability.advice_options import AdviceOptions
 from bayesfric.inference.likelihood.likelihood import LikelihoodMethod
 from bayesfric.inference.noise.scale import NoiseScale

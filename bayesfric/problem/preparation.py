@@ -8,11 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.attenuation import Attenuated, attenuations
-from bayesfric.estimates.delay import estimate_delay
-from bayesfric.estimates.fine_motion import fine_motion, with_fine_motion
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.methods import EstimationInputs
+from bayesfric.estimates.point_estimate import Estimation, Knowledge
+from bayesfric.estimates.processing import (
+    Attenuated,
+    attenuations,
+    estimate_delay,
+    fine_motion,
+    with_fine_motion,
+)
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.noise.autoregressive import MAX_ORDER, Autoregressive
@@ -77,8 +80,8 @@ def prepare(
         if chain.delay:
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
-            evidence = EstimationInputs(chain, observations, known, tables.estimation, lambda: ())
-            delay = prior.value if prior.fixed else estimate_delay(evidence, divided.recordings)
+            evidence = chain, divided.recordings, observations, known, tables.estimation
+            delay = prior.value if prior.fixed else estimate_delay(*evidence)
             if not prior.fixed and abs(delay) > min(
                 longest_delay(o, r.period)
                 for r, o in zip(divided.recordings, divided.observations, strict=True)

@@ -14,15 +14,17 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, by_method, no_progress
-from bayesfric.diagnostics.explanation import Explanation, explain, too_few_outputs
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Explanation, Finding, explain, too_few_outputs
 from bayesfric.diagnostics.policy import MAX_EFFECTS
 from bayesfric.estimates.input_error import contradicted
-from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.larger_model import FittedModel, predicts_better
 from bayesfric.estimates.least_squares import TotalsProjection
-from bayesfric.estimates.methods import ESTIMATORS, EstimationInputs, estimate_by
-from bayesfric.estimates.point_estimate import METHODS, Estimate, Method
+from bayesfric.estimates.methods import (
+    EstimationInputs,
+    FittedModel,
+    estimate_by,
+    predicts_better,
+)
+from bayesfric.estimates.point_estimate import METHODS, Estimate, Knowledge, Method
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.noise_choice import NoiseChoice, choose_noise
@@ -218,7 +220,7 @@ class Problem:
         """Add effects that explain the torque, one after the other, until none is left.
 
         A term is kept if the model with it predicts held-out data better, see
-        :func:`bayesfric.estimates.larger_model.predicts_better`; else it is part of the model
+        :func:`bayesfric.estimates.methods.predicts_better`; else it is part of the model
         discrepancy. A delay, which moves other parameters by much, is added only without rivals. A
         fit does so with ``terms = "auto"`` under ``[mechanism]``.
 
@@ -355,8 +357,8 @@ def starting_point(
     reproducibility. A mechanism that cannot be simulated still has a posterior of the torque.
     """
     tables, given = problem.config.tables, problem.evidence
-    simulating = [estimator.name for estimator in ESTIMATORS.values() if estimator.simulates]
-    direct = [name for name in ESTIMATORS if name not in simulating]
+    simulating: list[Method] = ["output-error"]
+    direct: list[Method] = ["least-squares", "input-error"]
     estimates = {e.method: e for e in problem.estimates(direct, progress=progress)}
     if tables.likelihood.method in simulating:
         given = replace(given, options=given.options.model_copy(update={"max_seconds": np.inf}))

@@ -331,7 +331,7 @@ class Resolution:
     """The band of a recording and its signal-to-noise ratio.
 
     The band ends by the ``sampling`` rate, the ``position``'s noise, the ``torque``'s power, the
-    ``length`` of the recording, a ``model`` (:mod:`bayesfric.estimates.attenuation`), or as
+    ``length`` of the recording, a ``model`` (:mod:`bayesfric.estimates.processing`), or as
     ``asked``.
     """
 

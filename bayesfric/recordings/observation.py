@@ -483,7 +483,7 @@ def as_position(torque: Array, segments: Segments, period: float, settings: Sett
 def refinable(o: Observation) -> bool:
     """Whether the band ends well below the position's low-pass, so that a model may refine it.
 
-    See :mod:`bayesfric.estimates.fine_motion`. Not with central differences, as in published
+    See :mod:`bayesfric.estimates.processing`. Not with central differences, as in published
     analyses.
     """
     band, cutoff = float(o.settings["band"]), float(o.settings["lowpass"])

@@ -11,14 +11,13 @@ from bayesfric.base.atomic_write import new_folder
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.inference.fitting import Fit
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.report.figures.registry import Declared, FinishedRun, captions, run_figures
+from bayesfric.report.figures.registry import RUN_FIGURES as FIGURES
+from bayesfric.report.figures.registry import Declared, FinishedRun, captions
 from bayesfric.report.figures.style import ALL_KINDS, ON_PAGE, save
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.paper.tables import latex_texts, summary_texts
 from bayesfric.report.posterior_file import posterior_tree
 from bayesfric.report.summary.record import Readable, Summary
-
-FIGURES = run_figures()
 
 
 def write_run(

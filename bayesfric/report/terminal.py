@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,10 +16,9 @@ import numpy as np
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
-from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.parts import friction_cells, off_rows
-from bayesfric.report.summary.record import Friction, Message, Readable, Summary, of_noise
+from bayesfric.report.summary.record import Message, Readable, Summary, of_noise
 from bayesfric.report.words import filled
 from bayesfric.results.reported import ORDER, Outcome, Reported
 
@@ -60,17 +59,23 @@ class Brief:
 
 def brief(summary: Readable, messages: Sequence[Message] | None = None) -> Brief:
     """Put the short answer of a summary together; its ``messages`` are made where left out."""
-    table = parameter_table(summary)
-    read = table.summary
+    read = put_reported(Summary.read(summary))
+    derived = [name for name, row in read.derived.items() if not row.gauge_free]
     rows = {
-        row.name: row.posterior.reported
-        for row in table.rows
-        if row.posterior is not None
-        and row.posterior.reported is not None
-        and not _in_tables(row.name)
+        name: reported
+        for name in (*read.gauge_free, *read.parameters, *derived)
+        # in tables only: the noise, and efficiencies, which alphas are already
+        if not (of_noise(name) or quantity_of(name).startswith("efficiency"))
+        and (reported := read.rows[name].reported) is not None
     }
-    shown = [name for name, row in rows.items() if row.status != "unidentified"]
-    shown = [n for n in shown if n in read.joint or not _is_rescaled(rows, n, read.joint)]
+    shown = [
+        name
+        for name, row in rows.items()
+        if row.status != "unidentified"
+        and (
+            name in read.joint or not _is_rescaled(row, [rows[n] for n in read.joint if n in rows])
+        )
+    ]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     directions = read.identifiability.null_directions
     scaled = any(len(direction.parameters) > 1 for direction in directions)
@@ -104,31 +109,24 @@ def _recorded(summary: Summary) -> str:
         for row in recordings.values()
         if row.n_samples and row.sampling_rate
     ]
-    names = ", ".join(recordings)
     if not sampled:
-        return names
-    seconds = sum(n / rate for n, rate in sampled)
-    rates = sorted(rate for _, rate in sampled)
-    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (rates[0], rates[-1])))
-    names = names if len(recordings) < 3 else f"{len(recordings)} recordings"
-    every = " in all" if len(recordings) > 1 else ""
-    return f"{names}: {seconds:.4g} s{every} at {hertz} Hz, {summary.fit.quantity}"
+        return ", ".join(recordings)
+    rates = [rate for _, rate in sampled]
+    hertz = " to ".join(dict.fromkeys(f"{rate:.4g}" for rate in (min(rates), max(rates))))
+    many = len(recordings)
+    names = ", ".join(recordings) if many < 3 else f"{many} recordings"
+    seconds = f"{sum(n / rate for n, rate in sampled):.4g} s{' in all' if many > 1 else ''}"
+    return f"{names}: {seconds} at {hertz} Hz, {summary.fit.quantity}"
 
 
-def _in_tables(name: str) -> bool:
-    """Whether only the tables have it: the noise, and efficiencies, which alphas are already."""
-    return of_noise(name) or quantity_of(name).startswith("efficiency")
+def _is_rescaled(row: Reported, others: Iterable[Reported]) -> bool:
+    """Whether it is one of the others in another unit, as gravity's torque is its moment."""
 
+    def ratios(row: Reported) -> list[float]:
+        value = row.value or math.nan
+        return [row.sd / abs(value), *sorted(end / value for end in row.interval)]
 
-def _is_rescaled(rows: Mapping[str, Reported], name: str, joint: Iterable[str]) -> bool:
-    """Whether it is a parameter in another unit, as gravity's torque is its moment."""
-    ratios = _ratios(rows[name])
-    return any(np.allclose(_ratios(rows[n]), ratios, rtol=1e-9) for n in joint if n in rows)
-
-
-def _ratios(row: Reported) -> list[float]:
-    value = row.value or math.nan
-    return [row.sd / abs(value), *sorted(end / value for end in row.interval)]
+    return any(np.allclose(ratios(other), ratios(row), rtol=1e-9) for other in others)
 
 
 def printed_row(name: str, row: Reported, unit: str, level: float) -> PrintedRow:
@@ -176,6 +174,11 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
         # rows of the table keep their spaces
         yield from wrapped(line, indent=2) if len(line) > WIDTH else [line]
     if verbose:
+        friction: list[tuple[str, ...]] = []
+        if (curve := read.friction) is not None:
+            level = f"{100.0 * curve.level:g} % interval"
+            head = (f"speed, {curve.speed_unit}", f"load, {curve.unit}", "value", level, "status")
+            friction = [head, *friction_cells(curve, TEXT)]
         yield from filled(
             "fit.txt.j2",
             summary=read,
@@ -185,20 +188,13 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             validation=read.validation,
             check=read.self_check,
             off=off_rows(read),
-            friction=aligned(_friction(read.friction)) if read.friction else (),
+            friction=list(aligned(friction)),
         ).splitlines()
-
-
-def _friction(friction: Friction) -> list[tuple[str, ...]]:
-    """Give the table of friction with its head."""
-    level, load = f"{100.0 * friction.level:g} % interval", f"load, {friction.unit}"
-    head = (f"speed, {friction.speed_unit}", load, "value", level, "status")
-    return [(f"  {speed}", *cells) for speed, *cells in (head, *friction_cells(friction, TEXT))]
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Align a table: numbers, the second and third column, to the right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = [
             text.rjust(width) if k in (1, 2) else text.ljust(width)

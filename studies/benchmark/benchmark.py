@@ -28,8 +28,8 @@ from run_rivals import disagreement, run_rivals
 
 from bayesfric.base.progress import Progress
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.inference.fitting import fit, target_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.moments.fast_moments import fast_moments

@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
 from bayesfric.estimates.least_squares import TotalsProjection, least_squares
 from bayesfric.estimates.output_error import output_error
-from bayesfric.estimates.point_estimate import METHODS, Estimate
+from bayesfric.estimates.point_estimate import METHODS, Estimate, Estimation, Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record

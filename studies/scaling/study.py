@@ -22,7 +22,7 @@ from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.problem.config import read_config
-from bayesfric.report.figures.ridge import ridge, ridge_figure
+from bayesfric.report.figures.posterior import ridge, ridge_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.summary.summary import summarise
 from figures import interval_figure, lifted_figure

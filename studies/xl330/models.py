@@ -14,7 +14,7 @@ from held_out import GAINS
 
 from bayesfric import Element, Joint
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Knowledge
+from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import parse_config

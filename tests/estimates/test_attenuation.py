@@ -5,7 +5,6 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 import bayesfric as bf
-from bayesfric.estimates.attenuation import _fit_band
 from bayesfric.mechanism.forward import simulate
 from tests.axis import AXIS, VALUES
 
@@ -41,22 +40,22 @@ def inertia(model):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_band_ends_where_the_acceleration_is_noise(seed):
     recording = swinging(0.001, seed)
-    asked = bf.Model(AXIS, recording, processing={"decimate": 10})
+    requested = bf.Model(AXIS, recording, processing={"decimate": 10})
     chosen = bf.Model(AXIS, recording)
     (o,) = chosen.observations
     assert o.settings["band_by"] == "model"
     assert any("band: ends at" in step for step in o.steps)
-    lost, left = 1.0 - inertia(asked), abs(1.0 - inertia(chosen))
+    lost, left = 1.0 - inertia(requested), abs(1.0 - inertia(chosen))
     # the noise's power in a band grows at least with its width to the third, the motion's does not
     assert lost > 0.3
     assert left < 0.5 * lost
     # what was asked for is left as it is, and doubted
-    (doubt,) = [one for one in bf.check(asked).record["doubts"] if one["kind"] == "attenuated"]
+    (doubt,) = [row for row in bf.check(requested).record["doubts"] if row["kind"] == "attenuated"]
     ((used, narrower),) = doubt["bands"].values()
     assert used == pytest.approx(RATE / 20)
     assert narrower < used
     # with the torque's rate beside the totals, and without: they are near each other
-    assert doubt["times"] == pytest.approx(inertia(chosen) / inertia(asked), rel=0.5)
+    assert doubt["times"] == pytest.approx(inertia(chosen) / inertia(requested), rel=0.5)
 
 
 def test_white_noise_and_encoders_leave_the_band_alone():
@@ -64,31 +63,4 @@ def test_white_noise_and_encoders_leave_the_band_alone():
     for seed in range(20):
         model = bf.Model(AXIS, swinging(0.0, seed))
         assert model.observations[0].settings["band_by"] == "sampling"
-        assert not [one for one in bf.check(model).record["doubts"] if one["kind"] == "attenuated"]
-
-
-def test_what_a_band_shows_is_least_squares_beside_what_a_delay_would_leave():
-    """Totals, and the change of the measured torque a second; the residual's power a hertz."""
-    recording = swinging(0.0, 3)
-    model = bf.Model(AXIS, recording, processing={"decimate": 5, "lowpass": "30 Hz"})
-    (o,) = model.observations
-    (found,) = (_fit_band(AXIS, r, o) for r in model.recordings)
-    rate = np.gradient(o.torque, 1.0 / RATE)
-    by = {
-        "motor.inertia": o.qdd, "motor.viscous": o.qd, "motor.coulomb": np.sign(o.qd),
-        "load.first_moment": np.sin(o.q), "offset": np.ones(o.q.size), "delay": rate,
-    }  # fmt: skip
-    x = np.stack([o.filter.apply(column) for column in by.values()], axis=1)
-    value, (squares,), *_ = np.linalg.lstsq(x, o.measured, rcond=None)
-    free = o.measured.size - 6
-    spread = np.sqrt(squares / free * np.linalg.inv(x.T @ x)[0, 0])
-    # derivatives of the torque differ by what lies between samples
-    assert found.inertia == pytest.approx(value[0], abs=0.1 * spread)
-    assert found.sd == pytest.approx(spread, rel=0.02)
-    assert found.free == free
-    assert found.band == pytest.approx(0.5 / o.period)
-    assert found.left == pytest.approx(squares / free / found.band, rel=0.02)
-    few = bf.Model(AXIS, recording, processing={"decimate": 40, "lowpass": "2.5 Hz"})
-    assert _fit_band(AXIS, few.recordings[0], few.observations[0]) is None
-    massless = bf.Joint([bf.Element("motor", coulomb="symmetric", viscous=True)])
-    assert _fit_band(massless, model.recordings[0], o) is None
+        assert not [row for row in bf.check(model).record["doubts"] if row["kind"] == "attenuated"]

@@ -1,4 +1,4 @@
-"""Load losses one behind the other that a recording does not tell apart are refused."""
+"""Load-dependent frictions in series that a recording does not distinguish are refused."""
 
 import math
 
@@ -27,28 +27,35 @@ def estimate(motor, gearbox):
     return Estimate("input-error", values, 0.1, 100, "")
 
 
-def test_losses_of_which_none_is_told_are_alike():
-    both = ("motor.load", "gearbox.load")
-    # measured, UR10e: 0.008 with an sd of 0.062, and 0 on a limit, which has none
-    assert collinear_losses(TWO, estimate((0.008, 0.062), (0.0, math.nan)), ()) == both
-    assert collinear_losses(TWO, estimate((0.1, math.inf), (0.1, math.inf)), ()) == both
-    assert collinear_losses(TWO, estimate((0.1, 0.3), (0.1, 0.3)), ()) == both
+BOTH = ("motor.load", "gearbox.load")
 
 
-def test_losses_that_are_told_or_known_are_not():
-    assert collinear_losses(TWO, estimate((0.1, 0.02), (0.2, 0.02)), ()) == ()
-    assert collinear_losses(TWO, estimate((0.1, 0.3), (0.1, 0.3)), ("motor.load",)) == ()
-    one = bf.Joint.preset("servo-pendulum")
-    assert collinear_losses(one, estimate((0.0, math.nan), (0.0, math.nan)), ()) == ()
+@pytest.mark.parametrize(
+    ("motor", "gearbox", "known", "collinear"),
+    [
+        # measured, UR10e: 0.008 with an sd of 0.062, and 0 on a limit, which has none
+        ((0.008, 0.062), (0.0, math.nan), (), BOTH),
+        ((0.1, math.inf), (0.1, math.inf), (), BOTH),
+        ((0.1, 0.3), (0.1, 0.3), (), BOTH),
+        ((0.1, 0.3), (0.1, 0.3), ("motor.load",), ()),
+        ((0.1, 0.02), (0.2, 0.02), (), ()),
+    ],
+)
+def test_losses_are_collinear_where_none_is_identified(motor, gearbox, known, collinear):
+    assert collinear_losses(TWO, estimate(motor, gearbox), known) == collinear
+    single = bf.Joint.preset("servo-pendulum")
+    assert collinear_losses(single, estimate(motor, gearbox), known) == ()
 
 
 def test_they_are_refused_before_anything_is_sampled():
-    """In order, one behind the other and nothing between, they are one."""
+    """In series, with nothing between them, they are one number."""
     options = {"rate": 200, "duration": 10, "excitation": "multisine", "torque_noise": 0.01}
-    made = bf.Joint.preset("servo-pendulum").simulate(
+    frame = bf.Joint.preset("servo-pendulum").simulate(
         {"gearbox.load": 0.2}, encoder_side="joint", **options
     )
-    one = bf.Recording.from_dataframe(made, time="time", position="position", torque="torque")
+    recording = bf.Recording.from_dataframe(
+        frame, time="time", position="position", torque="torque"
+    )
     with pytest.raises(BadInput, match=r"motor.load, gearbox.load") as refused:
-        bf.Model(TWO, one).fit()
+        bf.Model(TWO, recording).fit()
     assert 'load_loss = "none"' in refused.value.hint

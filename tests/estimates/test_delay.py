@@ -8,8 +8,8 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.delay import settled_delay
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.processing import settled_delay
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.excitation import current_loop, multisine
@@ -42,7 +42,7 @@ def bench(late, seed, duration=10.0):
 def by_totals(model):
     chain = replace(model.chain, delay=True)
     pairs = list(zip(model.recordings, model.observations, strict=True))
-    return settled_delay(pairs, lambda there: least_squares(chain, there), chain)
+    return settled_delay(pairs, lambda observations: least_squares(chain, observations), chain)
 
 
 @pytest.mark.parametrize("late", [0.3, 2.0, -1.0])
@@ -168,10 +168,10 @@ def servo(rate, kp, samples, duration=24.0, seed=0):
 )
 def test_a_late_target_is_no_friction(rate, kp, samples):
     model = bf.Model(replace(SERVO, delay=True), servo(rate, kp, samples))
-    found = model.estimates(["input-error"])[0]
+    estimate = model.estimates(["input-error"])[0]
     for name, true in {**PENDULUM, "target.delay": samples / rate}.items():
         # of 225 numbers of 45 such recordings the furthest is 2.9 away
-        assert abs(found[name].value - true) < 4.0 * found[name].larger_sd, name
+        assert abs(estimate[name].value - true) < 4.0 * estimate[name].larger_sd, name
 
 
 def test_a_prompt_target_is_not_early():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.estimates.fine_motion import fine_motion
 from bayesfric.estimates.least_squares import least_squares
+from bayesfric.estimates.processing import fine_motion
 from bayesfric.mechanism.excitation import current_loop, multisine
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
@@ -44,12 +44,12 @@ def turns(speed):
 def test_it_turns_round_when_the_joint_does(bench):
     """Friction lets a low-passed speed cross zero late, where it brakes more than it speeds up."""
     model, exact = bench
-    (seen,), (fine,) = model.encoder, model.observations
+    (encoder,), (fine,) = model.encoder, model.observations
     true = turns(exact)[2:-2]
     late = {}
-    for name, speed in (("encoder", seen.qd), ("fine", fine.qd)):
-        found = turns(speed)
-        nearest = found[np.abs(found - true[:, None]).argmin(axis=1)] - true
+    for name, speed in (("encoder", encoder.qd), ("fine", fine.qd)):
+        places = turns(speed)
+        nearest = places[np.abs(places - true[:, None]).argmin(axis=1)] - true
         late[name] = np.median(np.abs(nearest))
     assert late["fine"] < 0.3 * late["encoder"]
     assert late["fine"] < 1.0
@@ -58,16 +58,16 @@ def test_it_turns_round_when_the_joint_does(bench):
 def test_above_the_low_pass_the_model_takes_the_measured_torque(bench):
     """Well above it; of all but what sticks, which no acceleration tells."""
     model, _ = bench
-    (seen,), (fine,), (recording,) = model.encoder, model.observations, model.recordings
-    told = seen.settings
+    (encoder,), (fine,), (recording,) = model.encoder, model.observations, model.recordings
+    settings = encoder.settings
     left = {}
-    for name, o in (("encoder", seen), ("fine", fine)):
+    for name, o in (("encoder", encoder), ("fine", fine)):
         torque = inverse_torque(
             AXIS, AXIS.vector(VALUES), o.q, o.qd, o.qdd, inputs=o.inputs, time=o.stamps
         )
         rest = fine.compared - torque
         above = rest - lowpass(
-            rest, recording.segments, RATE, 2.0 * float(told["lowpass"]), int(told["order"])
+            rest, recording.segments, RATE, 2.0 * float(settings["lowpass"]), int(settings["order"])
         )
         left[name] = np.median(np.abs(above)[50:-50])
     assert left["fine"] < 0.2 * left["encoder"]
@@ -75,10 +75,11 @@ def test_above_the_low_pass_the_model_takes_the_measured_torque(bench):
 
 def test_below_the_low_pass_it_is_the_encoders(bench):
     model, _ = bench
-    (seen,), (fine,), (recording,) = model.encoder, model.observations, model.recordings
-    end, order = float(seen.settings["lowpass"]), int(seen.settings["order"])
+    (encoder,), (fine,), (recording,) = model.encoder, model.observations, model.recordings
+    end, order = float(encoder.settings["lowpass"]), int(encoder.settings["order"])
     both = [
-        lowpass(o.qdd, recording.segments, RATE, 0.5 * end, order)[100:-100] for o in (seen, fine)
+        lowpass(o.qdd, recording.segments, RATE, 0.5 * end, order)[100:-100]
+        for o in (encoder, fine)
     ]
     assert np.std(both[1] - both[0]) < 1e-2 * np.std(both[0])
 
@@ -99,9 +100,9 @@ def test_what_the_encoder_alone_is_to_tell_stays(bench, processing):
 
 def test_a_joint_without_inertia_keeps_its_motion(bench):
     model, _ = bench
-    (seen,), (recording,) = model.encoder, model.recordings
+    (encoder,), (recording,) = model.encoder, model.recordings
     massless = bf.Joint([bf.Element("motor", coulomb="symmetric", viscous=True)])
-    assert fine_motion(massless, np.array([0.1, 0.1]), recording, seen) is seen
+    assert fine_motion(massless, np.array([0.1, 0.1]), recording, encoder) is encoder
 
 
 def test_the_inertia_is_where_it_belongs():
@@ -110,8 +111,8 @@ def test_the_inertia_is_where_it_belongs():
     for seed in range(20, 28):
         model, _ = simulated(seed)
         for name, observations in (("encoder", model.encoder), ("fine", model.observations)):
-            found = least_squares(AXIS, observations)
-            z[name].append((found["motor.inertia"].value - 0.05) / found["motor.inertia"].sd)
+            estimate = least_squares(AXIS, observations)
+            z[name].append((estimate["motor.inertia"].value - 0.05) / estimate["motor.inertia"].sd)
     assert np.mean(z["encoder"]) > 1.5
     # the mean of eight standard normals has an sd of 0.35
     assert abs(np.mean(z["fine"])) < 1.05

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.larger_model import FittedModel, predicts_better
-from bayesfric.estimates.methods import EstimationInputs
-from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.estimates.methods import EstimationInputs, FittedModel, predicts_better
+from bayesfric.estimates.point_estimate import Estimate, EstimatedValue, Estimation, Knowledge
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.element import Element
 from bayesfric.mechanism.joint import Joint
@@ -36,8 +34,8 @@ def recorded(make_observation):
         o = make_observation(LARGE, values, sigma=sigma, n=2000, factor=2, amplitude=2.0)
         both = filtered_torque(LARGE, o, np.array([LARGE.vector(values), LARGE.vector(TRUE)]))
         for part in quarters:
-            here = np.array_split(np.arange(o.measured.size), 4)[part]
-            o.measured[here] += (both[1] - both[0])[here]
+            rows = np.array_split(np.arange(o.measured.size), 4)[part]
+            o.measured[rows] += (both[1] - both[0])[rows]
         return o
 
     return make
@@ -51,8 +49,8 @@ def test_each_quarter_is_foretold_by_the_others(recorded):
     squares = 0.0
     for part in np.array_split(np.arange(y.size), 4):
         rest = np.setdiff1d(np.arange(y.size), part)
-        told = np.linalg.lstsq(columns[rest], y[rest], rcond=None)[0]
-        squares += np.sum((y[part] - columns[part] @ told) ** 2)
+        solution = np.linalg.lstsq(columns[rest], y[rest], rcond=None)[0]
+        squares += np.sum((y[part] - columns[part] @ solution) ** 2)
     assert candidate(SMALL, o).left_out_rms == pytest.approx(math.sqrt(squares / y.size), rel=1e-6)
 
 
@@ -69,15 +67,15 @@ def test_a_term_has_to_help_with_what_it_has_not_seen(recorded, quarters, worth)
     assert 2.0 * o.measured.size * math.log(gain) > math.log(o.measured.size)
 
 
-def stated(rms, **values):
+def stated(rms, **pairs):
     """Make a candidate of values and sds by quantity of the motor, and what it leaves."""
-    found = tuple(
+    values = tuple(
         EstimatedValue(f"motor.{name}", "", "", "", value, sd, kind="parameter")
-        for name, (value, sd) in values.items()
+        for name, (value, sd) in pairs.items()
     )
-    one = FittedModel(None, Estimate("input-error", found, rms, 400, ""))
-    one.__dict__["left_out_rms"] = rms
-    return one
+    model = FittedModel(None, Estimate("input-error", values, rms, 400, ""))
+    model.__dict__["left_out_rms"] = rms
+    return model
 
 
 KNOWN = {"inertia": (0.1, 0.01), "coulomb": (0.3, 0.01), "offset": (0.05, 0.01)}

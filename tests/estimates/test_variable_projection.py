@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.estimates.torque import filtered_torque
-from bayesfric.estimates.torque_form import columns, torque_form
-from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.estimates.torque import VariableProjection, columns, filtered_torque, torque_form
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
@@ -85,17 +83,6 @@ def test_parameters_make_the_thetas_they_came_from(case):
     np.testing.assert_allclose(again[1], theta2, rtol=1e-9, atol=1e-15)
 
 
-def test_dependent_columns_leave_the_fit_what_it_was(make_observation):
-    """One direction of motion: sign and one are one column, eq. (18) has no inverse."""
-    chain, (o,), form, _ = knee(make_observation)
-    one_way = replace(o, qd=np.abs(o.qd) + 0.1)
-    projection = VariableProjection(form, [one_way])
-    theta2 = form.thetas(chain.vector(KNEE.values))[1]
-    theta1 = projection.theta1(theta2)
-    assert theta1[2] == pytest.approx(theta1[3], rel=1e-6)
-    assert np.isfinite(projection.criterion(theta2))
-
-
 def gradient_of(projection, theta2):
     """Of the criterion; zero where eq. (19) is solved."""
     return 2.0 * projection.jacobian(theta2).T @ projection.residual(theta2)
@@ -119,9 +106,8 @@ def test_both_signs_of_theta2_fit_alike_and_the_mechanical_one_is_taken(make_obs
     truth = form.thetas(chain.vector(KNEE.values))[1]
     assert projection.criterion(truth) == projection.criterion(-truth)
     plus, minus = projection.minimise([truth]), projection.minimise([-truth])
-    np.testing.assert_allclose(plus.theta2, minus.theta2, rtol=1e-6)
-    found = form.parameters(plus.theta1, plus.theta2)
-    at = dict(zip(chain.names, found, strict=True))
+    np.testing.assert_allclose(plus[1], minus[1], rtol=1e-6)
+    at = dict(zip(chain.names, form.parameters(*plus[:2]), strict=True))
     assert at["load.inertia"] > 0.0
     assert at["gearbox.load_drive"] + at["gearbox.load_back"] > 0.0  # alpha_2 > alpha_1
 
@@ -130,13 +116,13 @@ def test_the_minimum_solves_eq_19_and_is_reached_from_afar(make_observation):
     chain, _, form, projection = knee(make_observation)
     truth = form.thetas(chain.vector(KNEE.values))[1]
     rng = np.random.default_rng(2)
-    minimum = projection.minimise([truth * rng.lognormal(0.0, 0.7, 5) for _ in range(6)])
-    assert minimum.starts == 6
-    assert minimum.starts_agreeing >= 4
+    starts = [truth * rng.lognormal(0.0, 0.7, 5) for _ in range(6)]
+    _, minimum, agreeing = projection.minimise(starts)
+    assert 4 <= agreeing <= 6
     # nothing is left to gain: less than rounding of the criterion, in units of each column
-    gradient = gradient_of(projection, minimum.theta2) / projection.scale
-    assert np.abs(gradient).max() < 1e-6 * projection.criterion(minimum.theta2) ** 0.5
-    assert projection.criterion(minimum.theta2) <= projection.criterion(truth)
+    gradient = gradient_of(projection, minimum) / projection.scale
+    assert np.abs(gradient).max() < 1e-6 * projection.criterion(minimum) ** 0.5
+    assert projection.criterion(minimum) <= projection.criterion(truth)
 
 
 def test_the_same_mass_everywhere_is_but_more_leg(make_observation):
@@ -177,20 +163,8 @@ def test_one_known_parameter_gives_all_of_table_3(name):
     chain = KNEE.chain()
     truth = chain.vector(KNEE.values)
     form = torque_form(chain)
-    found = form.parameters(*form.thetas(truth), {name: KNEE.values[name]})
-    np.testing.assert_allclose(found, truth, rtol=1e-12)
-
-
-def test_gradient_is_that_of_finite_differences(make_observation):
-    chain, _, form, projection = knee(make_observation, masses=(0.0, 2.0))
-    theta2 = 1.2 * form.thetas(chain.vector(KNEE.values))[1]
-    gradient = gradient_of(projection, theta2)
-    for j in range(theta2.size):
-        # so short that no sample changes sign: the criterion is then a parabola
-        step = np.zeros(theta2.size)
-        step[j] = 1e-7 * theta2[j]
-        slope = projection.criterion(theta2 + step) - projection.criterion(theta2 - step)
-        assert gradient[j] == pytest.approx(slope / (2 * step[j]), rel=1e-4), form.names2[j]
+    values = form.parameters(*form.thetas(truth), {name: KNEE.values[name]})
+    np.testing.assert_allclose(values, truth, rtol=1e-12)
 
 
 @pytest.mark.parametrize("case", ["knee", "pendulum"])
@@ -216,18 +190,19 @@ def test_a_known_mass_has_a_column_of_its_own_and_gives_all_parameters(case, mak
     ]  # fmt: skip
     form = torque_form(chain, observations)
     theta1, theta2 = form.thetas(truth)
-    one, two = (dict(zip(*x, strict=True)) for x in ((form.names1, theta1), (form.names2, theta2)))
+    first, second = (
+        dict(zip(*x, strict=True)) for x in ((form.names1, theta1), (form.names2, theta2))
+    )
     drive = values.get("gearbox.load_drive", values.get("gearbox.load"))
     back = values.get("gearbox.load_back", values.get("gearbox.load"))
-    assert two["added_load"] == pytest.approx((drive + back) / 2.0)
-    assert one.get("added_load", 1.0) == pytest.approx((2.0 + drive - back) / 2.0)
-    assert ("added_load" in one) == (case == "knee")
+    assert second["added_load"] == pytest.approx((drive + back) / 2.0)
+    assert first.get("added_load", 1.0) == pytest.approx((2.0 + drive - back) / 2.0)
+    assert ("added_load" in first) == (case == "knee")
     projection = VariableProjection(form, observations)
     size = np.abs(observations[1].measured).max()
     assert np.abs(projection.residual(theta2)).max() < 1e-12 * size
     np.testing.assert_allclose(projection.theta1(theta2), theta1, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(form.parameters(theta1, theta2), truth, rtol=1e-9)
-    norms = [np.concatenate([columns(chain, o, (n,))[0] for o in observations]) for n in two]
+    norms = [np.concatenate([columns(chain, o, (n,))[0] for o in observations]) for n in second]
     np.testing.assert_allclose(projection.scale, np.linalg.norm(norms, axis=1))
-    found = projection.minimise([1.3 * theta2])
-    np.testing.assert_allclose(found.theta2, theta2, rtol=1e-6)
+    np.testing.assert_allclose(projection.minimise([1.3 * theta2])[1], theta2, rtol=1e-6)

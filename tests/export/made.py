@@ -1,4 +1,4 @@
-"""Finished posteriors made by hand of SIMULATED recordings: known parameters, a few draws."""
+"""Finished posteriors made of SIMULATED recordings: known parameters, a few draws."""
 
 from functools import cache
 
@@ -54,17 +54,19 @@ def rms(x):
     return float(np.sqrt(np.mean(np.square(x))))
 
 
-def middle(done):
-    return parameter_vectors(done, [Trajectory.of(o) for o in done.model.observations], 10).point
+def exported_vector(run):
+    """Parameters that an export is of."""
+    return parameter_vectors(run, [Trajectory.of(o) for o in run.model.observations], 10).point
 
 
-def check_announced_torque(done, exported, taken):
-    """Compare torques along recorded motion, ``taken(q, qd, qdd)`` one after the other."""
-    o = done.model.observations[0]
-    q, qd, qdd = (x[o.filter.centres] for x in (o.q, o.qd, o.qdd))
-    ours = inverse_torque(done.joint, middle(done), q, qd, qdd, inputs=o.inputs)
-    theirs = np.array([taken(*row) for row in zip(q, qd, qdd, strict=True)])
-    assert rms(theirs - ours) == pytest.approx(exported.record["error"]["motor"]["rms"], rel=0.2)
+def check_reported_torque(run, exported, torque_of):
+    """Compare torques along recorded motion, ``torque_of(q, qd, qdd)`` one after the other."""
+    o = run.model.observations[0]
+    motion = [x[o.filter.centres] for x in (o.q, o.qd, o.qdd)]
+    expected = inverse_torque(run.joint, exported_vector(run), *motion, inputs=o.inputs)
+    torque = np.array([torque_of(*row) for row in zip(*motion, strict=True)])
+    reported = exported.record["error"]["motor"]["rms"]
+    assert rms(torque - expected) == pytest.approx(reported, rel=0.2)
 
 
 def preset(name):
@@ -78,7 +80,7 @@ def swung(size, seconds=4.0):
     return size * sum(a * np.sin(2 * np.pi * f * t + k) for k, (f, a) in enumerate(waves)), 1 / RATE
 
 
-def made(joint, values, size, *, spread=0.02, draws=60, open_scale=False):
+def posterior_of(joint, values, size, *, spread=0.02, draws=60, open_scale=False):
     """Simulate a recording and make a posterior around its true parameters."""
     torque, period = swung(size)
     vector = joint.vector(values)
@@ -109,9 +111,9 @@ def made(joint, values, size, *, spread=0.02, draws=60, open_scale=False):
 
 
 @cache
-def found(name):
+def finished_posterior(name):
     """Finished posteriors that several tests look at."""
     if name == "plain":
-        return made(*plain_knee(), 0.6)
+        return posterior_of(*plain_knee(), 0.6)
     sizes = {"rabbit-knee": 0.6, "servo-pendulum": 0.4, "motor-axis": 0.6}
-    return made(*preset(name), sizes[name], open_scale=name == "rabbit-knee")
+    return posterior_of(*preset(name), sizes[name], open_scale=name == "rabbit-knee")

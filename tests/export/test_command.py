@@ -78,7 +78,7 @@ def test_the_numbers_are_those_that_the_run_reports(bench):
 
     before = armature()
     assert before["value"] == pytest.approx(row["reported"]["value"], rel=1e-9)
-    # the same run, had its self-check taken off a bias of 20 sds
+    # the same run, had its self-check torque_of off a bias of 20 sds
     off = 20.0 * row["sd"]
     row["reported"]["value"] += off
     (bench.folder / "c-run" / "summary.json").write_text(json.dumps(record))

@@ -6,13 +6,14 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.format import filled
+from bayesfric.export.formats import filled
 from bayesfric.export.joint_model import Trajectory, torque_along
 from bayesfric.export.point_estimate import parameter_vectors
 from bayesfric.export.written_law import law
@@ -24,7 +25,7 @@ from bayesfric.recordings.measurement import AT_ROOM
 
 from ..mechanism.joints import EVERYTHING, everything
 from ..report.conftest import EVERYTHING as OTHERS
-from .made import found
+from .made import finished_posterior
 
 FLAGS = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-ffp-contract=off", "-O1"]
 MOVING = ("q", "qd", "qdd")
@@ -97,21 +98,21 @@ def along(function, q, qd, qdd):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_feed_forward_is_the_inverse_model_over_the_recorded_range(name, compiler, tmp_path):
-    done = found(name)
-    files = bf.export(done, "c").files
-    motions = [Trajectory.of(o) for o in done.model.observations]
-    vector = parameter_vectors(done, motions, 10).point
-    wanted = torque_along(done.joint, vector[None], motions)[0]
+    run = finished_posterior(name)
+    files = bf.export(run, "c").files
+    motions = [Trajectory.of(o) for o in run.model.observations]
+    vector = parameter_vectors(run, motions, 10).point
+    expected = torque_along(run.joint, vector[None], motions)[0]
     moving = [np.concatenate([getattr(m, x) for m in motions]) for x in MOVING]
-    largest = np.abs(wanted).max()
+    largest = np.abs(expected).max()
     double = along(compiled(compiler, files, tmp_path)("joint_torque"), *moving)
-    np.testing.assert_allclose(double, wanted, rtol=1e-6)
+    np.testing.assert_allclose(double, expected, rtol=1e-6)
     single = along(compiled(compiler, files, tmp_path, SINGLE)("joint_torque"), *moving)
-    np.testing.assert_allclose(single, wanted, atol=1e-6 * largest)
+    np.testing.assert_allclose(single, expected, atol=1e-6 * largest)
     python = {}
-    exec(bf.export(done, "python").main, python)
+    exec(bf.export(run, "python").main, python)
     again = [python["torque"](*row) for row in zip(*moving, strict=True)]  # NumPy's floats, too
-    np.testing.assert_allclose(again, wanted, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(again, expected, rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("case", ["everything", "unusual"])
@@ -120,13 +121,13 @@ def test_every_term_is_written_out(case, compiler, tmp_path):
     vector = joint.vector(values)
     q, qd, qdd = motion()
     # at room temperature as a recording begins, of a torque that does not change
-    wanted = inverse_torque(joint, vector, q, qd, qdd, inputs=AT_ROOM, time=np.zeros(q.size))
+    expected = inverse_torque(joint, vector, q, qd, qdd, inputs=AT_ROOM, time=np.zeros(q.size))
     files = c_files(joint, vector)
     double = along(compiled(compiler, files, tmp_path)("joint_torque"), q, qd, qdd)
-    np.testing.assert_allclose(double, wanted, rtol=1e-9, atol=1e-12)
-    largest = np.abs(wanted).max()
+    np.testing.assert_allclose(double, expected, rtol=1e-9, atol=1e-12)
+    largest = np.abs(expected).max()
     single = along(compiled(compiler, files, tmp_path, SINGLE)("joint_torque"), q, qd, qdd)
-    np.testing.assert_allclose(single, wanted, atol=3e-6 * largest)
+    np.testing.assert_allclose(single, expected, atol=3e-6 * largest)
 
 
 MAIN = """
@@ -144,28 +145,29 @@ def test_ros2_control_has_a_file_of_parameters_and_a_law_that_cpp_compiles(tmp_p
     yaml = pytest.importorskip("yaml")
     if not shutil.which("g++"):
         pytest.skip("there is no g++")
-    done = found("rabbit-knee")
-    exported = bf.export(done, "ros2-control", joint="knee")
-    told = {one["attribute"]: one["value"] for one in exported.record["numbers"]}
+    run = finished_posterior("rabbit-knee")
+    exported = bf.export(run, "ros2-control", joint="knee")
+    exported_numbers = {one["attribute"]: one["value"] for one in exported.record["numbers"]}
     parameters = yaml.safe_load(exported.main)
     gains = parameters["joint_trajectory_controller"]["ros__parameters"]["gains"]["knee"]
     own = parameters["friction_compensation"]["ros__parameters"]["knee"]["friction"]
-    assert gains == {"ff_velocity_scale": told["ff_velocity_scale"]}
-    assert own["coulomb"] == told["friction.coulomb"] > 0.0
+    assert gains == {"ff_velocity_scale": exported_numbers["ff_velocity_scale"]}
+    assert own["coulomb"] == exported_numbers["friction.coulomb"] > 0.0
     assert own["viscous"] == gains["ff_velocity_scale"]
     for name, text in exported.files.items():
         (tmp_path / name).write_text(text)
     (tmp_path / "main.cpp").write_text(MAIN)
-    run = lambda *words: subprocess.run(words, cwd=tmp_path, check=True)  # noqa: E731
-    run("gcc", *FLAGS, "-c", "knee_feedforward.c")
-    run("g++", "-Wall", "-Wextra", "-Werror", "main.cpp", "knee_feedforward.o", "-lm", "-o", "law")
-    motions = [Trajectory.of(o) for o in done.model.observations]
-    vector = parameter_vectors(done, motions, 10).point
-    wanted = torque_along(done.joint, vector[None], motions)[0]
+    execute = partial(subprocess.run, cwd=tmp_path, check=True)
+    execute(["gcc", *FLAGS, "-c", "knee_feedforward.c"])
+    strict = ["-Wall", "-Wextra", "-Werror"]
+    execute(["g++", *strict, "main.cpp", "knee_feedforward.o", "-lm", "-o", "law"])
+    motions = [Trajectory.of(o) for o in run.model.observations]
+    vector = parameter_vectors(run, motions, 10).point
+    expected = torque_along(run.joint, vector[None], motions)[0]
     moving = np.column_stack([np.concatenate([getattr(m, x) for m in motions]) for x in MOVING])
     text = "\n".join(" ".join(map(repr, row)) for row in moving.tolist())
     got = subprocess.run([tmp_path / "law"], input=text, text=True, capture_output=True, check=True)
-    np.testing.assert_allclose(np.array(got.stdout.split(), float), wanted, rtol=1e-6)
+    np.testing.assert_allclose(np.array(got.stdout.split(), float), expected, rtol=1e-6)
 
 
 def test_friction_is_what_losses_add():
@@ -194,8 +196,8 @@ def test_an_offset_is_no_friction(compiler, tmp_path):
     call = compiled(compiler, files, tmp_path)
     assert call("joint_friction")(0.0, 0.0, 0.0)[0] == 0.0
     assert call("joint_torque")(0.0, 0.0, 0.0)[0] == pytest.approx(-1.55)
-    (told,) = re.findall(r"#define JOINT_OFFSET \((.*)\)", files["joint_feedforward.h"])
-    assert float(told) == pytest.approx(-1.55)
+    (exported_numbers,) = re.findall(r"#define JOINT_OFFSET \((.*)\)", files["joint_feedforward.h"])
+    assert float(exported_numbers) == pytest.approx(-1.55)
     python = python_of(joint, vector)
     assert python["friction"](0.0, 0.0, 0.0) == 0.0
     assert python["OFFSET"] == pytest.approx(-1.55)
@@ -253,11 +255,11 @@ def test_a_term_of_ones_own_is_written_out(compiler, tmp_path):
     )
     vector = np.array([0.1, 0.7, 0.2])
     q, qd, qdd = motion(50)
-    wanted = inverse_torque(joint, vector, q, qd, qdd, time=np.zeros(q.size))
+    expected = inverse_torque(joint, vector, q, qd, qdd, time=np.zeros(q.size))
     double = along(compiled(compiler, c_files(joint, vector), tmp_path)("joint_torque"), q, qd, qdd)
-    np.testing.assert_allclose(double, wanted, rtol=1e-12)
+    np.testing.assert_allclose(double, expected, rtol=1e-12)
     again = along(python_of(joint, vector)["both"], q, qd, qdd)
-    np.testing.assert_allclose(again, wanted, rtol=1e-12)
+    np.testing.assert_allclose(again, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("column", [lambda m: math.sin(m.position), lambda m: np.sin(m.time)])

@@ -9,18 +9,18 @@ import pytest
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.export.formats.mujoco import patched
+from bayesfric.export.formats import patched
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 
 from .made import (
-    check_announced_torque,
-    found,
-    made,
-    middle,
+    check_reported_torque,
+    exported_vector,
+    finished_posterior,
     numbers,
+    posterior_of,
     rms,
     swung,
 )
@@ -53,10 +53,10 @@ def friction_of(exported):
 
 @pytest.mark.parametrize("name", ["plain", "motor-axis"])
 def test_what_mujoco_can_carry_moves_as_the_fitted_joint(name):
-    done = found(name)
+    run = finished_posterior(name)
     torque, period = swung(0.6, SECONDS)
-    exported = bf.export(done, "mujoco")
-    motion = simulate(done.joint, middle(done), torque, period, hold="zero").q
+    exported = bf.export(run, "mujoco")
+    motion = simulate(run.joint, exported_vector(run), torque, period, hold="zero").q
     assert np.ptp(motion) > 0.3
     assert rms(moved(exported.main, torque, period) - motion) < 1e-3
     assert not exported.record["lost"]
@@ -66,25 +66,25 @@ def test_what_mujoco_can_carry_moves_as_the_fitted_joint(name):
 @pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
 def test_the_torque_it_takes_is_wrong_by_what_was_announced(name):
     """Recorded motion through MuJoCo's own inverse dynamics."""
-    done = found(name)
-    exported = bf.export(done, "mujoco")
+    run = finished_posterior(name)
+    exported = bf.export(run, "mujoco")
     model = mujoco.MjModel.from_xml_string(exported.main)
     data = mujoco.MjData(model)
 
-    def taken(*motion):
+    def torque_of(*motion):
         data.qpos[0], data.qvel[0], data.qacc[0] = motion
         mujoco.mj_inverse(model, data)
         return data.qfrc_inverse[0] / model.actuator_gear[0, 0]
 
-    check_announced_torque(done, exported, taken)
+    check_reported_torque(run, exported, torque_of)
 
 
 @pytest.mark.parametrize("name", ["rabbit-knee", "servo-pendulum"])
 def test_friction_set_at_each_step_gives_the_load_loss_back(name):
-    done = found(name)
+    run = finished_posterior(name)
     torque, period = swung(0.5, SECONDS)
-    exported = bf.export(done, "mujoco")
-    motion = simulate(done.joint, middle(done), torque, period, hold="zero").q
+    exported = bf.export(run, "mujoco")
+    motion = simulate(run.joint, exported_vector(run), torque, period, hold="zero").q
     plain = rms(moved(exported.main, torque, period) - motion)
     set_anew = rms(moved(exported.main, torque, period, friction_of(exported)) - motion)
     assert set_anew < 1e-3 < plain
@@ -92,26 +92,16 @@ def test_friction_set_at_each_step_gives_the_load_loss_back(name):
 
 
 def test_three_numbers_of_damping_are_a_cubic():
-    exported = bf.export(found("plain"), "mujoco")
+    exported = bf.export(finished_posterior("plain"), "mujoco")
     model = mujoco.MjModel.from_xml_string(exported.main)
-    data, told = mujoco.MjData(model), numbers(exported)
+    data, exported_numbers = mujoco.MjData(model), numbers(exported)
     for speed in (-3.0, 0.5, 2.0):
         data.qpos[0], data.qvel[0] = 0.4, speed
         mujoco.mj_forward(model, data)
-        wanted = -told["joint damping"] * speed
-        wanted -= told["joint damping, second number"] * speed * abs(speed)
-        wanted -= told["joint stiffness"] * 0.4
-        assert data.qfrc_passive[0] == pytest.approx(wanted, rel=1e-12)
-
-
-def test_a_quadratic_loss_becomes_the_nearest_damping_where_there_is_no_number():
-    one = bf.export(found("plain"), "isaac")
-    (lost,) = [x for x in one.record["lost"] if x.get("number") == "quadratic"]
-    # nearest line to v|v| over what was recorded
-    o = found("plain").model.observations[0]
-    speed = np.abs(o.qd[o.filter.centres])
-    slope = np.sum(speed**3) / np.sum(speed**2)
-    assert lost["amount"] == pytest.approx(slope * lost["value"], rel=1e-12)
+        expected = -exported_numbers["joint damping"] * speed
+        expected -= exported_numbers["joint damping, second number"] * speed * abs(speed)
+        expected -= exported_numbers["joint stiffness"] * 0.4
+        assert data.qfrc_passive[0] == pytest.approx(expected, rel=1e-12)
 
 
 MODEL = """<mujoco>
@@ -134,17 +124,17 @@ MODEL = """<mujoco>
 def test_a_joint_of_a_model_is_changed_and_nothing_else(tmp_path):
     path = tmp_path / "leg.xml"
     path.write_text(MODEL)
-    exported = bf.export(found("rabbit-knee"), "mujoco", into=path, joint="knee")
+    exported = bf.export(finished_posterior("rabbit-knee"), "mujoco", into=path, joint="knee")
     assert next(iter(exported.files)) == "leg.xml"
     before, after = MODEL.splitlines(), exported.main.splitlines()
     changed = [k for k, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
     assert changed == [7, 8]
     model = mujoco.MjModel.from_xml_string(exported.main)
     dof = model.joint("knee").dofadr[0]
-    told = numbers(exported)
-    assert model.dof_damping[dof] == told["joint damping"]
-    assert model.dof_frictionloss[dof] == told["joint frictionloss"]
-    assert model.dof_armature[dof] == told["joint armature"]
+    exported_numbers = numbers(exported)
+    assert model.dof_damping[dof] == exported_numbers["joint damping"]
+    assert model.dof_frictionloss[dof] == exported_numbers["joint frictionloss"]
+    assert model.dof_armature[dof] == exported_numbers["joint armature"]
     assert model.dof_damping[model.joint("hip").dofadr[0]] == 0.0
     # what was set before is replaced, and set once
     joint = ElementTree.fromstring(exported.main).findall(".//body/joint")[1]
@@ -160,10 +150,10 @@ def test_a_joint_that_is_not_there_is_refused_by_its_nearest_name(tmp_path):
     path = tmp_path / "leg.xml"
     path.write_text(MODEL)
     with pytest.raises(BadInput, match="has no joint 'kne'; did you mean 'knee'"):
-        bf.export(found("rabbit-knee"), "mujoco", into=path, joint="kne")
+        bf.export(finished_posterior("rabbit-knee"), "mujoco", into=path, joint="kne")
     path.write_text("<mujoco>")
     with pytest.raises(BadInput, match="is no XML"):
-        bf.export(found("rabbit-knee"), "mujoco", into=path, joint="knee")
+        bf.export(finished_posterior("rabbit-knee"), "mujoco", into=path, joint="knee")
 
 
 def test_a_sliding_joint_behind_a_spindle_moves_as_the_fitted_one():
@@ -181,15 +171,15 @@ def test_a_sliding_joint_behind_a_spindle_moves_as_the_fitted_one():
         "slide.viscous": 20.0,
         "load.inertia": 5.0,
     }
-    done = made(joint, values, 0.5)
-    exported = bf.export(done, "mujoco")
+    run = posterior_of(joint, values, 0.5)
+    exported = bf.export(run, "mujoco")
     torque, period = swung(0.5, SECONDS)
-    motion = simulate(joint, middle(done), torque, period, hold="zero").q
+    motion = simulate(joint, exported_vector(run), torque, period, hold="zero").q
     assert np.ptp(motion) > 0.1
     assert rms(moved(exported.main, torque, period) - motion) < 1e-3
     rows = {row["attribute"]: row for row in exported.record["numbers"]}
     assert rows["joint frictionloss"]["unit"] == "N"
-    vector = dict(zip(joint.names, middle(done), strict=True))
+    vector = dict(zip(joint.names, exported_vector(run), strict=True))
     armature = vector["motor.inertia"] * 300.0**2
     assert rows["joint armature"]["value"] == pytest.approx(armature)
 
@@ -199,7 +189,7 @@ def test_a_term_of_ones_own_is_fitted_and_said_and_no_controller_is_written_with
     joint = Joint(elements=(Element("motor", inertia=True, viscous=True),), load=Load())
     joint = joint.with_term(Term("motor.square", lambda m: m.speed * size(m.speed)))
     values = {"motor.inertia": 0.01, "motor.viscous": 0.05, "motor.square": 0.01}
-    exported = bf.export(made(joint, values, 0.6), "mujoco")
+    exported = bf.export(posterior_of(joint, values, 0.6), "mujoco")
     assert list(exported.files) == ["joint.xml", *(["joint_friction.py"] if size is abs else [])]
     (lost,) = exported.record["lost"]
     assert lost["parameters"] == ["motor.square"]

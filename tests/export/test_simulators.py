@@ -9,18 +9,15 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.export.formats.bam import parameters
-from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
 
-from .made import check_announced_torque, found, middle, numbers, rms, swung
+from .made import check_reported_torque, exported_vector, finished_posterior, numbers, rms, swung
 
 NAMES = ("plain", "rabbit-knee", "servo-pendulum", "motor-axis")
 
 
-def wanted(module):
+def module(module):
     return pytest.importorskip(module, reason=f"{module} is not installed")
 
 
@@ -45,17 +42,17 @@ def stepped(loader, torque, period, finer=5):
 
 @pytest.mark.parametrize("name", ["plain", "motor-axis"])
 def test_pinocchio_moves_as_the_fitted_joint(name, tmp_path):
-    wanted("pinocchio")
-    done = found(name)
-    exported = bf.export(done, "pinocchio")
+    module("pinocchio")
+    run = finished_posterior(name)
+    exported = bf.export(run, "pinocchio")
     torque, period = swung(0.6, 2.0)
-    motion = simulate(done.joint, middle(done), torque, period, hold="zero").q
+    motion = simulate(run.joint, exported_vector(run), torque, period, hold="zero").q
     assert rms(stepped(pinocchio_of(exported, tmp_path), torque, period) - motion) < 1e-3
     assert not exported.record["lost"]
 
 
 def drake_of(text, kind):
-    wanted("pydrake")
+    module("pydrake")
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
 
@@ -71,14 +68,17 @@ def drake_of(text, kind):
 @pytest.mark.parametrize("name", NAMES)
 def test_drake_takes_the_torque_that_was_announced(name):
     """Recorded motion through Drake's inverse dynamics, damping and rotor included."""
-    done = found(name)
-    exported = bf.export(done, "drake")
+    run = finished_posterior(name)
+    exported = bf.export(run, "drake")
     plant = drake_of(exported.main, "urdf")
-    context, told = plant.CreateDefaultContext(), numbers(exported)
-    gain, offset = told["joint torque per motor torque"], told.get("joint torque, less", 0.0)
+    context, exported_numbers = plant.CreateDefaultContext(), numbers(exported)
+    gain, offset = (
+        exported_numbers["joint torque per motor torque"],
+        exported_numbers.get("joint torque, less", 0.0),
+    )
     from pydrake.multibody.tree import MultibodyForces
 
-    def taken(q, qd, qdd):
+    def torque_of(q, qd, qdd):
         plant.SetPositions(context, [q])
         plant.SetVelocities(context, [qd])
         forces = MultibodyForces(plant)
@@ -86,25 +86,25 @@ def test_drake_takes_the_torque_that_was_announced(name):
         torque = plant.CalcInverseDynamics(context, np.array([qdd]), forces)[0]
         return (torque + offset) / gain
 
-    check_announced_torque(done, exported, taken)
-    assert exported.record["lost"][-1]["number"] in ("friction", "stiffness")
+    check_reported_torque(run, exported, torque_of)
+    assert exported.record["lost"]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_urdf_is_read_alike_by_yourdfpy_and_pinocchio(name, tmp_path):
-    yourdfpy, pinocchio = wanted("yourdfpy"), wanted("pinocchio")
-    exported = bf.export(found(name), "urdf")
+    yourdfpy, pinocchio = module("yourdfpy"), module("pinocchio")
+    exported = bf.export(finished_posterior(name), "urdf")
     path = tmp_path / "joint.urdf"
     path.write_text(exported.main)
-    told = numbers(exported)
+    exported_numbers = numbers(exported)
     read = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False)
     dynamics = read.joint_map["joint"].dynamics
     model = pinocchio.buildModelFromUrdf(str(path))
-    assert float(dynamics.damping) == model.damping[0] == told["dynamics damping"]
-    assert float(dynamics.friction) == model.friction[0] == told["dynamics friction"]
+    assert float(dynamics.damping) == model.damping[0] == exported_numbers["dynamics damping"]
+    assert float(dynamics.friction) == model.friction[0] == exported_numbers["dynamics friction"]
     data = model.createData()
     mass = pinocchio.crba(model, data, np.zeros(1))[0, 0]
-    full = numbers(bf.export(found(name), "csv"))
+    full = numbers(bf.export(finished_posterior(name), "csv"))
     inertia = full["armature"] + full.get("link_inertia", 0.0)
     assert mass == pytest.approx(inertia, rel=1e-9)
     weight = pinocchio.rnea(model, data, np.array([0.3]), np.zeros(1), np.zeros(1))[0]
@@ -116,26 +116,26 @@ def test_urdf_is_read_alike_by_yourdfpy_and_pinocchio(name, tmp_path):
 # pysdf's own use of what its libraries will take away
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:pysdf", "ignore:.*pkg_resources")
 def test_sdf_is_read_alike_by_drake_and_pysdf(name):
-    exported = bf.export(found(name), "sdf")
-    told = numbers(exported)
+    exported = bf.export(finished_posterior(name), "sdf")
+    exported_numbers = numbers(exported)
     plant = drake_of(exported.main, "sdf")
-    assert plant.GetJointByName("joint").default_damping() == told["dynamics damping"]
+    assert plant.GetJointByName("joint").default_damping() == exported_numbers["dynamics damping"]
     context = plant.CreateDefaultContext()
-    full = numbers(bf.export(found(name), "csv"))
+    full = numbers(bf.export(finished_posterior(name), "csv"))
     inertia = full["armature"] + full.get("link_inertia", 0.0)
     assert plant.CalcMassMatrix(context)[0, 0] == pytest.approx(inertia, rel=1e-9)
-    pysdf = wanted("pysdf")
+    pysdf = module("pysdf")
     joint = pysdf.SDF.from_xml(exported.main.partition("-->")[2]).models[0].joints[0]
     dynamics = joint.axis.dynamics
-    assert float(dynamics.damping) == told["dynamics damping"]
-    assert float(dynamics.friction) == told["dynamics friction"]
+    assert float(dynamics.damping) == exported_numbers["dynamics damping"]
+    assert float(dynamics.friction) == exported_numbers["dynamics friction"]
 
 
 def test_usd_joint_attributes_are_read_back_per_degree():
-    usd = wanted("pxr.Usd")
+    usd = module("pxr.Usd")
     from pxr import Sdf
 
-    exported = bf.export(found("rabbit-knee"), "isaac", joint="knee")
+    exported = bf.export(finished_posterior("rabbit-knee"), "isaac", joint="knee")
     layer = Sdf.Layer.CreateAnonymous(".usda")
     assert layer.ImportFromString(exported.files["knee.usda"])
     stage = usd.Stage.Open(layer)
@@ -145,80 +145,129 @@ def test_usd_joint_attributes_are_read_back_per_degree():
     def read(name):
         return prim.GetAttribute(f"physxJointAxis:angular:{name}").Get()
 
-    told = numbers(exported)
-    assert read("armature") == pytest.approx(told["armature"])
-    assert read("staticFrictionEffort") == pytest.approx(told["friction"])
-    assert read("dynamicFrictionEffort") == pytest.approx(told["dynamic_friction"])
+    exported_numbers = numbers(exported)
+    assert read("armature") == pytest.approx(exported_numbers["armature"])
+    assert read("staticFrictionEffort") == pytest.approx(exported_numbers["friction"])
+    assert read("dynamicFrictionEffort") == pytest.approx(exported_numbers["dynamic_friction"])
     # N m at one degree a second
-    torque_at_one_degree = told["viscous_friction"] * np.deg2rad(1.0)
+    torque_at_one_degree = exported_numbers["viscous_friction"] * np.deg2rad(1.0)
     assert read("viscousFrictionCoefficient") == pytest.approx(torque_at_one_degree)
 
 
 def test_isaac_lab_takes_the_keywords_that_are_written():
-    exported = bf.export(found("rabbit-knee"), "isaac", joint="knee")
+    exported = bf.export(finished_posterior("rabbit-knee"), "isaac", joint="knee")
     given = {}
     text = exported.files["knee_isaac_lab.py"]
     # its import needs a GPU's simulator: what is called is looked at
     text = text.replace("from isaaclab.actuators import ImplicitActuatorCfg", "")
     exec(text, {"ImplicitActuatorCfg": lambda **named: given.update(named)})
-    told = numbers(exported)
+    exported_numbers = numbers(exported)
     assert given["joint_names_expr"] == ["knee"]
     for name in ("armature", "friction", "dynamic_friction", "viscous_friction"):
-        assert given[name] == told[name]
+        assert given[name] == exported_numbers[name]
 
 
 def bam_friction(p, motor, external, speed):
-    """BAM's friction budget, eqs. of its paper and of bam/model.py, in our own words."""
+    """BAM's friction budget, eqs. of its paper and of bam/model.py."""
     low = np.exp(-(np.abs(speed / p["dtheta_stribeck"]) ** p["alpha"])) if "alpha" in p else 0.0
     base = p["friction_base"] + low * p.get("friction_stribeck", 0.0)
-    if "load_friction_base" in p:
-        share = p["load_friction_base"] + low * p.get("load_friction_stribeck", 0.0)
-        base = base + share * abs(external - motor)
-    if "load_friction_motor" in p:
-        inner = external * p["load_friction_external"] - motor * p["load_friction_motor"]
-        base = base + abs(inner)
-    return base + p["friction_viscous"] * abs(speed)
+    share = p.get("load_friction_base", 0.0) + low * p.get("load_friction_stribeck", 0.0)
+    return base + share * np.abs(external - motor) + p["friction_viscous"] * np.abs(speed)
 
 
-def test_bam_loses_about_as_much_in_steady_motion():
-    """The mean over driving and back-driving is right to second order in mu."""
-    done = found("servo-pendulum")
-    p = json.loads(bf.export(done, "bam").main)
-    assert p["model"] == "m3"
-    vector, joint = middle(done), done.joint
-    angle = vector[joint.names.index("load.gravity_angle")]
-    weight = 9.80665 * vector[joint.names.index("load.first_moment")]
-    mu = vector[joint.names.index("gearbox.load")]
-    for q, speed in ((0.9, 1.5), (0.9, -1.5), (-0.4, 2.0)):
-        ours = inverse_torque(joint, vector, [q], [speed], [0.0])[0]
-        external = -weight * np.sin(q + angle)
-        friction = ours + external  # of motor torque, after the load's
-        theirs = np.sign(speed) * bam_friction(p, ours, external, speed)
-        # and BAM counts what constant and viscous loss take of the motor among the load
-        rest = p["load_friction_base"] * (p["friction_base"] + p["friction_viscous"] * abs(speed))
-        assert theirs == pytest.approx(friction, abs=0.6 * mu**2 * abs(external) + 1.2 * rest)
-    # about half of a mu
-    assert p["load_friction_base"] == pytest.approx(mu / 2.0, rel=0.02)
+@pytest.mark.parametrize(
+    ("name", "model"), [("plain", "m1"), ("servo-pendulum", "m3"), ("rabbit-knee", "m3")]
+)
+def test_bam_is_the_nearest_to_the_law_along_the_motion(name, model):
+    """No coefficient can move without a larger error of BAM's friction; torque as reported."""
+    run = finished_posterior(name)
+    exported = bf.export(run, "bam")
+    p = json.loads(exported.main)
+    assert p.pop("model") == model
+    assert p.pop("actuator") == "mx106"
+    vector, joint, o = exported_vector(run), run.joint, run.model.observations[0]
+    q, v, a = (x[o.filter.centres] for x in (o.q, o.qd, o.qdd))
+    value = numbers(exported)
+    full = numbers(bf.export(run, "csv"))
+    gain, offset = full["gain"], full.get("torque_offset", 0.0)
+    motor = gain * inverse_torque(joint, vector, q, v, a, inputs=o.inputs) - offset
+    moment, angle = full["link_moment"], full.get("link_gravity_angle", 0.0)
+    external = -9.80665 * moment * np.sin(q + angle)
+    free = (full["armature"] + full.get("link_inertia", 0.0)) * a - external
+    loss = np.sign(v) * (motor - free)
+
+    def error(parameters):
+        return rms(np.sign(v) * (bam_friction(parameters, motor, external, v) - loss))
+
+    for key in set(p) - {"armature", "dtheta_stribeck", "alpha"}:
+        for factor in (0.99, 1.01):
+            assert p[key] == 0.0 or error(p | {key: factor * p[key]}) > error(p)
+    assert value["armature"] == p["armature"] == full["armature"]
+    # its own torque, in which friction depends on the motor's torque
+    torque = free.copy()
+    for _ in range(100):
+        torque = free + np.sign(v) * bam_friction(p, torque, external, v)
+    reported = exported.record["error"]["motor"]["rms"]
+    assert rms((torque - motor) / gain) == pytest.approx(reported, rel=1e-6)
 
 
-def test_bam_told_apart_by_power_is_exact_in_steady_motion():
-    joint = Joint(
-        elements=(Element("motor", inertia=True), Element("gearbox", ratio=9.0, load_loss="two")),
-        load=Load(inertia=True, first_moment=True),
-    )
-    values = {
-        "motor.inertia": 1e-3,
-        "gearbox.load_drive": 0.3,
-        "gearbox.load_back": 0.25,
-        "load.inertia": 0.05,
-        "load.first_moment": 0.3,
+@pytest.mark.parametrize("name", ["plain", "servo-pendulum"])
+def test_bam_loads_its_file_and_has_the_friction_that_was_written(name, tmp_path):
+    bam = module("bam.model")
+    exported = bf.export(finished_posterior(name), "bam", joint="xl330")
+    (tmp_path / "params.json").write_text(exported.main)
+    model, p = bam.load_model(str(tmp_path / "params.json")), json.loads(exported.main)
+    assert model.actuator_name == "xl330"
+    for motor, external, speed in ((0.3, -0.2, 1.5), (0.1, -0.4, -0.7)):
+        friction, damping = model.compute_frictions(motor, external, speed)
+        expected = bam_friction(p, motor, external, speed)
+        assert friction + damping * abs(speed) == pytest.approx(expected, rel=1e-12)
+
+
+def test_newton_takes_friction_armature_and_damping(tmp_path):
+    """The exported opinions over a joint of a stage; Newton's joint has numbers per radian."""
+    newton = module("newton")
+    exported = bf.export(finished_posterior("plain"), "isaac")
+    over = exported.files["joint.usda"].partition('over "joint"')[2].partition("{")[2]
+    path = tmp_path / "stage.usda"
+    path.write_text(STAGE % over.rpartition("}")[0])
+    builder = newton.ModelBuilder()
+    resolvers = [newton.usd.SchemaResolverNewton(), newton.usd.SchemaResolverMjc()]
+    builder.add_usd(str(path), schema_resolvers=resolvers[:1])
+    value = numbers(exported)
+    assert builder.joint_armature[-1] == pytest.approx(value["armature"], rel=1e-6)
+    assert builder.joint_friction[-1] == pytest.approx(value["dynamic_friction"], rel=1e-6)
+    assert builder.joint_damping[-1] == pytest.approx(value["viscous_friction"], rel=1e-6)
+
+
+STAGE = """#usda 1.0
+(
+    upAxis = "Z"
+    metersPerUnit = 1
+    kilogramsPerUnit = 1
+)
+def Xform "robot" (prepend apiSchemas = ["PhysicsArticulationRootAPI"])
+{
+    def Xform "base" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
+    {
+        float physics:mass = 1
+        float3 physics:diagonalInertia = (1, 1, 1)
     }
-    p = parameters(joint, joint.vector(values), [])
-    assert p["model"] == "m5"
-    assert p["armature"] == pytest.approx(1e-3 * 81.0)
-    p |= {"dtheta_stribeck": 0.2, "alpha": 1.0}  # of what has no rise
-    for q, speed in ((0.9, 1.5), (0.9, -1.5)):
-        motor = 9.0 * inverse_torque(joint, joint.vector(values), [q], [speed], [0.0])[0]
-        external = -9.80665 * 0.3 * np.sin(q)
-        theirs = np.sign(speed) * bam_friction(p, motor, external, speed)
-        assert theirs == pytest.approx(motor + external, rel=1e-9)
+    def Xform "link" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
+    {
+        float physics:mass = 1
+        float3 physics:diagonalInertia = (1, 1, 1)
+    }
+    def PhysicsFixedJoint "fixed"
+    {
+        rel physics:body1 = </robot/base>
+    }
+    def PhysicsRevoluteJoint "joint"
+    {
+        uniform token physics:axis = "Y"
+        rel physics:body0 = </robot/base>
+        rel physics:body1 = </robot/link>
+%s
+    }
+}
+"""

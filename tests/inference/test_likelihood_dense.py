@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.linalg import block_diag, null_space, toeplitz
 from scipy.signal import lsim
 
-from bayesfric.estimates.shooting import Shooting
+from bayesfric.estimates.output_error import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.noise.autoregressive import Autoregressive

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.linalg import null_space
 
-from bayesfric.estimates.shooting import Shooting
+from bayesfric.estimates.output_error import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.experiment import Simulation, record

@@ -11,7 +11,7 @@ from scipy import stats
 
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.sizes import TypicalSizes, typical_sizes
+from bayesfric.estimates.least_squares import TypicalSizes, typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.prior.priors import JointPrior, as_knowledge, default_prior, read_prior

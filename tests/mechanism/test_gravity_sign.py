@@ -7,8 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from bayesfric.estimates.input_error import input_error
-from bayesfric.estimates.knowledge import Estimation, Knowledge
-from bayesfric.estimates.point_estimate import Estimate
+from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.identifiability.next_recording import _equilibrium
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.gearbox_coordinates import choose_coordinates

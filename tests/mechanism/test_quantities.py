@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from bayesfric.estimates.assemble import open_scalings
-from bayesfric.estimates.knowledge import Knowledge
 from bayesfric.estimates.least_squares import least_squares, starting_values
-from bayesfric.estimates.torque import filtered_torque
-from bayesfric.estimates.torque_form import torque_form
-from bayesfric.estimates.variable_projection import VariableProjection
+from bayesfric.estimates.point_estimate import Knowledge
+from bayesfric.estimates.torque import VariableProjection, filtered_torque, torque_form
 from bayesfric.inference.fitting import make_target, read_priors
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.mechanism.derived import derive

@@ -5,8 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 import bayesfric as bf
-from bayesfric.diagnostics.explanation import Explanation
-from bayesfric.diagnostics.finding import Finding
+from bayesfric.diagnostics.explanation import Explanation, Finding
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.missing import Missing
 from bayesfric.inference.prior.priors import JointPrior

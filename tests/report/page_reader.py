@@ -1,4 +1,4 @@
-"""Read a page back: tables with their cells, names, targets, and texts."""
+"""Read pages and LaTeX tables back: cells, names, targets, texts and numbers."""
 
 import re
 from dataclasses import dataclass, field
@@ -15,22 +15,21 @@ class Node:
 
     @property
     def text(self):
-        if self.tag == "sup":
-            return "^" + "".join(c if isinstance(c, str) else c.text for c in self.children)
-        return "".join(c if isinstance(c, str) else c.text for c in self.children)
-
-    def all(self, tag, **wanted):
-        for child in self.children:
-            if isinstance(child, Node):
-                if child.tag == tag and all(child.attrs.get(k) == v for k, v in wanted.items()):
-                    yield child
-                yield from child.all(tag, **wanted)
+        text = "".join(c if isinstance(c, str) else c.text for c in self.children)
+        return f"^{text}" if self.tag == "sup" else text
 
     def every(self):
         for child in self.children:
             if isinstance(child, Node):
                 yield child
                 yield from child.every()
+
+    def all(self, tag, **wanted):
+        return (
+            node
+            for node in self.every()
+            if node.tag == tag and wanted.items() <= node.attrs.items()
+        )
 
 
 class _Reader(HTMLParser):
@@ -72,3 +71,25 @@ def number(text):
     last = factor * 10.0**-decimals
     numbers = [factor * float(x) for x in re.findall(r"-?\d+\.?\d*", text)]
     return numbers, last
+
+
+def latex_number(text):
+    """Read the same of a LaTeX cell; an uncertainty in parentheses counts last digits."""
+    text = re.sub(r"\\num\{([^}]*)\}", r"\1", text)
+    power = re.search(r"(?:e|10\^\{)(-?\d+)", text)
+    text = text.partition("e")[0]
+    last = 10.0 ** (int(power[1] if power else 0) - len(re.search(r"\d+\.?(\d*)", text)[1]))
+    factor = 10.0 ** int(power[1] if power else 0)
+    if (uncertainty := re.fullmatch(r"(-?[\d.]+)\((\d+)\)", text)) is not None:
+        return [float(uncertainty[1]) * factor, int(uncertainty[2]) * last], last
+    return [float(x) * factor for x in re.findall(r"-?\d+\.?\d*", text)], last
+
+
+def latex_lines(table):
+    """Cells of every line of a LaTeX table."""
+    body = table.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
+    return [
+        [cell.strip() for cell in line.removesuffix(r" \\").split(" & ")]
+        for line in body.splitlines()
+        if line.endswith(r" \\") and not line.startswith(r"\multicolumn")
+    ]

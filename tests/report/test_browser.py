@@ -38,13 +38,9 @@ return ["ascending", "descending"].map(way => {
   return [head.getAttribute("aria-sort") === way, names];
 });
 """
-FILTERED = """
-const rows = () => [...document.querySelectorAll("#table-units tbody tr")].filter(
-  row => !row.hidden).map(row => row.cells[0].textContent);
-const all = rows(), box = document.querySelector(".filter input");
-box.value = "J1 2026-05";
-box.dispatchEvent(new Event("input"));
-return [all, rows()];
+UNITS = """
+const bodies = [...document.querySelectorAll("#units tbody")];
+return bodies.flatMap(body => [...body.rows].map(row => row.cells[0].textContent));
 """
 ADDED = """
 const script = document.createElement("script");
@@ -110,9 +106,8 @@ def test_a_page_works_alone(browser, pages, written_run, name):
         assert shown == {row: rows[row]["median"] for row in shown}
     if name == "fleet.html":
         browser.refresh()
-        units, filtered = browser.execute_script(FILTERED)
+        units = browser.execute_script(UNITS)
         assert (len(units), units[0], units[-1]) == (COUNT + 1, WORN, "broken")
-        assert set(filtered) == {"knee-01", "knee-05", "knee-09"}
     assert browser.get_log("browser") == []
     requests = {event["request"]["url"] for event in events(browser, "Network.requestWillBeSent")}
     assert {url for url in requests if not url.startswith("data:")} == {browser.current_url}

@@ -1,5 +1,6 @@
-"""Side by side: the arithmetic, the order, and that what is open stays without numbers."""
+"""Side by side: the arithmetic, what is open stays without numbers, what cannot be compared."""
 
+import copy
 import csv
 import io
 import json
@@ -9,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 
+from bayesfric.base.errors import BadInput
 from bayesfric.report.comparison.comparison import (
     comparison,
     comparison_csv,
@@ -16,76 +18,64 @@ from bayesfric.report.comparison.comparison import (
     comparison_text,
 )
 from bayesfric.report.messages import messages_of
-from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
 
-from .made_summaries import (
-    DERIVED,
-    LEG,
-    MOTOR,
-    TOTALS,
-    knee,
-    loaded,
-)
+from .made_summaries import DERIVED, LEG, MOTOR, TOTALS, estimated, knee, loaded, posterior_row
 
 
-def text(found):
-    return "\n".join(comparison_text(found))
+def cell(runs, name, column="posterior"):
+    return comparison(runs)[name].cells[column]
+
+
+def csv_rows(compared):
+    return list(csv.DictReader(io.StringIO(comparison_csv(compared))))
 
 
 # -- arithmetic
 
 
 def test_disagreement_of_an_estimate_is_in_the_larger_sd():
-    found = comparison({"knee": knee()})
-    assert found.baseline == "posterior"
+    compared = comparison({"knee": knee()})
+    assert compared.baseline == "posterior"
     for name in (*TOTALS, *DERIVED, *MOTOR):
-        cells = found[name].cells
+        cells = compared[name].cells
         # made so: 0.6 sds below, 0.8 above; both sds are the same
         assert cells["input-error"].disagreement == pytest.approx(-0.6, abs=1e-9)
         assert cells["output-error"].disagreement == pytest.approx(0.8, abs=1e-9)
         assert cells["posterior"].disagreement is None
     run = knee()
     run["estimates"]["output-error"]["parameters"]["motor.inertia"]["sd_robust"] *= 4.0
-    cell = comparison({"knee": run})["motor.inertia"].cells["output-error"]
-    assert cell.disagreement == pytest.approx(0.2, abs=1e-9)
+    wide = cell({"knee": run}, "motor.inertia", "output-error")
+    assert wide.disagreement == pytest.approx(0.2, abs=1e-9)
 
 
 def test_disagreement_of_references_and_runs_adds_their_variance():
-    found = comparison({"a": knee(), "b": loaded()})
-    reference = found["motor.inertia"].cells["reference"]
+    compared = comparison({"a": knee(), "b": loaded()})
     # data sheet 3.32e-4 +- 1e-5 against 3.40e-4 +- 2.6e-5
     expected = (3.32 - 3.40) / math.hypot(0.26, 0.10)
+    reference = compared["motor.inertia"].cells["reference"]
     assert reference.disagreement == pytest.approx(expected, rel=1e-9)
     for name in DERIVED:
         # 0.7 sds apart, both sds the same
-        cell = found[name].cells["b: posterior"]
-        assert cell.disagreement == pytest.approx(0.7 / math.sqrt(2), rel=1e-6)
+        other = compared[name].cells["b: posterior"]
+        assert other.disagreement == pytest.approx(0.7 / math.sqrt(2), rel=1e-6)
+    # a reference without an sd is measured in the posterior's
+    run = loaded()
+    row, cad = (
+        run["parameters"]["load.first_moment"],
+        cell({"b": run}, "load.first_moment", "reference"),
+    )
+    assert (cad.sd, cad.remark) == (None, "CAD")
+    assert cad.disagreement == pytest.approx((0.41 - row["mean"]) / row["sd"], rel=1e-12)
 
 
 def test_totals_of_the_motion_are_not_measured_between_runs():
     a, b = knee(), loaded()
-    b["derived"]["total.inertia"]["of_motion"] = True  # an older run does not tell
-    found = comparison({"a": a, "b": b})
-    assert found["total.inertia"].cells["b: posterior"].disagreement is None
-    assert found["total.viscous"].cells["b: posterior"].disagreement is not None
+    b["derived"]["total.inertia"]["of_motion"] = True
+    assert cell({"a": a, "b": b}, "total.inertia", "b: posterior").disagreement is None
+    assert cell({"a": a, "b": b}, "total.viscous", "b: posterior").disagreement is not None
     # of one recording the methods have one motion
-    alone = comparison({"b": b})
-    assert alone["total.inertia"].cells["input-error"].disagreement is not None
-
-
-def test_white_noise_that_was_found_and_passes_is_not_called_assumed():
-    run = knee()
-    run["noise"] |= {"accounts_for_correlation": False, "order_chosen_from": []}
-    run["noise"]["innovation_whiteness"] = {"test": "Ljung-Box", "p_value": 0.16, "white": True}
-    cells = comparison({"knee": run})["total.inertia"].cells
-    assert not cells["posterior"].accounts
-    tried = [{"order": k, "bic": 4.0 * k} for k in range(3)]
-    run["noise"]["order_chosen_from"] = tried
-    found = comparison({"knee": run})
-    assert found["total.inertia"].cells["posterior"].accounts
-    run["noise"]["innovation_whiteness"]["white"] = False
-    assert not comparison({"knee": run})["total.inertia"].cells["posterior"].accounts
+    assert cell({"b": b}, "total.inertia", "input-error").disagreement is not None
 
 
 def test_estimates_that_disagree_are_named():
@@ -96,8 +86,8 @@ def test_estimates_that_disagree_are_named():
     assert comparison({"knee": run}).contested == ()
     row["value"] += 1.0 * TOTALS["total.inertia"][4]
     assert comparison({"knee": run}).contested == ("total.inertia",)
-    (told,) = [one for one in messages_of(run) if one.kind == "methods"]
-    assert "total.inertia" in told.text
+    (message,) = [message for message in messages_of(run) if message.kind == "methods"]
+    assert "total.inertia" in message.text
 
 
 @pytest.mark.parametrize("bent", [True, False])
@@ -110,96 +100,131 @@ def test_a_total_by_a_parameters_name_is_not_held_against_it_where_losses_bend_i
     if not bent:
         for group in ("parameters", "derived"):
             run[group] = {k: row for k, row in run[group].items() if "gearbox" not in k}
-    found = comparison({"knee": run})
-    cell = found["motor.viscous"].cells["least-squares"]
-    assert cell.value == total["value"]
-    assert (cell.disagreement is None) == bent
-    assert ("load-dependent friction" in cell.remark) == bent
-    assert ("motor.viscous" in found.contested) != bent
+    compared = comparison({"knee": run})
+    least_squares = compared["motor.viscous"].cells["least-squares"]
+    assert least_squares.value == total["value"]
+    assert (least_squares.disagreement is None) == bent
+    assert ("load-dependent friction" in least_squares.remark) == bent
+    assert ("motor.viscous" in compared.contested) != bent
 
 
 def test_estimates_of_another_run_saw_other_data():
-    """The other run is another posterior's matter: its estimates are not told to be wrong."""
+    """The other run is another posterior's matter: its estimates are not said to be wrong."""
     other = loaded()
-    rows = other["estimates"]["input-error"]["parameters"]
-    rows["total.inertia"]["value"] *= 1.2
-    found = comparison({"a": knee(), "b": other}, estimates=True)
-    assert not [note for note in found.notes if "differs" in note]
-    base, cell = (found["total.inertia"].cells[c] for c in ("a: posterior", "b: input-error"))
-    expected = (cell.value - base.value) / math.hypot(base.sd, cell.sd)
-    assert cell.disagreement == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_reference_without_sd_is_measured_in_the_posteriors():
-    run = loaded()
-    run["derived"]["total.inertia"]["median"] = 4.5e-4
-    found = comparison({"b": run})
-    assert found["total.inertia"].cells["posterior"].value == 4.5e-4  # the median
-    row = run["parameters"]["load.first_moment"]
-    cell = found["load.first_moment"].cells["reference"]
-    assert cell.disagreement == pytest.approx((0.41 - row["mean"]) / row["sd"], rel=1e-12)
-    assert cell.sd is None
-    assert cell.remark == "CAD"
+    other["estimates"]["input-error"]["parameters"]["total.inertia"]["value"] *= 1.2
+    compared = comparison({"a": knee(), "b": other}, estimates=True)
+    assert not [note for note in compared.notes if "differs" in note]
+    cells = compared["total.inertia"].cells
+    base, estimate = cells["a: posterior"], cells["b: input-error"]
+    expected = (estimate.value - base.value) / math.hypot(base.sd, estimate.sd)
+    assert estimate.disagreement == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_sd_is_the_one_for_correlated_residuals():
-    cell = comparison({"knee": knee()})["total.inertia"].cells["least-squares"]
     *_, plain, robust = TOTALS["total.inertia"]
-    assert (cell.sd, cell.sd_plain, cell.accounts) == (robust, plain, True)
+    shown = cell({"knee": knee()}, "total.inertia", "least-squares")
+    assert (shown.sd, shown.sd_plain, shown.accounts) == (robust, plain, True)
     run = knee()
-    run["noise"] = {"model": "white", "parameters": ["noise.sigma"], "residual_lag1": 0.3}
-    for row in run["estimates"]["least-squares"]["parameters"].values():
-        row["sd_robust"] = None
-    found = comparison({"white": run})
-    cell = found["total.inertia"].cells["least-squares"]
-    assert (cell.sd, cell.sd_plain, cell.accounts) == (plain, plain, False)
-    # a posterior that takes noise for white says so
-    assert not found["motor.inertia"].cells["posterior"].accounts
+    run["estimates"]["least-squares"]["parameters"]["total.inertia"]["sd_robust"] = None
+    shown = cell({"white": run}, "total.inertia", "least-squares")
+    assert (shown.sd, shown.sd_plain, shown.accounts) == (plain, plain, False)
+
+
+WHITE = {"model": "white", "accounts_for_correlation": False}
+TRIED = [{"order": k, "bic": 4.0 * k} for k in range(3)]
 
 
 @pytest.mark.parametrize(
-    ("noise", "method", "accounts"),
+    ("noise", "accounts"),
     [
-        ({"model": "Student-t", "accounts_for_correlation": False}, "input-error", False),
-        ({"model": "AR(1)", "order": 1, "accounts_for_correlation": True}, "input-error", True),
-        ({"model": "whatever", "accounts_for_correlation": True}, "output-error", True),
+        ({"model": "white", "parameters": ["noise.sigma"], "residual_lag1": 0.3}, False),
+        ({"model": "Student-t", "accounts_for_correlation": False}, False),
+        ({"model": "AR(1)", "order": 1, "accounts_for_correlation": True}, True),
+        # white noise accounts for it where it was chosen, and passes
+        (WHITE | {"innovation_whiteness": {"test": "", "white": True}}, False),
+        (WHITE | {"innovation_whiteness": {"white": True}, "order_chosen_from": TRIED}, True),
+        (WHITE | {"innovation_whiteness": {"white": False}, "order_chosen_from": TRIED}, False),
     ],
 )
-def test_noise_accounts_for_correlation_where_it_has_a_memory(noise, method, accounts):
-    run = knee() | {"noise": noise, "likelihood": {"method": method}}
-    cell = comparison({"knee": run})["motor.inertia"].cells["posterior"]
-    assert cell.accounts == accounts
-    assert result_rows(run)["motor.inertia"] == replace(cell, disagreement=None)
-    (row,) = (r for r in parameter_table(run).rows if r.name == "motor.inertia")
-    assert row.accounts == accounts
-    assert (row.sd_plain is None) == accounts
+def test_a_posterior_accounts_for_correlation_where_its_noise_does(noise, accounts):
+    run = knee() | {"noise": noise}
+    shown = cell({"knee": run}, "motor.inertia")
+    assert (shown.accounts, shown.sd_plain is None) == (accounts, accounts)
+    assert result_rows(run)["motor.inertia"] == replace(shown, disagreement=None)
 
 
-# -- what is shown, in which order
+# -- how far runs are apart
+
+
+def test_runs_that_are_far_apart_are_named():
+    other = loaded()
+    assert not comparison({"a": knee(), "b": other}).runs_apart
+    name = next(iter(DERIVED))
+    row = other["derived"][name]
+    by = 10.0 * row["sd"]
+    row |= {"median": row["median"] + by, "interval": [end + by for end in row["interval"]]}
+    compared = comparison({"a": knee(), "b": other})
+    (note,) = compared.runs_apart
+    far = compared[name].cells["b: posterior"].disagreement
+    assert far == pytest.approx((10.0 + 0.7) / math.sqrt(2), rel=1e-6)
+    assert f"{name} ({far:+.1f} sd)" in note
+    assert compared.notes[0] == note
+    # what a run doubts itself says nothing of the joint
+    row["doubted"] = ["delay"]
+    assert not comparison({"a": knee(), "b": other}).runs_apart
+
+
+def _coulomb(median, low, high, sd, **more):
+    run, row = knee(), posterior_row("N m", median, sd, **more)
+    run["parameters"]["motor.coulomb"] = row | {"interval": [low, high]}
+    return run
+
+
+LIMIT = _coulomb(0.004, 0.0003, 0.0115, 0.0035, at_bound="lower", bound=0.0)
+
+
+@pytest.mark.parametrize(
+    ("first", "median", "half", "facing", "apart"),
+    [
+        # one long tail, away from the other run, made an sd that hid that nothing overlaps
+        (_coulomb(0.147, 0.078, 0.468, 0.13), 0.02, 0.0165, 0.147 - 0.078, False),
+        (_coulomb(0.147, 0.078, 0.468, 0.13), 0.9, 0.0165, 0.468 - 0.147, True),
+        # a limit may be far from what another run determines
+        (LIMIT, 0.147, 0.0658, 0.0115 - 0.004, True),
+        (LIMIT, 0.006, 0.0033, 0.0115 - 0.004, False),
+    ],
+)
+def test_the_side_that_faces_the_other_counts(first, median, half, facing, apart):
+    second = _coulomb(median, median - half, median + half, half / 1.645)
+    middle = first["parameters"]["motor.coulomb"]["median"]
+    expected = (median - middle) / (math.hypot(facing, half) / 1.645)
+    for runs, sign in (((first, second), 1.0), ((second, first), -1.0)):
+        compared = comparison(dict(zip("ab", runs, strict=True)))
+        far = compared["motor.coulomb"].cells["b: posterior"].disagreement
+        assert far == pytest.approx(sign * expected, rel=1e-4)
+        assert bool(compared.runs_apart) == apart
+
+
+def test_of_the_same_runs_estimates_a_limit_is_not_measured():
+    run = knee()
+    assert cell({"a": run}, "motor.viscous", "input-error").disagreement is not None
+    run["parameters"]["motor.viscous"] |= {"at_bound": "lower", "bound": 0.0}
+    assert cell({"a": run}, "motor.viscous", "input-error").disagreement is None
 
 
 # -- what is open
 
 
-def undetermined(found):
-    return [
-        (row.name, label, cell)
-        for row in found.rows
-        for label, cell in row.cells.items()
-        if cell.status == "undetermined"
-    ]
-
-
 @pytest.mark.parametrize("runs", [{"a": knee()}, {"a": knee(), "b": loaded()}])
-def test_open_numbers_carry_no_sd_and_no_interval(runs):
-    for estimates in (False, True):
-        found = comparison(runs, estimates=estimates)
-        left = undetermined(found)
-        assert {name for name, *_ in left} >= set(LEG)
-        for _, _, cell in left:
-            assert (cell.sd, cell.sd_plain, cell.interval, cell.level) == (None,) * 4
-            assert cell.disagreement is None
-            assert cell.remark.startswith("not determined")
+@pytest.mark.parametrize("estimates", [False, True])
+def test_open_numbers_carry_no_sd_and_no_interval(runs, estimates):
+    rows = comparison(runs, estimates=estimates).rows
+    left = [(row.name, c) for row in rows for c in row.cells.values() if c.status == "undetermined"]
+    assert {name for name, _ in left} >= set(LEG)
+    for _, shown in left:
+        assert (shown.sd, shown.sd_plain, shown.interval, shown.level) == (None,) * 4
+        assert shown.disagreement is None
+        assert shown.remark.startswith("not determined")
 
 
 def test_open_numbers_are_printed_nowhere():
@@ -209,37 +234,25 @@ def test_open_numbers_are_printed_nowhere():
         run["parameters"][name] |= {"sd": 0.0717171, "interval": [0.1717171, 0.9717171]}
         for method in ("input-error", "output-error"):
             # a file that contradicts itself: not determined, yet with sds
-            more = {"sd": 0.0717171, "sd_robust": 0.1717171}
-            run["estimates"][method]["parameters"][name] |= more
-    found = comparison({"a": run})
-    everything = [text(found), comparison_csv(found)]
-    everything.append(json.dumps(comparison_dict(found)))
-    for told in everything:
-        assert "717171" not in told
-        assert not re.search(r"0?\.0?717\d*|0?\.1717|0?\.9717", told)
-    for row in csv.DictReader(io.StringIO(comparison_csv(found))):
-        if row["status"] == "undetermined":
-            keys = ("sd", "sd_plain", "low", "high", "level", "limit", "disagreement")
-            assert [row[key] for key in keys] == [""] * 7
-            assert row["remark"].startswith("not determined")
+            sds = {"sd": 0.0717171, "sd_robust": 0.1717171}
+            run["estimates"][method]["parameters"][name] |= sds
+    compared = comparison({"a": run})
+    views = ["\n".join(comparison_text(compared)), comparison_csv(compared)]
+    for text in (*views, json.dumps(comparison_dict(compared))):
+        assert not re.search(r"0?\.0?717\d*|0?\.1717|0?\.9717|717171", text)
 
 
-def lost(run, method="output-error"):
-    """Make an estimate one whose search ended at no minimum, as ``estimate_summary`` writes it."""
-    table = run["estimates"][method]
-    table["converged"] = False
-    for row in table["parameters"].values():
+def test_an_estimate_that_did_not_converge_is_open_in_its_own_column_only():
+    run = loaded()
+    run["estimates"]["output-error"]["converged"] = False
+    for row in run["estimates"]["output-error"]["parameters"].values():
         row |= {"sd": None, "sd_robust": None, "determined": False, "span": None}
-    return run
-
-
-def test_an_estimate_that_did_not_converge_is_told_in_its_own_column_only():
-    sound, told = comparison({"a": loaded()}), comparison({"a": lost(loaded())})
+    sound, lost = comparison({"a": loaded()}), comparison({"a": run})
     for name in (*TOTALS, *DERIVED, *MOTOR, *LEG):
-        cells = dict(told[name].cells)
-        cell = cells.pop("output-error")
-        assert (cell.status, cell.converged) == ("undetermined", False)
-        assert cell.remark == "the search has not converged"
+        cells = dict(lost[name].cells)
+        shown = cells.pop("output-error")
+        assert (shown.status, shown.converged) == ("undetermined", False)
+        assert shown.remark == "the search has not converged"
         assert cells == {k: c for k, c in sound[name].cells.items() if k != "output-error"}
 
 
@@ -250,57 +263,102 @@ def test_on_a_bound(span):
     row = run["estimates"]["input-error"]["parameters"]["motor.viscous"]
     row |= {"value": 0.0, "sd": None, "sd_robust": None, "determined": False, "at_bound": "lower"}
     row["span"] = span
-    cell = comparison({"a": run})["motor.viscous"].cells["input-error"]
-    assert (cell.status, cell.sd, cell.remark) == ("bound", None, "at its lower bound")
-    assert cell.span is None
-    assert cell.disagreement == pytest.approx((0.0 - 3.8e-3) / 4.4e-4, rel=1e-9)
+    shown = cell({"a": run}, "motor.viscous", "input-error")
+    assert (shown.status, shown.sd, shown.span) == ("bound", None, None)
+    assert shown.disagreement == pytest.approx((0.0 - 3.8e-3) / 4.4e-4, rel=1e-9)
 
 
 def test_what_is_known_is_no_result():
-    one, two = knee(), knee()
-    row = one["parameters"].pop("motor.viscous")
+    first, second = knee(), knee()
+    unit = first["parameters"].pop("motor.viscous")["unit"]
     for table in ("input-error", "output-error"):
-        del one["estimates"][table]["parameters"]["motor.viscous"]
-    one["fixed"] = {
-        "motor.viscous": {"unit": row["unit"], "value": 4e-3},
-        "motor.extra": {"unit": "", "value": 1.0},
-    }
-    found = comparison({"one": one, "two": two})
-    cell = found["motor.viscous"].cells["one: posterior"]
-    assert (cell.value, cell.status, cell.sd) == (4e-3, "known", None)
-    assert "motor.extra" not in [row.name for row in found.rows]
-
-
-def test_what_a_file_says_of_scaling_counts_more_than_a_guess():
-    run = knee()
-    run["parameters"]["motor.inertia"] |= {"verdict": "prior", "data_sd": None}
-    row = comparison({"a": run})["motor.inertia"]
-    assert row.gauge_free
-    assert row.cells["input-error"].status == "determined"
+        del first["estimates"][table]["parameters"]["motor.viscous"]
+    extra = {"unit": "", "value": 1.0}
+    first["fixed"] = {"motor.viscous": {"unit": unit, "value": 4e-3}, "motor.extra": extra}
+    compared = comparison({"one": first, "two": second})
+    shown = compared["motor.viscous"].cells["one: posterior"]
+    assert (shown.value, shown.status, shown.sd) == (4e-3, "known", None)
+    assert "motor.extra" not in [row.name for row in compared.rows]
 
 
 # -- layouts
 
 
-def test_a_table_that_is_filtered_by_status_does_not_pass_what_is_doubtful():
+def test_what_is_doubtful_is_so_in_a_tables_status():
     run = loaded()
     doubted = {"verdict": "weak", "doubted": ["some"]}
     run["parameters"]["motor.inertia"] |= doubted
     limit = {"at_bound": "lower", "bound": 0.0, "data_sd": 1e-3, "prior_sd": 1.0}
     run["parameters"]["load.inertia"] |= doubted | limit
-    rows = csv.DictReader(io.StringIO(comparison_csv(comparison({"run": run}))))
+    rows = csv_rows(comparison({"run": run}))
     status = {row["name"]: row["status"] for row in rows if row["column"] == "posterior"}
     assert (status["motor.inertia"], status["load.inertia"]) == ("doubtful", "doubtful")
     assert status["motor.viscous"] == "determined"
 
 
 def test_csv_and_json_hold_the_same():
-    found = comparison({"a": knee(), "b": loaded()}, estimates=True)
-    record = json.loads(json.dumps(comparison_dict(found), allow_nan=False))
-    rows = list(csv.DictReader(io.StringIO(comparison_csv(found))))
-    assert len(rows) == sum(len(row.cells) for row in found.rows)
+    compared = comparison({"a": knee(), "b": loaded()}, estimates=True)
+    record = json.loads(json.dumps(comparison_dict(compared), allow_nan=False))
+    rows = csv_rows(compared)
+    assert len(rows) == sum(len(row.cells) for row in compared.rows)
     for row in rows:
-        cell = record["quantities"][row["name"]]["columns"][row["column"]]
-        assert float(row["value"]) == cell["value"]
-        assert row["sd"] == ("" if cell["sd"] is None else str(cell["sd"]))
-        assert row["status"] == cell["status"]
+        stored = record["quantities"][row["name"]]["columns"][row["column"]]
+        assert (float(row["value"]), row["status"]) == (stored["value"], stored["status"])
+        assert row["sd"] == ("" if stored["sd"] is None else str(stored["sd"]))
+
+
+# -- what cannot be compared
+
+
+def refused(summaries, *parts):
+    with pytest.raises(BadInput) as caught:
+        comparison(summaries)
+    for part in parts:
+        assert part in str(caught.value)
+    assert not re.search("Input should|pydantic|<class", str(caught.value))
+
+
+def put(key, value):
+    """Change the posterior's motor inertia."""
+    return lambda run: run["parameters"]["motor.inertia"].update({key: value})
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (lambda r: r.pop("parameters"), ["parameters", "is missing"]),
+        (lambda r: r.update(parameters=[1, 2]), ["parameters", "[1, 2]"]),
+        (put("mean", "3e-4"), ["parameters.motor.inertia.mean", "'3e-4'"]),
+        (put("sd", -1.0), ["parameters.motor.inertia.sd", "-1.0"]),
+        (put("mean", True), ["parameters.motor.inertia.mean", "true"]),
+        (put("verdict", "maybe"), ["parameters.motor.inertia.verdict", "'maybe'"]),
+        (lambda r: r["estimates"].update(guess={"parameters": {}}), ["estimates", "guess"]),
+        (
+            lambda r: r["references"]["motor.inertia"].update(unit="g m²"),
+            ["references.motor.inertia", "'g m²'", "'kg m²'"],
+        ),
+        (put("unit", "kg"), ["motor.inertia", "'kg'", "'kg m²'"]),
+    ],
+)
+def test_summaries_that_hold_something_else(change, parts):
+    run = knee()
+    change(run)
+    refused({"a run": run}, "a run", *parts)
+
+
+def test_runs_that_cannot_be_compared():
+    other = knee()
+    estimates = [e["parameters"]["total.coulomb"] for e in other["estimates"].values()]
+    for row in (other["derived"]["total.coulomb"], *estimates):
+        row["unit"] = "N"
+    refused({"a": knee(), "b": other}, "b: total.coulomb", "'N'", "'N m'", "in a")
+    # shared, but not shown
+    total = {"parameters": {"total.x": estimated("N", "x", 1.0, 0.1, 0.1, "total")}}
+    other = {"parameters": {"axis.coulomb": posterior_row("N", 3.0, 0.1, data_sd=0.1)}}
+    other["estimates"] = {"least-squares": total}
+    third = copy.deepcopy(other)
+    refused({"a": knee(), "b": other}, "in common")
+    refused({"b": other, "c": third, "a": knee()}, "a: has no quantity in common")
+    assert comparison({"b": other, "c": third}).rows
+    refused({"a": {"parameters": {}}}, "a: holds no result")
+    refused({"a": knee(), "b": {"parameters": {}}}, "b: holds no result")

@@ -18,10 +18,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.numbers import HTML, TEXT
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.summary.parts import QUANTILES, friction_cells, friction_part
 from bayesfric.report.summary.summary import summarise
-from bayesfric.report.terminal import fit_text
 
 from .conftest import build
 
@@ -35,17 +33,23 @@ def curves(knee):
     return friction_curves(knee)
 
 
-def test_at_no_load_it_is_the_total_constant_and_viscous_loss():
-    found = friction_torque(KNEE, TRUTH[None], SPEED, np.zeros(18), open_scale=True)[0]
-    total = {q.name: float(q.values[0]) for q in derive(KNEE, TRUTH[None], 1.0)}
-    constant = np.where(
-        SPEED > 0,
-        total["total_drive.coulomb_positive"],
-        total["total_drive.coulomb_negative"],
+def friction(chain, values, load=0.0, *, open_scale=True):
+    return friction_torque(
+        chain,
+        np.atleast_2d(values),
+        SPEED,
+        np.broadcast_to(load, SPEED.shape),
+        open_scale=open_scale,
     )
+
+
+def test_at_no_load_it_is_the_total_constant_and_viscous_loss():
+    total = {q.name: float(q.values[0]) for q in derive(KNEE, TRUTH[None], 1.0)}
+    positive, negative = (total[f"total_drive.coulomb_{s}"] for s in ("positive", "negative"))
     # speed in rad/s of the motor, as the total viscous loss wants it
-    expected = constant + total["total_drive.viscous"] * np.abs(SPEED)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    viscous = total["total_drive.viscous"] * np.abs(SPEED)
+    expected = np.where(SPEED > 0, positive, negative) + viscous
+    np.testing.assert_allclose(friction(KNEE, TRUTH)[0], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("open_scale", [True, False])
@@ -58,8 +62,8 @@ def test_it_is_the_inverse_models_torque_without_the_load(open_scale):
     if open_scale:
         weight = weight * (2.0 + p["gearbox.load_drive"] - p["gearbox.load_back"]) / 2.0
     sign = np.sign(SPEED)
-    found = friction_torque(KNEE, TRUTH[None], SPEED, sign * weight, open_scale=open_scale)[0]
-    np.testing.assert_allclose(found, sign * (torque - weight), rtol=1e-11)
+    loss = friction(KNEE, TRUTH, sign * weight, open_scale=open_scale)[0]
+    np.testing.assert_allclose(loss, sign * (torque - weight), rtol=1e-11)
 
 
 def test_with_the_load_it_is_half_of_what_lifting_takes_more_than_lowering():
@@ -86,63 +90,48 @@ def test_with_the_load_it_is_half_of_what_lifting_takes_more_than_lowering():
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.3])
-def test_the_ridge_leaves_it_alone(factor):
+def test_the_ridge_leaves_it_alone(knee, factor):
     (scaling,) = scalings(KNEE)
-    other = scaling.scaled(TRUTH, factor)
-    both = np.stack([TRUTH, other])
+    both = np.stack([TRUTH, scaling.scaled(TRUTH, factor)])
     for load in (-0.3, -0.05, 0.0, 0.02, 0.4):
-        one, two = friction_torque(KNEE, both, SPEED, np.full(18, load), open_scale=True)
-        np.testing.assert_allclose(two, one, rtol=1e-10)
+        first, second = friction(KNEE, both, load)
+        np.testing.assert_allclose(second, first, rtol=1e-10)
     # but over the torque of the load itself it would not be left alone
-    one, two = friction_torque(KNEE, both, SPEED, np.full(18, 0.4), open_scale=False)
-    assert np.abs(two / one - 1).min() > 0.02
+    first, second = friction(KNEE, both, 0.4, open_scale=False)
+    assert np.abs(second / first - 1).min() > 0.02
+    # and recordings lie at the same places all along the ridge
+    first, second = (covered(knee, x, open_scale=True) for x in both)
+    np.testing.assert_allclose(second, first, rtol=1e-10, atol=1e-14)
 
 
-def test_recordings_lie_at_the_same_places_all_along_the_ridge(knee):
-    (scaling,) = scalings(KNEE)
-    one, two = (covered(knee, x, open_scale=True) for x in (TRUTH, scaling.scaled(TRUTH, 1.2)))
-    np.testing.assert_allclose(two, one, rtol=1e-10, atol=1e-14)
-
-
-def test_one_mu_needs_no_mean():
-    chain = PRESETS["servo-pendulum"].chain()
-    x = chain.vector(PRESETS["servo-pendulum"].values)[None]
-    reach = [load_reach(chain, x, open_scale=flag) for flag in (True, False)]
-    np.testing.assert_allclose(reach[0], reach[1], rtol=1e-14)
-
-
-def test_friction_is_of_the_true_torque_as_the_tables_are():
-    """Parameters are those of the joint; what the drive makes of its torque changes no friction."""
-    chain = replace(PRESETS["servo-pendulum"].chain(), gain=True)
-    values = PRESETS["servo-pendulum"].values
-    load = np.linspace(-1, 1, 18)
-    one, two = (
-        friction_torque(
-            chain, chain.vector(values | {"drive.gain": gain})[None], SPEED, load, open_scale=False
+def test_a_single_mu_needs_no_mean_and_a_gain_of_the_drive_changes_no_friction():
+    """Parameters are those of the joint, whatever the drive makes of its torque."""
+    preset = PRESETS["servo-pendulum"]
+    chain = preset.chain()
+    values = chain.vector(preset.values)[None]
+    first, second = (load_reach(chain, values, open_scale=is_open) for is_open in (True, False))
+    np.testing.assert_allclose(first, second, rtol=1e-14)
+    with_gain = replace(chain, gain=True)
+    first, second = (
+        friction(
+            with_gain,
+            with_gain.vector(preset.values | {"drive.gain": gain}),
+            np.linspace(-1, 1, 18),
         )
         for gain in (1.0, 0.7)
     )
-    np.testing.assert_array_equal(two, one)
-    free = friction_torque(
-        chain, chain.vector(values | {"drive.gain": 0.7})[None], SPEED, 0 * load, open_scale=False
-    )[0]
-    of_tables = values["motor.coulomb"] + values["motor.viscous"] * np.abs(SPEED)
-    np.testing.assert_allclose(free, of_tables, rtol=1e-12)
+    np.testing.assert_array_equal(second, first)
 
 
 def test_the_stribeck_rise_shows():
     chain = Joint(
         (Element("motor", coulomb="symmetric", viscous=True, stribeck=True),), Load(inertia=True)
     )
-    x = np.array([[0.3, 0.01, 0.5, 2.0, 0.1]])
-    assert chain.names[:2] == ("motor.viscous", "motor.coulomb")
-    p = dict(zip(chain.names, x[0], strict=True))
-    found = friction_torque(chain, x, SPEED, np.zeros(18), open_scale=False)[0]
-    v = np.abs(SPEED)
+    values = [0.3, 0.01, 0.5, 2.0, 0.1]
+    p, v = dict(zip(chain.names, values, strict=True)), np.abs(SPEED)
     rise = 1 + p["motor.stribeck_ratio"] * np.exp(-((v / p["motor.stribeck_velocity"]) ** 2))
-    np.testing.assert_allclose(
-        found, p["motor.coulomb"] * rise + p["motor.viscous"] * v, rtol=1e-13
-    )
+    expected = p["motor.coulomb"] * rise + p["motor.viscous"] * v
+    np.testing.assert_allclose(friction(chain, values)[0], expected, rtol=1e-13)
 
 
 # -- bands of a fit
@@ -173,23 +162,18 @@ def test_places_are_where_the_recordings_ran(knee, curves):
     assert {np.sign(c.load[0]) for c in curves} == {-1.0, 0.0, 1.0}
 
 
-def as_before(fit):
-    """Make the posterior of a fit its prior: the data told nothing."""
-    rng = np.random.default_rng(1)
-    n = fit.posterior.log_density.size
-    drawn = np.stack([prior.draw(n, rng) for prior in fit.posterior.priors], axis=1)
-    draws = drawn.reshape(fit.posterior.draws.shape)
-    return replace(fit, posterior=replace(fit.posterior, draws=draws))
-
-
 def test_what_is_as_wide_as_before_is_not_determined(knee):
-    def friction(x):
+    def at_50(x):
         return friction_torque(KNEE, x, np.array([50.0]), np.zeros(1), open_scale=True)
 
-    (low, median, high), determined = band(knee, friction)
+    (low, median, high), determined = band(knee, at_50)
     assert low < median < high
     assert determined.all()
-    assert not band(as_before(knee), friction)[1].any()
+    rng, posterior = np.random.default_rng(1), knee.posterior
+    drawn = [prior.draw(posterior.log_density.size, rng) for prior in posterior.priors]
+    draws = np.stack(drawn, axis=1).reshape(posterior.draws.shape)
+    before = replace(knee, posterior=replace(posterior, draws=draws))
+    assert not band(before, at_50)[1].any()
 
 
 # -- the rows of the summary
@@ -226,18 +210,11 @@ def test_rows_are_quantiles_of_the_friction_of_draws_at_recorded_speeds(plain):
         assert np.subtract(*row.interval[::-1]) < 0.9 * sum(widths)
 
 
-def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee, tmp_path):
-    part = friction_part(plain, summarise(plain))
-    cells = list(friction_cells(part, TEXT))
-    assert len(cells) == 3
-    assert all(row[0][0] == "±" and row[1] == "" and row[4] == "identified" for row in cells)
-    told = summarise(plain).model_copy(update={"friction": part})
-    lines = list(fit_text(told, verbose=True))
-    for speed, _, value, interval, _ in cells:
-        (line,) = [line for line in lines if line.startswith(f"  {speed} ")]
-        assert value in line and interval in line  # noqa: PT018
-    page = run_page(tmp_path, told, "run")
-    assert all(f'<td class="number">{row[3]}</td>' in page for row in friction_cells(part, HTML))
+def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee):
+    for medium in (TEXT, HTML):
+        cells = list(friction_cells(friction_part(plain, summarise(plain)), medium))
+        assert len(cells) == 3
+        assert {(row[0][0], row[1], row[4]) for row in cells} == {("±", "", "identified")}
     # by direction and at three loads each speed is a line
     rows = friction_part(knee, summarise(knee)).rows
     assert {np.sign(row.load) for row in rows} == {-1.0, 0.0, 1.0}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.inference.discrepancy import Discrepancy
-from bayesfric.report.figures.registry import FinishedRun, run_figures
+from bayesfric.report.figures.registry import RUN_FIGURES, FinishedRun
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.conclusions import add_model_error
@@ -49,7 +49,7 @@ def test_what_room_lets_reach_zero_is_a_limit(wrong):
 def test_figures_show_what_the_tables_print(wrong):
     """Densities of the widened draws, their dotted ends the tables' intervals."""
     run = FinishedRun(wrong.fit, wrong.summary)
-    figure = run_figures()["corner"].draw(run)
+    figure = RUN_FIGURES["corner"].draw(run)
     row = wrong.summary.parameters[NAME]
     table = {r.name: r for r in parameter_table(wrong.summary).rows}
     found = []

@@ -1,7 +1,6 @@
 """The page of a run: its numbers are the summary's, nothing open is bare, nothing is fetched."""
 
 import base64
-import copy
 import hashlib
 import json
 import re
@@ -9,30 +8,22 @@ from urllib.parse import unquote
 
 import pytest
 
-from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.page.pages import run_page
 from bayesfric.report.page.rendering import html_symbol, page_figure
-from bayesfric.report.paper import latex as latex_of
-from bayesfric.report.paper.tables import parameter_table, parameters_latex
+from bayesfric.report.paper.tables import escaped, latex_unit, parameter_table, parameters_latex
 
-from . import made_tables
 from .made_summaries import FOUND, every_kind, knee, loaded
-from .page_reader import number, read_page
+from .page_reader import latex_lines, latex_number, number, read_page
 
 
 @pytest.fixture(scope="module")
-def run(written_run):
-    return written_run
+def summary(written_run):
+    return json.loads((written_run / "summary.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
-def summary(run):
-    return json.loads((run / "summary.json").read_text(encoding="utf-8"))
-
-
-@pytest.fixture(scope="module")
-def text(run):
-    return (run / "report.html").read_text(encoding="utf-8")
+def text(written_run):
+    return (written_run / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -42,139 +33,99 @@ def page(text):
 
 def lines(page):
     """Cells of every line of the tables of parameters, by name."""
-    found = {}
-    for table in page.all("table"):
-        if "parameters" in table.attrs.get("class", ""):
-            for row in table.all("tr"):
-                if "data-name" in row.attrs:
-                    found[row.attrs["data-name"]] = row
-    return found
-
-
-def cells(row, kind):
-    (found,) = [td for td in row.all("td") if kind in td.attrs.get("class", "").split()]
-    return found
-
-
-def every_summary(summary):
-    skewed = copy.deepcopy(knee())
-    skewed["parameters"]["motor.viscous"]["interval"][1] *= 1.4
-    skewed["parameters"]["motor.inertia"] |= {
-        "at_bound": "lower",
-        "verdict": "weak",
-        "data_sd": 1e-9,
+    return {
+        row.attrs["data-name"]: row
+        for table in page.all("table")
+        if "parameters" in table.attrs.get("class", "")
+        for row in table.all("tr")
+        if "data-name" in row.attrs
     }
-    return {"fit": summary, "knee": knee(), "loaded": loaded(), "skewed": skewed,
-            "every": every_kind()}  # fmt: skip
 
 
-def without_open(node):
-    """Texts of a page, tag by tag, with what the same line says."""
-    for child in node.every():
-        if child.tag in ("td", "li", "p", "dd", "figcaption"):
-            yield child.text
-        if "aria-label" in child.attrs:
-            yield child.attrs["aria-label"]
+def cell(row, kind):
+    (td,) = [td for td in row.all("td") if kind in td.attrs.get("class", "").split()]
+    return td
 
 
-@pytest.mark.parametrize("which", ["fit", "knee", "loaded", "skewed", "every"])
+def skewed():
+    summary = knee()
+    summary["parameters"]["motor.viscous"]["interval"][1] *= 1.4
+    limit = {"at_bound": "lower", "verdict": "weak", "data_sd": 1e-9}
+    summary["parameters"]["motor.inertia"] |= limit
+    return summary
+
+
+@pytest.mark.parametrize("make", [None, knee, loaded, skewed, every_kind])
 def test_numbers_are_those_of_summary_and_latex_and_nothing_open_stands_bare(
-    summary, run, tmp_path, which
+    request, written_run, tmp_path, make
 ):
     """To their last digits; no open interval is shown, nor its ends anywhere without words."""
-    told = every_summary(summary)[which]
+    told = make() if make else request.getfixturevalue("summary")
     table = parameter_table(told)
-    page = read_page(run_page(run if which == "fit" else tmp_path, told, which))
-    rows, latex = lines(page), made_tables.lines(parameters_latex(table))
+    page = read_page(run_page(tmp_path if make else written_run, told, "run"))
+    rows, latex = lines(page), latex_lines(parameters_latex(table))
     assert set(rows) == {r.name for r in table.rows}
     open_ = [r for r in table.rows if r.status == "undetermined"]
-    assert bool(open_) == (which != "loaded")
+    assert bool(open_) == (make is not loaded)
     for r, (_, _, value, ends, unit, verdict) in zip(table.rows, latex, strict=True):
         row = rows[r.name]
-        assert (latex_of.escaped(r.verdict), latex_of.unit(r.unit)) == (verdict, unit)
+        assert (escaped(r.verdict), latex_unit(r.unit)) == (verdict, unit)
         if r.posterior is None:  # a value that is known
-            known = made_tables.num(value)[0]
+            known = latex_number(value)[0][0]
             assert known == pytest.approx(told["fixed"][r.name]["value"], rel=1e-3)
             continue
         entry = told["parameters"].get(r.name) or told["derived"][r.name]
         if r in open_:
             assert (value, ends) == ("--- (prior)", "---")
-            assert cells(row, "value").text == "not determined"
-            assert not set("[±") & set(cells(row, "interval").text), r.name
+            assert cell(row, "value").text == "not determined"
+            assert not set("[±") & set(cell(row, "interval").text), r.name
             assert row.attrs["data-verdict"] == "open"
             continue
-        shown, last = number(cells(row, "value").text)
+        shown, last = number(cell(row, "value").text)
         if r.status == "limit":
             assert shown[0] == pytest.approx(r.limit, rel=5e-3)
-            assert shown[0] == pytest.approx(made_tables.num(value.split("$ ")[-1])[0], rel=1e-9)
+            assert shown[0] == pytest.approx(latex_number(value.split("$ ")[-1])[0][0], rel=1e-9)
             assert ends == "---"
             continue
-        low, high = number(cells(row, "interval").text)[0]
-        assert [low, high] == pytest.approx(made_tables.ends(ends)[:2], rel=1e-9)
+        low, high = number(cell(row, "interval").text)[0]
+        assert [low, high] == pytest.approx(latex_number(ends)[0], rel=1e-9)
         assert [low, high] == pytest.approx(entry["interval"], abs=0.51 * last)
         # a paper's table has the distances to the interval's ends in place of the sd
-        middle, up, down, digit = made_tables.skewed(value)
+        (middle, up, down), digit = latex_number(value)
         assert shown[0] == pytest.approx(entry["median"], abs=0.51 * last)
         assert shown[0] == pytest.approx(middle, rel=1e-9)
-        assert [middle - down, middle + up] == pytest.approx(entry["interval"], abs=1.001 * digit)
+        assert [middle + down, middle + up] == pytest.approx(entry["interval"], abs=1.001 * digit)
         # two digits of the sd, whatever its size
         assert 10 <= round(entry["sd"] / digit) <= 99 or digit == 1.0
         if len(shown) == 2:
             assert shown[1] == pytest.approx(entry["sd"], abs=0.51 * last)
         else:
-            assert shown == pytest.approx([middle, up, -down], rel=1e-9)
+            assert shown == pytest.approx([middle, up, down], rel=1e-9)
     bracket = re.compile(r"\[\s*(\S+?),\s*(\S+?)\]")
-    for said in without_open(page):
-        for pair in bracket.findall(said.replace("\u2212", "-")):
-            for r in open_:
-                assert pair != tuple(f"{end:.3g}" for end in r.posterior.interval), (r.name, said)
-
-
-def test_methods_are_those_of_the_comparison(summary, page):
-    found = comparison({"run": summary})
-    (table,) = [t for t in page.all("table") if "methods" in t.attrs.get("class", "")]
-    rows = {r.attrs["data-name"]: r for r in table.all("tr") if "data-name" in r.attrs}
-    assert set(rows) == {row.name for row in found.rows}
-    for row in found.rows:
-        shown = {
-            td.attrs["data-column"]: td
-            for td in rows[row.name].all("td")
-            if "data-column" in td.attrs
-        }
-        for label, cell in row.cells.items():
-            td = shown[label]
-            assert td.attrs["data-status"] == cell.status
-            if cell.status == "determined":
-                assert float(td.attrs["data-sort"]) == cell.value
-                # one power of ten for a value and its sd
-                said = td.text.replace("\u2212", "-").replace("\u00a0", " ")
-                (text,) = re.findall(r"^\(?-?[\d.]+ ± [\d.]+\)?(?: × 10\^-?\d+)?", said)
-                (value, sd), last = number(text)
-                assert value == pytest.approx(cell.value, abs=0.5001 * last)
-                assert sd == pytest.approx(cell.sd, abs=0.5001 * last)
+    ends = {tuple(f"{end:.3g}" for end in r.posterior.interval) for r in open_}
+    for node in page.every():
+        said = node.text if node.tag in ("td", "li", "p", "dd", "figcaption") else ""
+        said += node.attrs.get("aria-label", "")
+        assert not ends & {*bracket.findall(said.replace("\u2212", "-"))}, said
 
 
 def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path):
     """Every number of an unusable run is one that the same run shows when it is reliable."""
-    told = knee()
-    told["findings"] = [FOUND | {"severity": "note"}]
-    told["noise"]["innovation_whiteness"] = {"white": False}
-    sound = read_page(run_page(tmp_path, told, "knee"))
-    told["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
-    failed = read_page(run_page(tmp_path, told, "knee"))
-    (first,) = failed.all("section", id="findings")
-    (why,) = failed.all("section", id="why")
+    summary = knee() | {"findings": [FOUND | {"severity": "note"}]}
+    summary["noise"]["innovation_whiteness"] = {"white": False}
+    sound = lines(read_page(run_page(tmp_path, summary, "knee")))
+    summary["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
+    page = read_page(run_page(tmp_path, summary, "knee"))
+    (first,), (why,) = (list(page.all("section", id=name)) for name in ("findings", "why"))
     assert "no number is a posterior" in first.text
     assert not list(first.all("table"))
     assert "raise max_steps" in why.text
-    for wrong in ("--advise", "% rms)", "autocorrelated"):
-        assert wrong not in first.text + why.text
-    was = lines(sound)
-    for name, row in lines(failed).items():
+    assert not re.search(r"--advise|% rms\)|autocorrelated", first.text + why.text)
+    for name, row in lines(page).items():
         for kind in ("value", "interval"):
-            assert not re.search(r"\d", cells(row, kind).text), name
-        assert "not converged" in cells(row, "verdict").text
-        assert re.search(r"\d", cells(was[name], "interval").text), name
+            assert not re.search(r"\d", cell(row, kind).text), name
+        assert "not converged" in cell(row, "verdict").text
+        assert re.search(r"\d", cell(sound[name], "interval").text), name
 
 
 def test_names_are_unique_and_targets_exist(page):
@@ -204,11 +155,10 @@ def test_nothing_is_fetched_and_only_its_own_script_may_run(page, text):
 
 
 def test_names_from_files_are_only_text(tmp_path):
-    told = knee()
     bad = '"><script>alert(1)</script>'
-    told["parameters"][bad] = dict(told["parameters"]["motor.inertia"], symbol=bad)
-    told["warnings"] = [bad]
-    page = read_page(run_page(tmp_path, told, bad))
+    summary = knee() | {"warnings": [bad]}
+    summary["parameters"][bad] = dict(summary["parameters"]["motor.inertia"], symbol=bad)
+    page = read_page(run_page(tmp_path, summary, bad))
     assert len(list(page.all("script"))) == 1
     assert bad in lines(page)
 
@@ -228,14 +178,21 @@ def test_a_drawing_is_an_image(tmp_path):
     shown = unquote(found.source)
     assert 'id="p" d="M 1.23 2 L -7.12 3"' in shown
     assert "0.125" in shown
-
-
-@pytest.mark.parametrize("bad", ["", "<svg/>", "no", "<svg viewBox='0'/>"])
-def test_what_is_no_drawing(bad, tmp_path):
-    (tmp_path / "figures").mkdir()
-    (tmp_path / "figures" / "one.svg").write_text(bad, encoding="utf-8")
+    (tmp_path / "figures" / "one.svg").write_text("<svg/>", encoding="utf-8")
     with pytest.raises(ValueError, match="no SVG"):
         page_figure(tmp_path, "one", "", "", "")
+
+
+@pytest.mark.parametrize(
+    ("symbol", "html"),
+    [
+        (r"J_{t}^{\mathrm{drive}}", "J<sub>t</sub><sup>drive</sup>"),
+        (r"\lambda_1/\lambda_2", "λ<sub>1</sub>/λ<sub>2</sub>"),
+        (r"\Delta\mu_{left_arm}", "Δμ<sub>left_arm</sub>"),
+    ],
+)
+def test_symbols(symbol, html):
+    assert html_symbol(symbol, "x") == f'<span class="sym">{html}</span>'
 
 
 @pytest.mark.parametrize("symbol", ["", "{", r"\nosuch{a}", "a}"])

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput
-from bayesfric.estimates.shooting import Sensitivities, Shooting, choose_substeps
+from bayesfric.estimates.output_error import Sensitivities, Shooting, choose_substeps
 from bayesfric.inference.likelihood.likelihood import Likelihood, Outputs
 from bayesfric.inference.noise.position import POSITION_NOISE
 from bayesfric.mechanism.forward import simulate_segments

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from bayesfric.estimates.torque_form import Term, columns, filled_columns, torque_form
+from bayesfric.estimates.torque import Term, columns, filled_columns, torque_form
 from bayesfric.inference.moments.shape_nodes import ShapeNodes
 from bayesfric.mechanism.chain import slots_of
 from bayesfric.mechanism.joint import Joint
@@ -68,7 +68,7 @@ class Coefficients:
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Columns of :func:`bayesfric.estimates.torque_form.columns`, each times some functions."""
+    """Columns of :func:`bayesfric.estimates.torque.columns`, each times some functions."""
 
     along: Along
     weights: Weights

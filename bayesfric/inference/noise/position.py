@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bayesfric.estimates.sizes import TypicalSizes
+from bayesfric.estimates.least_squares import TypicalSizes
 from bayesfric.inference.noise.scale import NoiseDescription, Scale, up_to
 from bayesfric.inference.prior.priors import PriorText
 

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesfric.estimates.sizes import TypicalSizes
+from bayesfric.estimates.least_squares import TypicalSizes
 from bayesfric.inference.prior.priors import Prior, PriorText, read_prior
 from bayesfric.recordings.arrays import Array
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import stats
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.estimates.knowledge import Knowledge
-from bayesfric.estimates.sizes import TypicalSizes, sizes_at
+from bayesfric.estimates.least_squares import TypicalSizes, sizes_at
+from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.parameter import TURN, Parameter, turned
 from bayesfric.mechanism.quantities import State

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +28,12 @@ from bayesfric.report.summary.record import Summary, of_noise
 from bayesfric.report.summary.rows import PosteriorRow, first_angles, unwrapped
 from bayesfric.report.words import csv_text
 
-# Runs whose data determine a quantity, for a population.
-_MIN_RUNS = 2
-# More draws do not change an interval visibly.
-_MAX_DRAWS = 200_000
-
 
 @dataclass(frozen=True)
 class RunDraws:
-    """Draws of a run."""
+    """Draws ``(n,)`` of a run's quantities by name, and of its parameters' priors."""
 
-    # `(n,)` draws in the quantity's unit, by its name: the sampled parameters and the derived
-    # quantities that no scaling of leg parameters and alpha changes
     values: Mapping[str, Array] = field(default_factory=dict)
-    # of the parameters' priors, `(m,)` each
     prior: Mapping[str, Array] = field(default_factory=dict)
 
 
@@ -66,11 +59,9 @@ def read_draws(run: Path, summary: Summary) -> RunDraws:
 
 
 def _flat(stored: Any) -> Array:
-    """Flatten chains and draws of a data set, evenly thinned where there are many."""
+    """Flatten chains and draws of a data set, evenly thinned to what an interval needs."""
     x = np.asarray(read_array(stored), dtype=np.float64).ravel()
-    if x.size == 0:
-        raise ValueError("no draws")
-    return x[:: -(-x.size // _MAX_DRAWS)]
+    return x[:: max(1, -(-x.size // 200_000))]
 
 
 @dataclass(frozen=True)
@@ -91,42 +82,33 @@ class SharedQuantity:
         """In how many runs it is doubted."""
         return sum(bool(row.doubted) for row in self.runs.values())
 
-
-@dataclass(frozen=True)
-class PooledQuantity(SharedQuantity):
-    """One quantity that the data of two runs or more determine; ``runs`` are the rows pooled."""
-
-    pool: Population
+    @cached_property
+    def pool(self) -> Population:
+        """The population that the runs are drawn from, cut at the quantity's bound."""
+        pool = population(list(self.likelihoods.values()), self.row.level)
+        row = QUANTITIES.get(quantity_of(self.name))
+        least = -np.inf if row is None else row.lower
+        # the normal model puts ends where the quantity cannot be; cut they hold the same
+        mean, following = (
+            Interval(**{end: max(x, least) for end, x in vars(interval).items()})
+            for interval in (pool.mean, pool.following)
+        )
+        return replace(pool, mean=mean, following=following)
 
 
 def between_runs(
     runs: Mapping[str, Summary], draws: Mapping[str, RunDraws] | None = None
-) -> list[PooledQuantity]:
-    """Pool every quantity that the data of two runs, on different recordings, determine.
+) -> list[SharedQuantity]:
+    """Give the quantities of runs on different recordings that can be pooled.
 
     See :func:`shared_quantities` for what counts. What another motion changes is not pooled: runs
     of one joint may differ in it.
     """
-    pooled = []
-    for quantity in shared_quantities(runs, draws):
-        if not any(row.of_motion for row in quantity.runs.values()):
-            pool = population(list(quantity.likelihoods.values()), quantity.row.level)
-            pooled.append(PooledQuantity(**vars(quantity), pool=_possible(quantity.name, pool)))
-    return pooled
-
-
-def _possible(name: str, pool: Population) -> Population:
-    """Cut ends that the normal model puts where a quantity cannot be; they hold the same."""
-    row = QUANTITIES.get(quantity_of(name))
-    if row is None:
-        return pool
-
-    def cut(interval: Interval) -> Interval:
-        return Interval(
-            *(max(x, row.lower) for x in (interval.median, interval.low, interval.high))
-        )
-
-    return replace(pool, mean=cut(pool.mean), following=cut(pool.following))
+    return [
+        quantity
+        for quantity in shared_quantities(runs, draws)
+        if not any(row.of_motion for row in quantity.runs.values())
+    ]
 
 
 def shared_quantities(
@@ -153,7 +135,7 @@ def shared_quantities(
             for run, table in tables.items()
             if (row := table.get(name)) and row.sd and row.reported and row.reported.how.converged
         }
-        if of_noise(name) or sum(map(_determined, rows.values())) < _MIN_RUNS:
+        if of_noise(name) or sum(map(_determined, rows.values())) < 2:
             continue
         likelihoods = {
             run: _likelihood(name, row, runs[run].rows[name], (draws or {}).get(run))
@@ -168,9 +150,7 @@ def _determined(row: PosteriorRow) -> bool:
 
     Of a number on its bound they give a limit only, which cannot be pooled.
     """
-    if row.at_bound is not None:
-        return False
-    return (row.undoubted or row.verdict) == "data"
+    return row.at_bound is None and (row.undoubted or row.verdict) == "data"
 
 
 def _likelihood(
@@ -188,7 +168,7 @@ def _likelihood(
     return likelihood(draws.values[name] + by, row.printed.sd, prior)
 
 
-def between_runs_csv(pooled: Sequence[PooledQuantity]) -> str:
+def between_runs_csv(pooled: Sequence[SharedQuantity]) -> str:
     """Write pooled values as CSV, every number in full."""
     lines = []
     for quantity in pooled:

@@ -11,6 +11,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from io import StringIO
+from itertools import groupby
 from typing import Any, Literal
 
 from bayesfric.base.errors import BadInput
@@ -28,13 +29,10 @@ from bayesfric.report.words import csv_text, filled, line_of, listed
 REFERENCE = "reference"
 # Standard deviations of the posterior beyond which an estimate disagrees.
 _FAR = 3.0
-# Of a terminal, and of a cell's line: at least [0.00046688, 0.00046933], and words on few lines.
-_WIDTH = 120
-_NARROWEST, _WIDEST = 24, 30
 _PLAIN = "†"
+# What CSV has of each ResultRow, and what JSON has.
 _CSV = ("name", "unit", "column", "status", "value", "sd", "sd_plain", "accounts", "low",
     "high", "level", "limit", "disagreement", "converged", "remark")  # fmt: skip
-# What JSON has of each ResultRow.
 _JSON = ("value", "status", "sd", "sd_plain", "accounts", "interval", "level", "span", "limit",
     "at_bound", "bound", "remark", "disagreement", "converged", "doubted", "alike")  # fmt: skip
 
@@ -104,7 +102,7 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     recording are not independent, and disagree more than that says. An estimate of the same run
     used the same data, so variances do not add: the larger of the two sds counts.
     """
-    runs = {name: put_reported(Summary.read(one, name)) for name, one in summaries.items()}
+    runs = {name: put_reported(Summary.read(run, name)) for name, run in summaries.items()}
     with_estimates = len(runs) == 1 if estimates is None else estimates
     angles = first_angles(run.parameters for run in runs.values())
     quantities: dict[str, Quantity] = {}
@@ -116,22 +114,28 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
             raise BadInput(run, "holds no result to compare", "name a finished run")
         columns += shown
         for column in every:
-            for name, row in _file_rows(column, summary):
+            for name, row, cell in _cells(column, summary, angles):
                 # estimates describe quantities even where they are not shown
                 quantity = _quantity(quantities, name, row, summary, run)
                 if column in shown:
-                    aligned = unwrapped(row, angles.get(name))
-                    quantity.cells[column.label] = _cell(name, aligned, column, summary)
+                    quantity.cells[column.label] = cell
     for quantity in quantities.values():
         if quantity.gauge_free is None:
             # the data alone leave what a scaling changes without any sd
             rows = [s.parameters.get(quantity.name) for s in runs.values()]
             quantity.gauge_free = all(row.data_sd is not None for row in rows if row is not None)
     _check_common(quantities.values(), columns)
-    notes = list(_of_runs(runs, quantities))
+    notes = [
+        _note("unsure run", run=run, status=summary.sampler.status)
+        for run, summary in runs.items()
+        if summary.sampler.status != "reliable"
+    ]
+    if names := [name for name, quantity in quantities.items() if quantity.of_motion]:
+        notes.append(_note("of motion", names=names, several=len(runs) > 1))
     if sources := _add_references(quantities, runs, angles):
         columns.append(Column(REFERENCE, "reference", "", told=", ".join(sources)))
-    baseline = next((c for c in columns if c.kind == "posterior"), None)
+    posteriors = [column for column in columns if column.kind == "posterior"]
+    baseline = posteriors[0] if posteriors else None
     compared = [
         quantity
         for quantity in quantities.values()
@@ -140,17 +144,25 @@ def comparison(summaries: Mapping[str, Readable], *, estimates: bool | None = No
     compared.sort(key=_order)  # keeps the order of the files within each group
     for quantity in compared:
         _measure(quantity, columns, baseline)
-    apart = _runs_apart(compared, columns)
-    if len(runs) > 1 and not any(_in_two_runs(quantity, columns) for quantity in compared):
+    if len(runs) > 1 and not any(_in_two_runs(quantity, posteriors) for quantity in compared):
         notes.insert(0, _note("nothing shared"))
-    far = _far_estimates(compared, columns, baseline)
-    notes += [_note("far estimate", label=label, names=names) for label, names in far.items()]
+    contested = []
+    for column in columns:
+        same = baseline is not None and column.run == baseline.run
+        if column.kind == "estimate" and same and (names := _far(compared, column, baseline)):
+            notes.append(_note("far estimate", label=column.label, names=names))
+            contested += names
+    apart = tuple(
+        _note("runs apart", run=column.run, first=posteriors[0].run, names=names)
+        for column in posteriors[1:]
+        if (names := _far(compared, column, baseline))
+    )
     return Comparison(
         tuple(columns),
         tuple(compared),
         baseline.label if baseline else None,
         (*apart, *notes),
-        tuple(q.name for q in compared if any(q.name in names for names in far.values())),
+        tuple(quantity.name for quantity in compared if quantity.name in contested),
         {run: summary.reasons for run, summary in runs.items() if summary.reasons},
         apart,
     )
@@ -171,42 +183,47 @@ def _order(quantity: Quantity) -> int:
 
 
 def _columns(prefix: str, run: str, summary: Summary) -> Iterator[Column]:
+    def assumptions(*words: str, rms: float | None, unit: str) -> str:
+        residual = "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
+        return "; ".join(filter(None, (*words, residual)))
+
     for method in METHODS:
         if (table := summary.estimates.get(method)) is not None:
-            residual = _residual(table.residual_rms, table.residual_unit)
-            words = "; ".join(filter(None, [table.assumption, *table.notes, residual]))
+            rms, unit = table.residual_rms, table.residual_unit
+            words = assumptions(table.assumption, *table.notes, rms=rms, unit=unit)
             yield Column(f"{prefix}{method}", "estimate", run, method, words)
     if summary.parameters or summary.derived:
-        lag = summary.noise.residual_lag1
-        parts = [summary.likelihood.method, f"noise {summary.noise.model}"]
-        parts += [f"its residuals' lag-1 correlation is {lag:.2f}"] if lag is not None else []
-        parts += [_residual(summary.fit.residual_rms, summary.fit.unit)]
-        words = "; ".join(filter(None, parts))
+        fit, noise = summary.fit, summary.noise
+        lag = "" if noise.residual_lag1 is None else f"{noise.residual_lag1:.2f}"
+        lag = lag and f"its residuals' lag-1 correlation is {lag}"
+        words = assumptions(
+            summary.likelihood.method,
+            f"noise {noise.model}",
+            lag,
+            rms=fit.residual_rms,
+            unit=fit.unit,
+        )
         yield Column(f"{prefix}posterior", "posterior", run, None, words, summary.widened)
 
 
-def _residual(rms: float | None, unit: str) -> str:
-    return "" if rms is None else f"residual rms {rms:.4g} {unit}".strip()
-
-
-def _file_rows(column: Column, summary: Summary) -> Iterator[tuple[str, Any]]:
-    """Give the rows of the file that a column is made of, by name; none of the noise."""
+def _cells(
+    column: Column, summary: Summary, angles: Mapping[str, float]
+) -> Iterator[tuple[str, Any, ResultRow]]:
+    """Give name, row of the file, and judgement of a column's numbers; none of the noise."""
     if column.method is not None:
-        yield from summary.estimates[column.method].parameters.items()
+        table = summary.estimates[column.method]
+        for name, row in table.parameters.items():
+            cell = estimate_row(name, unwrapped(row, angles.get(name)), table.converged)
+            if column.method == "least-squares" and (why := _not_alike(summary, name, row.unit)):
+                cell = replace(cell, alike=False, remark=cell.remark or why)
+            yield name, row, cell
         return
-    for name, row in (*summary.rows.items(), *summary.fixed.items()):
+    for name, posterior in summary.rows.items():
         if not of_noise(name):
-            yield name, row
-
-
-def _cell(name: str, row: Any, column: Column, summary: Summary) -> ResultRow:
-    if isinstance(row, PosteriorRow):
-        return posterior_row(name, row, summary.accounts)
-    if column.method is None:
-        return known_row(name, row.value, row)
-    cell = estimate_row(name, row, summary.estimates[column.method].converged)
-    why = _not_alike(summary, name, row.unit) if column.method == "least-squares" else ""
-    return replace(cell, alike=False, remark=cell.remark or why) if why else cell
+            aligned = unwrapped(posterior, angles.get(name))
+            yield name, posterior, posterior_row(name, aligned, summary.accounts)
+    for name, fixed in summary.fixed.items():
+        yield name, fixed, known_row(name, unwrapped(fixed, angles.get(name)).value, fixed)
 
 
 def _quantity(
@@ -256,67 +273,36 @@ def _check_common(quantities: Iterable[Quantity], columns: list[Column]) -> None
             if cell is not None and cell.status != "known":
                 names[column.run].add(quantity.name)
     # of two, the second is the one out of place
-    for run, own in reversed(names.items()):
-        others = set[str]().union(*(theirs for other, theirs in names.items() if other != run))
-        if len(names) > 1 and not own & others:
+    for run, results in reversed(names.items()):
+        others = [theirs for other, theirs in names.items() if other != run]
+        if others and results.isdisjoint(set[str]().union(*others)):
             what = "has no quantity in common with the other runs"
             raise BadInput(run, what, "compare runs whose mechanisms share elements")
 
 
-def _of_runs(runs: Mapping[str, Summary], quantities: Mapping[str, Quantity]) -> Iterator[str]:
-    """Say which runs are not reliable, and what depends on the motion."""
-    for run, summary in runs.items():
-        if summary.sampler.status != "reliable":
-            yield _note("unsure run", run=run, status=summary.sampler.status)
-    if names := [name for name, quantity in quantities.items() if quantity.of_motion]:
-        yield _note("of motion", names=names, several=len(runs) > 1)
-
-
-def _in_two_runs(quantity: Quantity, columns: list[Column]) -> bool:
+def _in_two_runs(quantity: Quantity, posteriors: list[Column]) -> bool:
     """Whether two runs determine a quantity, or its limit, and do not doubt it themselves."""
-    cells = [quantity.cells.get(c.label) for c in columns if c.kind == "posterior"]
+    cells = [quantity.cells.get(column.label) for column in posteriors]
     usable = [c for c in cells if c and c.status in ("determined", "limit") and not c.doubted]
     return len(usable) > 1
 
 
-def _far_estimates(
-    quantities: list[Quantity], columns: list[Column], baseline: Column | None
-) -> dict[str, list[str]]:
-    """Name what estimates of the first posterior's run give otherwise, by label."""
-    labels = [
-        c.label for c in columns if c.kind == "estimate" and baseline and c.run == baseline.run
-    ]
-    far = {
-        label: [
-            quantity.name
-            for quantity in quantities
-            if (cell := quantity.cells.get(label)) is not None
-            and cell.status == "determined"
-            and abs(cell.disagreement or 0.0) > _FAR
-        ]
-        for label in labels
-    }
-    return {label: names for label, names in far.items() if names}
-
-
-def _runs_apart(quantities: list[Quantity], columns: list[Column]) -> tuple[str, ...]:
-    """Say in what other runs' posteriors are too far from the first to be of one joint.
+def _far(quantities: list[Quantity], column: Column, baseline: Column | None) -> list[str]:
+    """Name what a column gives otherwise than the first posterior.
 
     What a run doubts itself, as for a delay or too wide a band, is no news of the joint.
     """
-    posteriors = [c for c in columns if c.kind == "posterior"]
-    notes = []
-    for column in posteriors[1:]:
-        first = posteriors[0]
-        far = [
-            f"{quantity.name} ({cell.disagreement:+.1f} sd)"
-            for quantity in quantities
-            if (cell := quantity.cells.get(column.label)) is not None
-            and abs(cell.disagreement or 0.0) > _FAR
-            and not (cell.doubted or quantity.cells[first.label].doubted)
-        ]
-        notes += [_note("runs apart", run=column.run, first=first.run, names=far)] if far else []
-    return tuple(notes)
+    names = []
+    for quantity in quantities:
+        cell = quantity.cells.get(column.label)
+        if cell is None or baseline is None or abs(cell.disagreement or 0.0) <= _FAR:
+            continue
+        if column.kind == "estimate" and cell.status == "determined":
+            names.append(quantity.name)
+        doubted = cell.doubted or quantity.cells[baseline.label].doubted
+        if column.kind == "posterior" and not doubted:
+            names.append(f"{quantity.name} ({cell.disagreement:+.1f} sd)")
+    return names
 
 
 def _add_references(
@@ -365,42 +351,41 @@ def _measure(quantity: Quantity, columns: list[Column], baseline: Column | None)
             quantity.cells[column.label] = replace(cell, disagreement=apart)
 
 
-def comparison_text(compared: Comparison, width: int = _WIDTH) -> Iterator[str]:
+def comparison_text(compared: Comparison, width: int = 120) -> Iterator[str]:
     """Lay a comparison out for a terminal; columns that do not fit come in further blocks."""
     from rich.box import SIMPLE_HEAD  # a page does without
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(width=width, file=StringIO(), color_system=None)
+    printed = StringIO()
+    console = Console(width=width, file=printed, color_system=None)
     left = max((len(row.name) for row in compared.rows), default=0)
-    across = max(1, (width - left) // (_NARROWEST + 2))
+    # at least [0.00046688, 0.00046933] fits
+    across = max(1, (width - left) // 26)
     for first in range(0, len(compared.columns), across):
         columns = compared.columns[first : first + across]
         table = Table(box=SIMPLE_HEAD, pad_edge=False)
         table.add_column(no_wrap=True)
         for column in columns:
-            table.add_column(Text(column.label), max_width=_WIDEST)
-        group = None
-        for row in compared.rows:
-            cells = ["\n".join(_cell_lines(row.cells.get(c.label))) for c in columns]
-            if not any(cells):
-                continue
-            if group is not None and group != (row.kind, row.gauge_free):
+            table.add_column(Text(column.label), max_width=30)
+        for _, rows in groupby(compared.rows, key=lambda row: (row.kind, row.gauge_free)):
+            if table.row_count:
                 table.add_row()
-            group = (row.kind, row.gauge_free)
-            name = f"{row.name}\n  {row.unit}" if row.unit else row.name
-            table.add_row(*map(Text, (name, *cells)))
-        with console.capture() as captured:
-            console.print(table)
-        yield from (line.rstrip() for line in captured.get().splitlines())
+            for row in rows:
+                cells = [_cell_text(row.cells.get(column.label)) for column in columns]
+                if any(cells):
+                    name = f"{row.name}\n  {row.unit}" if row.unit else row.name
+                    table.add_row(*map(Text, (name, *cells)))
+        console.print(table)
+    yield from (line.rstrip() for line in printed.getvalue().splitlines())
     for line in explained(compared):
         yield from textwrap.wrap(line, width, subsequent_indent="  ")
 
 
-def _cell_lines(cell: ResultRow | None) -> list[str]:
+def _cell_text(cell: ResultRow | None) -> str:
     parts = cell.parts(TEXT) if cell else ()
-    return [f"{text}{_PLAIN}" if kind == "plain" else text for kind, text in parts]
+    return "\n".join(text + _PLAIN * (kind == "plain") for kind, text in parts)
 
 
 def comparison_csv(compared: Comparison) -> str:

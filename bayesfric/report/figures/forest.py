@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from itertools import cycle
-from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,62 +12,34 @@ from matplotlib.lines import Line2D
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.point_estimate import HALF
-from bayesfric.report.comparison.comparison import (
-    REFERENCE,
-    Column,
-    Comparison,
-    Quantity,
-    comparison,
-)
+from bayesfric.report.comparison.comparison import REFERENCE, Column, Comparison, Quantity
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import Declared, RunFigure
-from bayesfric.report.figures.style import Look, power_of_ten, remark_below, shortened
+from bayesfric.report.figures.style import DOTTED, Look, power_of_ten, remark_below, shortened
 from bayesfric.report.result_row import ResultRow
 from bayesfric.report.summary.derived_quantities import LEVEL
 
-# Up to so many panels are below each other in one column of a paper.
-_FEW = 4
-_ACROSS = 3
-_HIGHEST = 9.0
 # Inches: between lines, for the axis below a panel, for the legend.
 _LINE, _AXIS, _LEGEND = 0.155, 0.40, 0.3
-# Letters that fit: of a column's name, of a reference's.
-_LETTERS, _SOURCE = 24, 22
 _MARGIN = 0.65  # lines above the first and below the last
 _REFERENCE = style.PALETTE[2]
-_THICK: Look = {"linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt"}
-_THIN: Look = {"linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7}
-_SPAN: Look = {"linewidth": 0.9, "linestyle": style.DOTTED}
-
-# Estimates in greys, posteriors in colours, each with its own shape.
+_THICK: Look = {
+    "linewidth": 2.2, "alpha": 0.55, "solid_capstyle": "butt",
+    "label": "90 %, correlated residuals", "gid": "thick",
+}  # fmt: skip
+_THIN: Look = {
+    "linewidth": 0.7, "marker": "|", "markersize": 4.5, "markeredgewidth": 0.7,
+    "label": "90 %, uncorrelated residuals", "gid": "thin",
+}  # fmt: skip
+_WIDE: Look = {"label": "90 %, with model discrepancy", "gid": "wide"}
+_OPEN: Look = {"markerfacecolor": "white", "label": "not determined", "gid": "open"}
+# Estimates in greys, posteriors in colours, each with its own shape; orange is a reference's.
 _ESTIMATES = {
     "least-squares": ("s", "#8c8c8c"),
     "input-error": ("^", "#5e5e5e"),
     "output-error": ("D", style.MEASURED),
 }
-_POSTERIORS = ("o", "v", "P", "X", "<", ">")
-_RUNS = (style.POSTERIOR, style.PALETTE[0], style.PALETTE[3])  # orange is a reference's
-
-
-class _Line(NamedTuple):
-    """How a column is drawn: its height in the panels, its marker and colour."""
-
-    column: Column
-    y: float
-    marker: str
-    colour: str
-
-    def mark(self, *, filled: bool = True) -> Look:
-        """Give the look of a value."""
-        return {
-            "marker": self.marker, "markersize": 3.6 if self.marker in "sD" else 4.4,
-            "markeredgewidth": 0.7, "color": self.colour, "linestyle": "none", "zorder": 4,
-            "markerfacecolor": self.colour if filled else "white",
-        }  # fmt: skip
-
-    def draw(self, ax: Axes, x: Iterable[float], kind: str, look: Look) -> None:
-        """Draw a bar of some kind."""
-        ax.plot([*x], [self.y] * 2, color=self.colour, gid=kind, **look)
+_POSTERIORS = "ovPX<>"
+_RUNS = (style.POSTERIOR, style.PALETTE[0], style.PALETTE[3])
 
 
 def forest_figure(compared: Comparison) -> Figure:
@@ -82,25 +53,25 @@ def forest_figure(compared: Comparison) -> Figure:
     """
     rows = _drawable(compared)
     columns = [column for column in compared.columns if column.kind != "reference"]
-    width, across = (style.COLUMN, 1) if len(rows) <= _FEW else (style.PAGE, _ACROSS)
+    width, across = (style.COLUMN, 1) if len(rows) <= 4 else (style.PAGE, 3)
     # names of references need some room
     above = 0.75 if any(REFERENCE in row.cells for row in rows) else 0.0
-    room = _LINE * (len(columns) - 1 + 2 * _MARGIN + above) + _AXIS
-    most = max(1, int((_HIGHEST - _LEGEND) / room))
-    shown = rows[: across * most]
+    height = _LINE * (len(columns) - 1 + 2 * _MARGIN + above) + _AXIS
+    shown = rows[: across * max(1, int((9.0 - _LEGEND) / height))]
     # the run alone where there is nothing but posteriors
     runs = len(columns) > 1 and all(column.kind == "posterior" for column in columns)
-    names = [shortened(c.run if runs else c.label, _LETTERS) for c in columns]
-    lines = _styled(columns)
-    with style.paper_figure(width, _LEGEND + -(-len(shown) // across) * room) as figure:
+    names = [shortened(c.run if runs else c.label, 24) for c in columns]
+    posteriors = zip(cycle(_POSTERIORS), cycle(_RUNS), strict=True)
+    looks = [_ESTIMATES[c.method] if c.method else next(posteriors) for c in columns]
+    with style.paper_figure(width, _LEGEND + -(-len(shown) // across) * height) as figure:
         panels = style.panel_grid(figure, len(shown), across)
         for k, (ax, row) in enumerate(zip(panels, shown, strict=True)):
             ax.set_ylim(-_MARGIN, len(columns) - 1 + _MARGIN + above)
             ax.set_gid(row.name)
-            _panel(ax, row, lines)
+            _panel(ax, row, columns, looks)
             ax.set_yticks([])
             if k % across == 0:
-                ax.set_yticks([line.y for line in lines], names)
+                ax.set_yticks([*reversed(range(len(columns)))], names)
                 ax.tick_params(axis="y", length=0.0)
         _legend(figure)
         if left_out := len(rows) - len(shown):
@@ -108,58 +79,57 @@ def forest_figure(compared: Comparison) -> Figure:
     return figure
 
 
-def _styled(columns: list[Column]) -> list[_Line]:
-    posteriors = zip(cycle(_POSTERIORS), cycle(_RUNS), strict=True)
-    return [
-        _Line(
-            c,
-            float(len(columns) - 1 - k),
-            *(_ESTIMATES[c.method] if c.method else next(posteriors)),
-        )
-        for k, c in enumerate(columns)
-    ]
-
-
 def _drawable(compared: Comparison) -> list[Quantity]:
     """Rows with something to compare, or else with anything to show."""
 
-    def drawable(row: Quantity) -> int:
+    def count(row: Quantity) -> int:
         return sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
 
-    for least in (2, 1):
-        if rows := [row for row in compared.rows if drawable(row) >= least]:
-            return rows
-    raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
+    rows = [r for r in compared.rows if count(r) > 1] or [r for r in compared.rows if count(r)]
+    if not rows:
+        raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
+    return rows
 
 
-def _panel(ax: Axes, row: Quantity, lines: list[_Line]) -> None:
-    cells = [
-        (line, row.cells[label]) for line in lines if (label := line.column.label) in row.cells
-    ]
+def _panel(
+    ax: Axes, row: Quantity, columns: Sequence[Column], looks: Sequence[tuple[str, str]]
+) -> None:
     ax.margins(x=0.06)
-    for line, cell in cells:
+    words: list[tuple[float | None, int, str]] = []
+    lines = zip(reversed(range(len(columns))), columns, looks, strict=True)
+    for y, column, (marker, colour) in lines:
+        if (cell := row.cells.get(column.label)) is None:
+            continue
+        mark: Look = {
+            "marker": marker, "markersize": 3.6 if marker in "sD" else 4.4, "markeredgewidth": 0.7,
+            "color": colour, "linestyle": "none", "zorder": 4,
+        }  # fmt: skip
+        at: float | None = cell.value
         if cell.span is not None:
-            line.draw(ax, cell.span, "span", _SPAN)
-            ax.plot(cell.value, line.y, gid="open", **line.mark(filled=False))
+            ax.plot(cell.span, [y, y], color=colour, gid="span", linewidth=0.9, linestyle=DOTTED)
+            ax.plot(cell.value, y, **mark, **_OPEN)
         elif cell.limit is not None:
             # an arrow to the bound
             end = cell.value if cell.bound is None else cell.bound
-            line.draw(ax, [end, cell.limit], "limit", {"linewidth": 0.9})
-            ax.plot(cell.limit, line.y, color=line.colour, marker="|", markersize=6.0)
-            ax.plot(end, line.y, **line.mark() | {"marker": "<" if end < cell.limit else ">"})
-        elif cell.status != "undetermined":
-            for ends, kind, look in _bars(cell):
-                line.draw(ax, ends, "wide" if line.column.widened else kind, look)
-            ax.plot(cell.value, line.y, gid="value", **line.mark())
-    if REFERENCE in row.cells:
-        _reference(ax, row.cells[REFERENCE])
-    ax.set_xlim(ax.get_xlim())  # words do not move it
-    for line, cell in cells:
+            ax.plot([end, cell.limit], [y, y], color=colour, linewidth=0.9, gid="limit")
+            ax.plot(cell.limit, y, color=colour, marker="|", markersize=6.0)
+            ax.plot(end, y, **mark | {"marker": "<" if end < cell.limit else ">"})
+            at = cell.limit
+        elif cell.status == "undetermined":
+            at = None
+        else:
+            for ends, look in _bars(cell):
+                ax.plot(ends, [y, y], color=colour, **look | (_WIDE if column.widened else {}))
+            ax.plot(cell.value, y, gid="value", **mark)
         if cell.status == "undetermined":
-            words = "not determined" if cell.converged else "not converged"
-            _words(ax, cell.value if cell.span is not None else None, line.y, words)
+            words.append((at, y, "not determined" if cell.converged else "not converged"))
         elif cell.status != "determined":
-            _words(ax, cell.value if cell.limit is None else cell.limit, line.y, cell.remark)
+            words.append((at, y, cell.remark))
+    if (reference := row.cells.get(REFERENCE)) is not None:
+        _reference(ax, reference)
+    ax.set_xlim(ax.get_xlim())  # words do not move it
+    for at, y, text in words:
+        _words(ax, at, y, text)
     exponent = power_of_ten(*ax.get_xlim())
     style.few_ticks(ax.xaxis, 4, inner=True, exponent=exponent)
     label = style.axis_label(row.symbol, row.name, exponent, row.unit)
@@ -171,16 +141,15 @@ def _around(cell: ResultRow, sd: float) -> tuple[float, float]:
     return cell.value - HALF * sd, cell.value + HALF * sd
 
 
-def _bars(cell: ResultRow) -> list[tuple[tuple[float, float], str, Look]]:
-    """List the 90 % intervals of what is determined, with kind and look."""
+def _bars(cell: ResultRow) -> list[tuple[tuple[float, float], Look]]:
+    """List the 90 % intervals of what is determined, each with its look."""
     if cell.status != "determined" or cell.sd is None:
         return []
     exact = cell.interval is not None and cell.level == LEVEL
     ends = cell.interval if cell.interval is not None and exact else _around(cell, cell.sd)
-    bars = [(ends, "thick", _THICK)] if cell.accounts else []
+    bars = [(ends, _THICK)] if cell.accounts else []
     if cell.sd_plain is not None:
-        plain = _around(cell, cell.sd_plain) if cell.accounts else ends
-        bars.append((plain, "thin", _THIN))
+        bars.append((_around(cell, cell.sd_plain) if cell.accounts else ends, _THIN))
     return bars
 
 
@@ -201,51 +170,20 @@ def _words(ax: Axes, at: float | None, y: float, words: str) -> None:
 def _reference(ax: Axes, cell: ResultRow) -> None:
     if cell.sd:
         ax.axvspan(*_around(cell, cell.sd), color=_REFERENCE, alpha=0.15, linewidth=0.0, zorder=0)
-    ax.axvline(cell.value, color=_REFERENCE, linewidth=0.8, zorder=1, gid="reference")
+    ax.axvline(cell.value, color=_REFERENCE, linewidth=0.8, zorder=1, label="reference")
     side, away = ("left", 2.0) if cell.value < sum(ax.get_xlim()) / 2.0 else ("right", -2.0)
-    words = shortened(cell.remark, _SOURCE)
     look: Look = {"xycoords": ax.get_xaxis_transform(), "color": _REFERENCE, "va": "top"}
     look |= {"textcoords": "offset points", "ha": side, "fontsize": style.WORDS}
-    ax.annotate(words, (cell.value, 1.0), xytext=(away, -1.5), **look).set_in_layout(False)
+    words = ax.annotate(shortened(cell.remark, 22), (cell.value, 1.0), xytext=(away, -1.5), **look)
+    words.set_in_layout(False)
 
 
 def _legend(figure: Figure) -> None:
     """Explain what bars and dots mean; rows are named at their side."""
-    grey: Look = {"color": _ESTIMATES["output-error"][1]}
-    blue: Look = {"color": style.POSTERIOR}
-    open_ = _SPAN | {"gid": "open", "marker": "o", "markersize": 4.0, "markeredgewidth": 0.7}
-    capped = Line2D([], [], label="90 %, uncorrelated residuals", gid="thin", **_THIN, **grey)
-    handles = [
-        Line2D([], [], label="90 %, correlated residuals", gid="thick", **_THICK, **grey),
-        capped,
-        wide := Line2D([], [], label="90 %, with model discrepancy", gid="wide", **_THIN, **blue),
-        Line2D([], [], label="not determined", markerfacecolor="white", **open_, **grey),
-        Line2D([], [], color=_REFERENCE, linewidth=0.8, label="reference", gid="reference"),
-    ]
-    if shown := style.explained(figure, handles):
+    if handles := style.labelled(figure):
         ends = HandlerLine2D(numpoints=2)
-        look: Look = {"handler_map": {capped: ends, wide: ends}}
+        capped = {h: ends for h in handles if isinstance(h, Line2D) and h.get_marker() == "|"}
         across = 2 if figure.get_figwidth() == style.COLUMN else 4
-        figure.legend(handles=shown, loc="outside upper right", ncols=across, **look)
-
-
-_BARS = (
-    f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: assuming them "
-    "uncorrelated, or of posteriors with model discrepancy; open symbols: not determined, "
-    "dotted what fits as well."
-)
-METHODS = RunFigure(
-    stem="methods",
-    title="Estimates and posterior side by side",
-    section="methods",
-    # of a single run, whose name is nowhere shown
-    draw=lambda run: forest_figure(comparison({"run": run.summary})),
-    caption=f"Every quantity by every method and by the posterior. {_BARS}",
-)
-FOREST = Declared(
-    stem="forest",
-    title="Every quantity by every run and method",
-    section="side-by-side",
-    draw=forest_figure,
-    caption=_BARS,
-)
+        figure.legend(
+            handles=handles, loc="outside upper right", ncols=across, handler_map={**capped}
+        )

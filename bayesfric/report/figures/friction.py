@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -19,12 +18,10 @@ from bayesfric.identifiability.friction_curve import (
 )
 from bayesfric.inference.fitting import Fit
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import OPEN_HATCH, Look, few_ticks, legend_above, paper_figure
+from bayesfric.report.figures.style import Look, few_ticks
 from bayesfric.results.reported import LEVEL
 
-_HEIGHT = 2.4
-_OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6}
+_OUTSIDE: Look = {"linestyle": (0, (3.0, 2.0)), "linewidth": 0.6, "gid": "outside"}
 
 
 def friction_figure(fit: Fit) -> Figure:
@@ -36,53 +33,50 @@ def friction_figure(fit: Fit) -> Figure:
     curves = friction_curves(fit)
     rotary = fit.chain.motor_motion == "rotary"
     kind, unit, per = ("torque", "N m", "rad/s") if rotary else ("force", "N", "m/s")
-    with paper_figure(style.COLUMN, _HEIGHT) as figure:
+    colour = style.PALETTE[0]
+    handles = [
+        Line2D([], [], color=colour, label="posterior median", gid="median"),
+        Patch(label=f"{100 * LEVEL:.0f} % band", **_area(colour, False)),
+        Line2D([], [], color=colour, label=f"fewer than {FEWEST} outputs near", **_OUTSIDE),
+        Patch(label="NOT determined by the data", **_area(colour, True)),
+    ]
+    with style.paper_figure(style.COLUMN, 2.4) as figure:
         ax = figure.subplots()
-        for k, curve in enumerate(curves):
+        for colour, curve in zip(style.PALETTE, curves, strict=False):
             load = float(curve.load[0])
             label = f"{load:+.3g} {unit}".replace("-", "\N{MINUS SIGN}") if load else "no load"
-            _draw(ax, curve, style.PALETTE[k], label)
+            _draw(ax, curve, colour, label)
         ax.axhline(0.0, color="0.6", linewidth=0.5, zorder=0.5)
         ax.set(xlabel=rf"motor speed $\dot q_m$ ({per})", ylabel=f"friction {kind} $F$ ({unit})")
         few_ticks(ax.xaxis, 6)
         few_ticks(ax.yaxis, 6)
         if len(curves) > 1:
             ax.legend(title="at load", title_fontsize=style.SMALL, alignment="left")
-        legend_above(figure, style.explained(figure, _handles()), 2)
+        drawn = {artist.get_gid() for artist in ax.get_children()}
+        style.legend_above(figure, [h for h in handles if h.get_gid() in drawn], 2)
     return figure
 
 
 def _draw(ax: Axes, curve: Curve, colour: str, label: str) -> None:
     """Draw median and band where recordings were, and beyond that a dashed median alone."""
     x, shown, (low, median, high) = curve.speed, curve.shown, np.sign(curve.speed) * curve.ends
-    for open_ in (False, True):
-        where = shown & (curve.determined != open_)
+    for is_open in (False, True):
+        where = shown & (curve.determined != is_open)
         if where.any():
             # grown by one neighbour, so that parts of a band meet
             inside = (binary_dilation(where) & shown).tolist()
-            gid = "open" if open_ else "band"
-            ax.fill_between(x, low, high, where=inside, gid=gid, **_area(colour, open_))
+            ax.fill_between(x, low, high, where=inside, **_area(colour, is_open))
     if not shown[np.isfinite(median)].all():
-        ax.plot(x, median, color=colour, gid="outside", **_OUTSIDE)
+        ax.plot(x, median, color=colour, **_OUTSIDE)
     near = np.where(binary_dilation(shown), median, np.nan)
     ax.plot(x, near, color=colour, label=label, gid="median")
 
 
-def _area(colour: str, open_: bool) -> Look:
-    if open_:
-        return {"facecolor": "none", "edgecolor": colour, "hatch": OPEN_HATCH, "linewidth": 0.4}
-    return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0}
-
-
-def _handles() -> list[Artist]:
-    """List what a legend explains of curves."""
-    colour, few = style.PALETTE[0], f"fewer than {FEWEST} outputs near"
-    return [
-        Line2D([], [], color=colour, label="posterior median", gid="median"),
-        Patch(label=f"{100 * LEVEL:.0f} % band", gid="band", **_area(colour, False)),
-        Line2D([], [], color=colour, label=few, gid="outside", **_OUTSIDE),
-        Patch(label="NOT determined by the data", gid="open", **_area(colour, True)),
-    ]
+def _area(colour: str, is_open: bool) -> Look:
+    if is_open:
+        hatch = {"hatch": style.OPEN_HATCH, "linewidth": 0.4, "gid": "open"}
+        return {"facecolor": "none", "edgecolor": colour} | hatch
+    return {"facecolor": colour, "edgecolor": "none", "alpha": 0.3, "linewidth": 0.0, "gid": "band"}
 
 
 def friction_caption(fit: Fit) -> str:
@@ -106,12 +100,3 @@ def friction_caption(fit: Fit) -> str:
     if fit.chain.gain:
         caption += " Torque is the true one, as in the tables: what was recorded, times drive.gain."
     return caption
-
-
-FIGURE = RunFigure(
-    stem="friction",
-    title="Friction of the joint",
-    section="friction",
-    draw=lambda run: friction_figure(run.fit.wide),
-    caption=lambda run: friction_caption(run.fit.wide),
-)

@@ -1,73 +1,55 @@
-"""Measured torque, or position, and the posterior predictive."""
+"""Measured outputs with their posterior predictive, residuals, and simulated motion."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from bayesfric.estimates.torque import load_at_outputs
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.likelihood import Outputs
-from bayesfric.recordings.checks import too_slow
 from bayesfric.recordings.observation import Observation
 from bayesfric.report.figures import style
-from bayesfric.report.figures.registry import RunFigure
-from bayesfric.report.figures.style import Array, Look, few_ticks, remark_below, shortened
+from bayesfric.report.figures.style import (
+    Array,
+    Look,
+    few_ticks,
+    legend_above,
+    paper_figure,
+    remark_below,
+    shortened,
+)
 from bayesfric.report.summary.derived_quantities import LEVEL
-from bayesfric.results.roll_out import Rolled
+from bayesfric.results.roll_out import RollOut
 
-_MOST = 3
-# Numbers held at once while predicting: windows of the filter, 160 MB.
-_BUDGET = 20_000_000
-_HEIGHT = 3.4
-_GREY = "#8a8a8a"
-# Lines of more points are drawn as pixels; as paths they would make a slow and huge PDF.
-_MOST_POINTS = 5000
+if TYPE_CHECKING:
+    import pandas as pd
 
-
-@dataclass(frozen=True, eq=False)
-class Predictive:
-    """Posterior predictive of one recording, ``(n_outputs,)`` each."""
-
-    mean: Array
-    reach: Array  # half the 90 % interval, noise included
-    sigma: Array  # sd of the noise alone, root mean square over the draws
+# Recordings that a figure has room for.
+MOST = 3
+_BAND: Look = {"color": style.BAND, "linewidth": 0.0, "gid": "band"}
 
 
-def predictive(fit: Fit) -> list[Predictive]:
-    """Predict the outputs of every recording.
+def predictive(fit: Fit) -> list[tuple[Array, Array, Array]]:
+    """Predict every recording: mean, half the 90 % interval, and sd of the noise, ``(M,)`` each.
 
     The predictive is assumed normal: it is the normal noise, spread a little by the parameters.
     Quantiles of a few hundred draws would be far rougher than that.
     """
-    flat = fit.predicting
-    n = len(flat)
-    values = fit.target.chain_values(flat)
-    scales = fit.target.noise.scales(flat[:, len(fit.target.free) :])
-    likelihood = fit.target.likelihood
-    # about one draw's prediction: squares of small differences lose no digits
-    origin = [f[0] for f in likelihood.predict(values[:1])]
-    first, second = ([np.zeros_like(f) for f in origin] for _ in range(2))
-    windows = sum(o.measured.size * o.filter.taps.size for o in fit.observations)
-    at_once = max(1, _BUDGET // max(windows, 1))
-    for begin in range(0, n, at_once):
-        for r, f in enumerate(likelihood.predict(values[begin : begin + at_once])):
-            first[r] += (f - origin[r]).sum(axis=0)
-            second[r] += ((f - origin[r]) ** 2).sum(axis=0)
+    draws, likelihood = fit.predicting, fit.target.likelihood
+    scales = fit.target.noise.scales(draws[:, len(fit.target.free) :])
     # the noise changes little over the draws
-    sds = [likelihood.noise_sd(scales[i]) for i in range(0, n, max(n // 20, 1))]
-    predictives = []
-    for r in range(len(origin)):
-        variance = np.maximum(second[r] / n - (first[r] / n) ** 2, 0.0)
+    sds = [likelihood.noise_sd(scales[i]) for i in range(0, len(draws), max(len(draws) // 20, 1))]
+    predictions = []
+    for r, rows in enumerate(likelihood.predict(fit.target.chain_values(draws))):
         noise = np.mean([sd[r] ** 2 for sd in sds], axis=0)
-        reach = float(ndtri(0.5 + LEVEL / 2.0)) * np.sqrt(variance + noise)
-        predictives.append(Predictive(origin[r] + first[r] / n, reach, noise**0.5))
-    return predictives
+        half = float(ndtri(0.5 + LEVEL / 2.0)) * np.sqrt(rows.var(axis=0) + noise)
+        predictions.append((rows.mean(axis=0), half, noise**0.5))
+    return predictions
 
 
 def prediction_figure(fit: Fit) -> Figure:
@@ -78,75 +60,68 @@ def prediction_figure(fit: Fit) -> Figure:
     are hatched.
     """
     outputs = fit.target.likelihood.outputs
-    shown = outputs[:_MOST]
+    shown = outputs[:MOST]
     quantity, unit = outputs[0].quantity, outputs[0].unit
-    with style.paper_figure(style.PAGE, _HEIGHT) as figure:
+    with paper_figure(style.PAGE, 3.4) as figure:
         axes = figure.subplots(
             2, len(shown), squeeze=False, sharex="col", sharey="row", height_ratios=(1.8, 1.0)
         )
-        drawn = zip(axes.T, shown, predictive(fit), fit.observations, strict=False)
-        for (above, below), o, p, of in drawn:
-            _predicted(above, o, p)
-            _residual(below, o, p)
+        recordings = zip(axes.T, shown, predictive(fit), fit.observations, strict=False)
+        for (above, below), o, p, observation in recordings:
+            _predicted(above, below, o, *p)
             for ax in (above, below):
-                _left_out(ax, of)
+                _hatch_excluded(ax, observation)
             below.set_xlabel("time (s)")
             below.set_xlim(float(o.time.min()), max(float(o.time.max()), o.time.min() + 1e-9))
             few_ticks(below.xaxis, 8 if len(shown) == 1 else 4)
             above.set_title(shortened(o.name), fontsize=style.SMALL, pad=2.5)
-        few_ticks(axes[0, 0].yaxis, 5)
-        few_ticks(axes[1, 0].yaxis, 4)
-        axes[0, 0].set_ylabel(f"{quantity} ({unit})")
-        axes[1, 0].set_ylabel(f"residual ({unit})")
+        for ax, most, words in zip(axes[:, 0], (5, 4), (quantity, "residual"), strict=True):
+            few_ticks(ax.yaxis, most)
+            ax.set_ylabel(f"{words} ({unit})")
         figure.align_ylabels(axes[:, 0])
-        every = [zip(*ax.get_legend_handles_labels(), strict=True) for ax in axes.T.flat]
-        named = {label: handle for pairs in every for handle, label in pairs}
-        style.legend_above(figure, list(named.values()))
-        if len(outputs) > _MOST:
-            remark_below(figure, f"first {_MOST} of {len(outputs)} recordings")
+        legend_above(figure)
+        if len(outputs) > MOST:
+            remark_below(figure, f"first {MOST} of {len(outputs)} recordings")
     return figure
 
 
-def _left_out(ax: Axes, o: Observation) -> None:
+def _predicted(above: Axes, below: Axes, o: Outputs, *predicted: Array) -> None:
+    """Draw measured outputs and the predictive, and below them the residuals."""
+    time, measured, mean, reach, sigma = _broken(o, o.measured, *predicted)
+    pixels = as_pixels(o.time)
+    band = _BAND | {"rasterized": pixels}
+    label = f"{100 * LEVEL:.0f} % predictive band"
+    above.fill_between(time, mean - reach, mean + reach, label=label, **band)
+    # on the scale of the torque a good fit's band is a hairline
+    below.fill_between(time, -reach, reach, **band)
+    # wide below and thin above, so that both are seen where they agree
+    look: Look = {"color": style.PALETTE[2], "linewidth": 1.0 if pixels else 1.5, "gid": "mean"}
+    above.plot(time, mean, label="predictive mean", rasterized=pixels, **look)
+    line: Look = {"color": style.MEASURED, "rasterized": pixels}
+    above.plot(time, measured, linewidth=0.5, label="measured", gid="measured", **line)
+    below.plot(time, measured - mean, linewidth=0.4, gid="residual", **line)
+    look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED, "gid": "sigma"}
+    below.plot(time, -2.0 * sigma, **look)
+    below.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", **look)
+
+
+def _hatch_excluded(ax: Axes, observation: Observation) -> None:
     """Hatch the spans that the user excluded."""
-    spans = [(start, stop - start) for start, stop in o.left_out]
-    if spans:
-        look: Look = {"facecolor": "none", "edgecolor": _GREY, "hatch": style.OPEN_HATCH}
+    if spans := [(start, stop - start) for start, stop in observation.left_out]:
+        look: Look = {"facecolor": "none", "edgecolor": "#8a8a8a", "hatch": style.OPEN_HATCH}
         named: Look = {"label": "left out by the user", "gid": "left-out", "linewidth": 0.0}
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **look, **named)
 
 
-def _predicted(ax: Axes, o: Outputs, p: Predictive) -> None:
-    """Draw measured outputs, and mean and band of the predictive."""
-    label = f"{100 * LEVEL:.0f} % predictive band"
-    draw_band(ax, o, p.mean - p.reach, p.mean + p.reach, label=label, gid="band")
-    time, measured, mean = broken(o, o.measured, p.mean)
-    # wide below and thin above, so that both are seen where they agree
-    width = 1.0 if as_pixels(o) else 1.5
-    named: Look = {"label": "predictive mean", "gid": "mean", "rasterized": as_pixels(o)}
-    ax.plot(time, mean, color=style.PALETTE[2], linewidth=width, **named)
-    draw_measured(ax, o, time, measured, linewidth=0.5, label="measured", gid="measured")
+def as_pixels(time: Array) -> bool:
+    """Whether there are too many points for paths, which would make a slow and huge PDF."""
+    return time.size > 5000
 
 
-def _residual(ax: Axes, o: Outputs, p: Predictive) -> None:
-    # on the scale of the torque a good fit's band is a hairline
-    draw_band(ax, o, -p.reach, p.reach)
-    time, residual, sigma = broken(o, o.measured - p.mean, p.sigma)
-    draw_measured(ax, o, time, residual, linewidth=0.4, gid="residual")
-    look: Look = {"color": style.PALETTE[1], "linewidth": 0.8, "linestyle": style.DASHED}
-    ax.plot(time, -2.0 * sigma, gid="sigma", **look)
-    ax.plot(time, 2.0 * sigma, label="$\\pm 2$ sds of the noise", gid="sigma", **look)
-
-
-def as_pixels(o: Outputs | Observation | Rolled) -> bool:
-    """Whether there are too many outputs to draw them as paths."""
-    return o.time.size > _MOST_POINTS
-
-
-def broken(o: Outputs | Observation, *values: Array) -> list[Array]:
+def _broken(o: Outputs, *values: Array) -> list[Array]:
     """Give time and values with a break wherever outputs are missing."""
     gaps = (np.diff(o.time) > 1.5 * o.period) | (np.diff(o.segment_of) != 0)
-    at: NDArray[np.intp] = np.flatnonzero(gaps) + 1
+    at = np.flatnonzero(gaps) + 1
     # a time inside the gap keeps the order; the values there are none
     between = 0.5 * (o.time[at - 1] + o.time[at])
     return [
@@ -155,36 +130,92 @@ def broken(o: Outputs | Observation, *values: Array) -> list[Array]:
     ]
 
 
-def draw_band(ax: Axes, o: Outputs | Observation, low: Array, high: Array, **named: Any) -> None:
-    """Draw the band between two ends, ``(n_outputs,)`` each; ``named`` is its label and name."""
-    time, low, high = broken(o, low, high)
-    ax.fill_between(
-        time, low, high, color=style.BAND, linewidth=0.0, rasterized=as_pixels(o), **named
-    )
+def residual_figure(fit: Fit) -> Figure | None:
+    """Draw residuals against speed, load and angle, as far as they vary, a page wide."""
+    table, outputs = residuals(fit), fit.target.likelihood.outputs
+    rotary = fit.chain.load.motion == "rotary"
+    labels = {
+        "speed": rf"joint speed $\dot q$ ({'rad/s' if rotary else 'm/s'})",
+        "load": rf"load $\Gamma$ ({'N m' if rotary else 'N'})",
+        "position": "joint angle $q$ (rad)" if rotary else "position $q$ (m)",
+    }
+    bins = {key: binned(table, key) for key in labels if np.ptp(table[key]) > 0.0}
+    if not bins:
+        return None
+    reach = max(float(np.abs(of[["low", "high"]].to_numpy()).max()) for of in bins.values())
+    exponent = style.power_of_ten(-reach, reach)
+    with paper_figure(style.PAGE, 2.1) as figure:
+        axes = figure.subplots(1, len(bins), sharey=True, squeeze=False)[0]
+        for ax, (key, of) in zip(axes, bins.items(), strict=True):
+            ax.axhline(0.0, color="0.6", linewidth=0.5)
+            label = f"{100 * LEVEL:.0f} % of the residuals"
+            ax.fill_between(of[key], of["low"], of["high"], label=label, **_BAND)
+            look: Look = {"color": style.PALETTE[0], "marker": "o", "markersize": 2.4}
+            ax.plot(of[key], of["mean"], label="their mean", **look)
+            ax.set_xlabel(labels[key])
+            few_ticks(ax.xaxis, 5)
+        few_ticks(axes[0].yaxis, 5, exponent=exponent)
+        axes[0].set_ylabel(f"residual ({style.scaled_unit(exponent, outputs[0].unit)})")
+        legend_above(figure)
+    return figure
 
 
-def draw_measured(
-    ax: Axes, o: Outputs | Observation, time: Array, values: Array, **named: Any
-) -> None:
-    """Draw measured values with breaks; ``named`` is their width, label and name.
+def residuals(fit: Fit) -> pd.DataFrame:
+    """Give the residual of every output at the posterior mean, with speed, load and position."""
+    import pandas as pd  # slow to import
 
-    An output between two gaps is a dot: no line reaches it.
+    median = fit.target.chain_values(fit.posterior.median[None])[0]
+    parts = []
+    for o, observation, left in zip(
+        fit.target.likelihood.outputs, fit.observations, fit.residuals, strict=True
+    ):
+        motion = {
+            "speed": observation.speed,
+            "load": load_at_outputs(fit.chain, observation, median),
+            "position": observation.q[observation.filter.centres],
+        }
+        # outputs of a simulation are at other times than those of the filter
+        there = {key: np.interp(o.time, observation.time, x) for key, x in motion.items()}
+        parts.append(pd.DataFrame({"residual": left} | there))
+    return pd.concat(parts, ignore_index=True)
+
+
+def binned(table: pd.DataFrame, by: str, most: int = 16) -> pd.DataFrame:
+    """Give mean and central 90 % of residuals in bins of equally many outputs, five at least."""
+    count = max(1, min(most, len(table) // 5))
+    place = table[by].rank(method="first").sub(1.0) * count // len(table)
+    residual = (bins := table.groupby(place))["residual"]
+    ends = {
+        key: residual.quantile(0.5 + x) for key, x in {"low": -LEVEL / 2, "high": LEVEL / 2}.items()
+    }
+    return bins[[by]].mean().assign(mean=residual.mean(), **ends)
+
+
+def rollout_figure(rollout: RollOut) -> Figure:
+    """Draw measured positions, the middle of the draws and both bands, a column wide.
+
+    Of many recordings those furthest inside and furthest outside their bands, and one between.
     """
-    finite = np.pad(np.isfinite(values), 1)
-    alone = np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
-    named |= {"marker": ".", "markersize": 1.5, "markevery": alone, "rasterized": as_pixels(o)}
-    ax.plot(time, values, color=style.MEASURED, **named)
-
-
-FIGURE = RunFigure(
-    stem="prediction",
-    title="Measured and predicted",
-    section="prediction",
-    draw=lambda run: prediction_figure(run.fit),
-    caption=(
-        "Measured outputs and the posterior predictive, noise included, with residuals below. "
-        "Dashed: two standard deviations of the noise, its autocorrelation included; "
-        "the tables' scale is then that of its innovations, which is smaller. "
-        f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
-    ),
-)
+    ranked = sorted(rollout.rolled, key=lambda x: (-x.at_position.inside, x.at_position.mae))
+    places = np.unique(np.linspace(0, len(ranked) - 1, min(MOST, len(ranked))).round().astype(int))
+    with paper_figure(style.COLUMN, 0.35 + 1.35 * len(places)) as figure:
+        axes = np.atleast_1d(figure.subplots(len(places), 1))
+        for ax, recording in zip(axes, (ranked[k] for k in places), strict=True):
+            time, pixels = recording.time, {"rasterized": as_pixels(recording.time)}
+            label = f"{100 * rollout.level:.0f} % band"
+            ax.fill_between(time, *recording.band, label=label, **pixels, **_BAND)
+            narrow: Look = {"color": style.PALETTE[1], "alpha": 0.45, "linewidth": 0.0} | pixels
+            ax.fill_between(time, *recording.alone, label="of the parameters alone", **narrow)
+            line: Look = {"color": style.PALETTE[2], "linewidth": 0.8, "gid": "measured"} | pixels
+            ax.plot(time, recording.position, label="measured", **line)
+            ax.set(xlim=(float(time[0]), float(time[-1])), ylabel=f"position ({recording.unit})")
+            share = f"{100 * recording.at_position.inside:.0f} % inside"
+            share += " a band too wide to judge" if recording.wide else ""
+            title = f"{shortened(recording.name)}: {share}"
+            ax.set_title(title, fontsize=style.SMALL, pad=2.5)
+            few_ticks(ax.yaxis, 4)
+            few_ticks(ax.xaxis, 6)
+        axes[-1].set_xlabel("time (s)")
+        legend_above(figure)
+        figure.align_ylabels(list(axes))
+    return figure

@@ -1,32 +1,37 @@
-"""Declarations of figures, and the registry of those of this folder.
-
-A figure of a run is one file of this folder that holds a :class:`RunFigure`; files, captions and
-the page's sections follow from that.
-"""
+"""Every figure: its files' name, its title, caption and section of the page."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
-from pkgutil import iter_modules
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple
 
 from matplotlib.figure import Figure
 
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.parameter import effort_words
+from bayesfric.recordings.checks import too_slow
+from bayesfric.report.comparison.comparison import comparison
+from bayesfric.report.figures.forest import forest_figure
+from bayesfric.report.figures.friction import friction_caption, friction_figure
+from bayesfric.report.figures.posterior import corner_figure, ridge_figure
+from bayesfric.report.figures.prediction import (
+    MOST,
+    prediction_figure,
+    residual_figure,
+    rollout_figure,
+)
+from bayesfric.report.summary.derived_quantities import LEVEL
 from bayesfric.report.summary.record import Summary
+from bayesfric.results.roll_out import RollOut
 
-# Of the page of a run, in their order, and of a comparison.
+# Of the page of a run, and of a comparison.
 Section = Literal[
     "methods", "ridge", "prediction", "roll-out", "friction", "posterior", "side-by-side",
 ]  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class FinishedRun:
+class FinishedRun(NamedTuple):
     """Data of a run's figures and captions."""
 
     fit: Fit
@@ -39,7 +44,7 @@ class Declared:
 
     stem: str  # its files' name
     title: str
-    section: Section  # of the page
+    section: Section
     draw: Callable[[Any], Figure | None]  # gives `None` where there is nothing to show
     # text, or a function of what is drawn
     caption: str | Callable[[Any], str]
@@ -49,19 +54,110 @@ class Declared:
         return self.caption if isinstance(self.caption, str) else self.caption(drawn)
 
 
-class RunFigure(Declared):
-    """A figure of a :class:`FinishedRun`."""
+_BARS = (
+    f"Thick: {100 * LEVEL:.0f} %, accounting for correlated residuals; thin: assuming them "
+    "uncorrelated, or of posteriors with model discrepancy; open symbols: not determined, "
+    "dotted what fits as well."
+)
 
 
-@cache
-def run_figures() -> dict[str, Declared]:
-    """Find the figures of a run, by stem in the order of the page."""
-    folder = import_module(__package__)
-    modules = (import_module(f"{__package__}.{m.name}") for m in iter_modules(folder.__path__))
-    figures = {x for m in modules for x in vars(m).values() if isinstance(x, RunFigure)}
-    order = get_args(Section)
-    ranked = sorted(figures, key=lambda figure: (order.index(figure.section), figure.stem))
-    return {figure.stem: figure for figure in ranked}
+def _corner_caption(run: FinishedRun) -> str:
+    widened = " Densities and intervals allow for model discrepancy, as in the tables."
+    return (
+        f"Diagonal: posterior density with {100 * LEVEL:.0f} % interval, dashed the prior of "
+        "parameters. Below: 50 % and 90 % of the draws. What the data leave open is hatched, "
+        "has no interval and is not filled in its pairs: it shows prior and bounds. So is "
+        "everything where the sampling has not converged. A limit has one dotted end."
+        + (widened if run.summary.widened else "")
+    )
+
+
+def _rollout_caption(rollout: RollOut) -> str:
+    count = len(rollout.rolled)
+    which = f", {min(MOST, count)} of {count}, most inside first" if count > 1 else ""
+    return (
+        "Motion of the joint simulated with recordings' inputs, and the "
+        f"measured position{which}. Dark: {rollout.draws} draws of "
+        "the posterior, parameters alone; light: with torque that the model leaves unexplained."
+    )
+
+
+# Those of a FinishedRun, in the order of the page.
+RUN_FIGURES = {
+    figure.stem: figure
+    for figure in (
+        Declared(
+            stem="methods",
+            title="Estimates and posterior side by side",
+            section="methods",
+            # of a single run, whose name is nowhere shown
+            draw=lambda run: forest_figure(comparison({"run": run.summary})),
+            caption=f"Every quantity by every method and by the posterior. {_BARS}",
+        ),
+        Declared(
+            stem="ridge",
+            title="The ridge: what can be scaled together without changing any torque",
+            section="ridge",
+            draw=lambda run: ridge_figure(run.fit),
+            caption=(
+                "Draws of the posterior against the line along which no torque changes, between "
+                "the ends that a passive gearbox sets. Only a known mass distinguishes them."
+            ),
+        ),
+        Declared(
+            stem="prediction",
+            title="Measured and predicted",
+            section="prediction",
+            draw=lambda run: prediction_figure(run.fit),
+            caption=(
+                "Measured outputs and the posterior predictive, noise included, with residuals "
+                "below. Dashed: two standard deviations of the noise, its autocorrelation "
+                "included; the tables' scale is then that of its innovations, which is smaller. "
+                f"Gaps that are not hatched have no samples, or are not compared: {too_slow()}."
+            ),
+        ),
+        Declared(
+            stem="residual",
+            title="What is left unexplained",
+            section="prediction",
+            draw=lambda run: residual_figure(run.fit),
+            caption=(
+                "What the posterior mean leaves unexplained, against motion and load, as far as "
+                f"they vary: means and {100 * LEVEL:.0f} % of the residuals, in bins of equally "
+                "many outputs."
+            ),
+        ),
+        Declared(
+            stem="friction",
+            title="Friction of the joint",
+            section="friction",
+            draw=lambda run: friction_figure(run.fit.wide),
+            caption=lambda run: friction_caption(run.fit.wide),
+        ),
+        Declared(
+            stem="corner",
+            title="Marginal and pairwise posteriors",
+            section="posterior",
+            draw=lambda run: corner_figure(run.fit, run.summary),
+            caption=_corner_caption,
+        ),
+    )
+}
+# Of roll-outs, which are made when a run is finished; and of a comparison.
+ROLL_OUT = Declared(
+    stem="rollout",
+    title="Simulated and measured motion",
+    section="roll-out",
+    draw=rollout_figure,
+    caption=_rollout_caption,
+)
+FOREST = Declared(
+    stem="forest",
+    title="Every quantity by every run and method",
+    section="side-by-side",
+    draw=forest_figure,
+    caption=_BARS,
+)
 
 
 def captions(run: FinishedRun, figures: Sequence[Declared]) -> str:

@@ -18,7 +18,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.mathtext import MathTextParser
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
@@ -132,7 +131,7 @@ def scaled_unit(exponent: int, unit: str) -> str:
 
 def axis_label(symbol: str, name: str, exponent: int, unit: str) -> str:
     """Write symbol and unit for an axis; the name where there is no LaTeX symbol."""
-    return f"{mathtext(symbol, name) if symbol else name} ({scaled_unit(exponent, unit)})"
+    return f"{mathtext(symbol, name)} ({scaled_unit(exponent, unit)})"
 
 
 @cache
@@ -142,6 +141,8 @@ def mathtext(symbol: str, name: str) -> str:
     Words in subscripts (names of elements) are upright. A symbol that cannot be set, as with odd
     characters in an element's name, is replaced by the parameter's name.
     """
+    if not symbol:
+        return name
     # an empty subscript is the paper's bare symbol
     symbol = symbol.replace("_{}", "")
     symbol = re.sub(r"_\{([^{}]*)\}", lambda m: "_{" + _upright(m[1]) + "}", symbol)
@@ -185,24 +186,26 @@ def paper_figure(width: float, height: float, *, apart: float = 0.03) -> Iterato
         figure.set_layout_engine(None)  # an engine that does nothing has all drawn twice
 
 
-def panel_grid(
-    figure: Figure, count: int, columns: int, inside: SubplotSpec | None = None
-) -> list[Axes]:
-    """Fill a figure, or a part of it, with panels of equal size, row by row."""
-    divide = figure.add_gridspec if inside is None else inside.subgridspec
-    grid = divide(-(-count // columns), columns)
+def panel_grid(figure: Figure, count: int, columns: int) -> list[Axes]:
+    """Fill a figure with panels of equal size, row by row."""
+    grid = figure.add_gridspec(-(-count // columns), columns)
     return [figure.add_subplot(grid[divmod(k, columns)]) for k in range(count)]
 
 
-def explained(figure: Figure, handles: Sequence[Artist]) -> list[Artist]:
-    """Keep the handles of what a figure shows, by ``gid``."""
-    panels = figure.get_axes()
-    drawn = {artist.get_gid() for ax in panels for artist in (ax, *ax.get_children())}
-    return [handle for handle in handles if handle.get_gid() in drawn]
+def labelled(figure: Figure) -> list[Artist]:
+    """List the first artist that is drawn with each label."""
+    first: dict[str, Artist] = {}
+    for ax in figure.axes:
+        for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
+            first.setdefault(label, artist)
+    return list(first.values())
 
 
-def legend_above(figure: Figure, handles: Sequence[Artist], columns: int | None = None) -> None:
+def legend_above(
+    figure: Figure, handles: Sequence[Artist] | None = None, columns: int | None = None
+) -> None:
     """Put the legend above the panels, in one line if ``columns`` is left out."""
+    handles = labelled(figure) if handles is None else handles
     figure.legend(handles=handles, loc="outside upper left", ncols=columns or len(handles))
 
 
@@ -211,34 +214,15 @@ def remark_below(figure: Figure, words: str) -> None:
     figure.supxlabel(words, x=0.99, ha="right", fontsize=SMALL)
 
 
-class _InnerLocator(MaxNLocator):
-    """Ticks away from the ends, where two panels' numbers would meet."""
-
-    def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
-        """Choose ticks between ``vmin`` and ``vmax``."""
-        margin = 0.1 * (vmax - vmin)
-        low, high = vmin + margin, vmax - margin
-        ticks = np.asarray(super().tick_values(low, high))
-        return list(ticks[(ticks >= low) & (ticks <= high)])
-
-
-class _Plain(ScalarFormatter):
-    """Numbers whose power of ten is in the axis' label, and not in its corner."""
-
-    def get_offset(self) -> str:
-        """Say nothing."""
-        return ""
-
-
 def few_ticks(axis: Axis, most: int, *, inner: bool = False, exponent: int = 0) -> None:
-    """Put at most ``most`` plain numbers on an axis, never an offset in the corner.
+    """Put at most ``most`` plain numbers on an axis, over the power of ten in the axis' label.
 
-    ``inner`` ones are away from the ends, for panels that touch; ``exponent`` is the power of ten
-    in the axis' label.
+    ``inner`` ones are away from the ends, for panels that touch.
     """
-    locator = _InnerLocator if inner else MaxNLocator
-    axis.set_major_locator(locator(most, steps=[1, 2, 5, 10], min_n_ticks=2))
-    formatter = _Plain(useOffset=False)
+    prune = "both" if inner else None
+    axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10], min_n_ticks=2, prune=prune))
+    formatter = ScalarFormatter(useOffset=False)
     formatter.set_scientific(bool(exponent))
     formatter.set_powerlimits((exponent, exponent))
     axis.set_major_formatter(formatter)
+    axis.get_offset_text().set_visible(False)

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
 from bayesfric.recordings.checks import too_slow
-from bayesfric.report.comparison.between_runs import PooledQuantity
+from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
-from bayesfric.report.figures.forest import FOREST
-from bayesfric.report.figures.registry import read_captions, run_figures
-from bayesfric.report.figures.rollout import FIGURE as ROLL_OUT
+from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, read_captions
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
-from bayesfric.report.paper.tables import ParameterTable, parameter_table
+from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Readable, RemedyRow, Summary
+from bayesfric.report.summary.record import Readable, Summary
 from bayesfric.report.summary.rows import Pair, Part
 from bayesfric.report.terminal import brief
 
@@ -44,7 +40,6 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         title=name,
         summary=read,
         messages=messages,
-        open=open_quantities(table, read),
         too_slow=too_slow(),
         brief=brief(read, messages),
         table=table,
@@ -52,7 +47,7 @@ def run_page(folder: Path, summary: Readable, name: str) -> str:
         methods=methods,
         friction=list(friction_cells(read.friction, HTML)),
         explained=list(explained(methods)),
-        figures=page_figures(folder, [*run_figures().values(), ROLL_OUT], captions),
+        figures=page_figures(folder, [*RUN_FIGURES.values(), ROLL_OUT], captions),
         provenance=read_provenance(folder),
         config=_text(folder / "config.toml"),
     )
@@ -64,27 +59,6 @@ def _text(path: Path) -> str:
         return read_text(path)
     except BadInput:
         return ""
-
-
-def open_quantities(table: ParameterTable, summary: Summary) -> dict[str, Any]:
-    """Gather what is open, why, and how to determine it, for the template to word."""
-    joint, directions = table.joint, summary.identifiability.directions
-    # and what no scaling changes
-    rows = [*joint, *table.groups["free"]]
-    steps: dict[str, RemedyRow] = {}
-    for direction in directions:
-        for remedy in direction.remedies:
-            steps.setdefault(remedy.text, remedy)
-    first = next((row.name for row in joint if row.by == "open" and row.converged), "")
-    command = f"bayesfric identify YOUR-CONFIGURATION.toml --advise {shlex.quote(first)}"
-    return {
-        "lost": [r.name for r in rows if not r.converged],
-        "names": {r.name: r.meaning for r in rows if r.by == "open" and r.converged},
-        "why": [(direction.meaning, direction.reasons) for direction in directions],
-        # each remedy once, an experiment before a value from elsewhere, which has to be believed
-        "steps": sorted(steps.values(), key=lambda remedy: remedy.kind == "known value"),
-        "command": command if first else "",
-    }
 
 
 class Provenance(Part):
@@ -128,7 +102,7 @@ def compare_page(
     folder: Path,
     compared: Comparison,
     runs: Mapping[str, Summary],
-    pooled: Sequence[PooledQuantity],
+    pooled: Sequence[SharedQuantity],
     provenance: Mapping[str, Provenance | None],
 ) -> str:
     """Write the page of a comparison; a figure that ``folder`` lacks is left out."""

@@ -9,43 +9,25 @@ import base64
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from html import escape
+from html import unescape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args
-from unicodedata import combining
 from urllib.parse import quote
 
 from jinja2 import Environment
-from markupsafe import Markup
-from matplotlib.mathtext import get_unicode_index
+from markupsafe import Markup, escape
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import read_text
 from bayesfric.base.templates import environment
-from bayesfric.report import numbers
 from bayesfric.report.figures.registry import Declared, Section
 from bayesfric.report.figures.style import mathtext
 from bayesfric.report.numbers import HTML
 from bayesfric.report.words import FILTERS, clause
-
-# Tokens of LaTeX; words in upright letters are a single token.
-_TOKEN = re.compile(r"\\(?:mathrm|text)\{(?:\\.|[^{}\\])*\}|\\[A-Za-z]+|[_^]\{|\\?.", re.DOTALL)
-_SCRIPT = re.compile(r"(?<!\\)([_^])(\\[A-Za-z]+|[^{])")
-_GROUPS = {"_{": "sub", "^{": "sup", "{": "span"}
-_SPACE = "\u2009"
-_SIGNS = {
-    " ": "", "-": "\u2212", r"\dot": "", r"\,": _SPACE,
-    r"\sin": f"{_SPACE}sin{_SPACE}", r"\cos": f"{_SPACE}cos{_SPACE}",
-}  # fmt: skip
-_SIZE = re.compile(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"')
-# Coordinates in points: a hundredth is finer than any printer, and halves the page.
-_COORDINATES = re.compile(r'\b[dxy]="[^"]*"')
-_LONG = re.compile(r"(?<=\.\d\d)\d+")
-# Points; wider than a column of a paper, a figure needs a page's width to be read.
-_COLUMN = 300.0
 
 
 def render(template: str, **values: Any) -> str:
@@ -72,12 +54,14 @@ def _asset(name: str) -> str:
 def _environment() -> Environment:
     templates = environment("bayesfric.report.page", escaped=True)
     templates.filters |= FILTERS | {
-        "spaced": numbers.spaced,
-        "unit": numbers.html_unit,
-        "interval": numbers.HTML.interval,
-        "p": numbers.html_p,
-        "sig": numbers.HTML.number,
-        "fixed": lambda x, digits=2: numbers.html_number(f"{x:.{digits}f}"),
+        # a whole number with narrow spaces between thousands
+        "spaced": lambda x: f"{x:,.0f}".replace(",", "\u202f"),
+        # on one line; a dash where there is none
+        "unit": lambda unit: unit.replace(" ", "\u00a0") or "–",
+        "interval": HTML.interval,
+        "p": lambda p: Markup("= {}").format(HTML.number(p, 2)) if p else "< 1e-300",
+        "sig": HTML.number,
+        "fixed": lambda x, digits=2: f"{x:.{digits}f}".replace("-", "\u2212"),
         "named": clause,
     }
     templates.globals |= {"symbol": html_symbol, "number": HTML.value, "HTML": HTML}
@@ -86,83 +70,63 @@ def _environment() -> Environment:
 
 def html_symbol(symbol: str, name: str) -> Markup:
     """Write a quantity's LaTeX symbol as HTML; its name as code where that cannot be."""
-    # as figures set it: words in subscripts upright, underscores of names kept
-    shown = mathtext(symbol, name) if symbol else ""
-    try:
-        html = _html(shown[1:-1]) if shown.startswith("$") else ""
-    except ValueError:
-        html = ""
-    if not html:
+    # as figures set it, which marks words and escapes underscores of names
+    shown = mathtext(symbol, name)
+    text = re.sub(r"\\mathrm\{([^{}]*)\}|\\dot|\\,", r"\1", shown.strip("$")).replace(r"\_", "_")
+    # LaTeX and HTML have the same names for Greek letters
+    text = unescape(re.sub(r"\\([A-Za-z]+) ?", r"&\1;", text))
+    html = str(escape(text))
+    for sign, tag in (("_", "sub"), ("^", "sup")):
+        html = re.sub(rf"\{sign}(?:\{{([^{{}}]*)\}}|(\w))", rf"<{tag}>\1\2</{tag}>", html)
+    if not shown.startswith("$") or set(text) & set("\\&") or set(html) & set("{}"):
         return Markup("<code>{}</code>").format(name)
-    return Markup(f'<span class="sym">{html.replace("</i><i>", "")}</span>')
-
-
-def _html(latex: str) -> str:
-    """Translate LaTeX with balanced braces; ``ValueError`` for more than scripts and signs."""
-    html, ends = "", []
-    for token in _TOKEN.findall(_SCRIPT.sub(r"\1{\2}", latex)):
-        if token in _SIGNS:
-            html += _SIGNS[token]
-        elif tag := _GROUPS.get(token):
-            html += f"<{tag}>"
-            ends.append(f"</{tag}>")
-        elif token == "}":
-            html += ends.pop()
-        elif token.endswith("}"):
-            html += escape(re.sub(r"\\(.)", r"\1", token[token.index("{") + 1 : -1]))
-        elif combining(sign := chr(get_unicode_index(token))):
-            raise ValueError(token)
-        else:
-            html += f"<i>{sign}</i>" if token.isalpha() else escape(sign)
-    return html
+    return Markup(f'<span class="sym">{html}</span>')
 
 
 @dataclass(frozen=True)
 class PageFigure:
-    """One figure."""
+    """One figure: its file's stem, its words, and the drawing as a data URL, sizes in points."""
 
-    stem: str  # its file's name, and its anchor behind `figure-`
-    # in words
+    stem: str
     title: str
     caption: str
     alt: str  # text for who cannot see it
-    source: str  # the drawing as a data URL
-    # in points
+    source: str
     width: float
     height: float
 
     @property
     def wide(self) -> bool:
-        """Whether it is made for the width of a page."""
-        return self.width > _COLUMN
+        """Whether it needs a page's width, being wider than a column of a paper."""
+        return self.width > 300.0
 
 
-def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str) -> PageFigure:
-    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none."""
+def page_figure(folder: Path, stem: str, title: str, caption: str, alt: str = "") -> PageFigure:
+    """Read one figure of a folder; ``BadInput`` or ``ValueError`` where there is none.
+
+    The text for who cannot see it is its caption by default: the numbers are in the page's tables.
+    """
     text = read_text(folder / "figures" / f"{stem}.svg")
-    if (size := _SIZE.search(text)) is None:
+    if (size := re.search(r'<svg\b[^>]*\bviewBox="0 0 ([\d.]+) ([\d.]+)"', text)) is None:
         raise ValueError(f"{stem}.svg is no SVG with a view box")
-    text = _COORDINATES.sub(lambda match: _LONG.sub("", match[0]), text).replace("\n", " ")
+    # coordinates in points: a hundredth is finer than any printer, and halves the page
+    text = re.sub(
+        r'\b[dxy]="[^"]*"', lambda match: re.sub(r"(?<=\.\d\d)\d+", "", match[0]), text
+    ).replace("\n", " ")
     source = "data:image/svg+xml," + quote(text, safe=" :/;=,().-")
+    alt = alt or f"{title}. {caption}".strip()
     return PageFigure(stem, title, caption, alt, source, float(size[1]), float(size[2]))
 
 
 def page_figures(
     folder: Path, figures: Iterable[Declared], captions: Mapping[str, str]
 ) -> dict[str, list[PageFigure]]:
-    """Read the figures that the folder has, by section of the page.
-
-    ``captions``, by stem, replace what a figure declares. The text for who cannot see it is its
-    caption: the numbers are in the page's tables.
-    """
+    """Read the figures that the folder has, by section; ``captions`` replace those declared."""
     sections: dict[str, list[PageFigure]] = {section: [] for section in get_args(Section)}
     for declared in figures:
-        default = declared.caption if isinstance(declared.caption, str) else ""
-        stem, title = declared.stem, declared.title
-        caption = captions.get(stem, default)
-        try:
-            figure = page_figure(folder, stem, title, caption, f"{title}. {caption}".strip())
+        caption = declared.caption if isinstance(declared.caption, str) else ""
+        caption = captions.get(declared.stem, caption)
+        with suppress(BadInput, ValueError):
+            figure = page_figure(folder, declared.stem, declared.title, caption)
             sections[declared.section].append(figure)
-        except (BadInput, ValueError):
-            continue
     return sections

@@ -6,13 +6,16 @@ bounds, and out of the table it would be quoted as a measurement.
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from typing import Any
 
+from bayesfric.base import __version__
 from bayesfric.report.comparison.comparison import Comparison, comparison, comparison_csv
 from bayesfric.report.numbers import LATEX
-from bayesfric.report.paper import latex
 from bayesfric.report.result_row import ResultRow, known_row, result_rows
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Readable, Summary, of_noise
@@ -45,17 +48,8 @@ class ParameterTable:
 
     def notes(self, *, marked: bool = True) -> tuple[str, ...]:
         """Write the notes below; ``marked`` is whether open numbers are marked ``(prior)``."""
-        doubts = self.summary.doubts
-        correlated = [doubt.text for doubt in doubts if doubt.kind == "independent"]
-        return tuple(
-            filled(
-                "parameter_notes.txt.j2",
-                rows=self.rows,
-                summary=self.summary,
-                correlated=correlated,
-                marked=marked,
-            ).splitlines()
-        )
+        values = {"rows": self.rows, "summary": self.summary, "marked": marked}
+        return tuple(filled("parameter_notes.txt.j2", **values).splitlines())
 
 
 def parameter_table(summary: Readable, run: str = "summary.json") -> ParameterTable:
@@ -82,49 +76,51 @@ def parameters_latex(table: ParameterTable) -> str:
 
     It needs the packages array, booktabs, siunitx (version 3) and tabularx.
     """
-    lines = []
-    for group, rows in table.groups.items():
-        for r in rows:
-            cells = [latex.symbol(r.symbol, r.name), latex.escaped(r.meaning or r.name)]
-            cells += [*r.shown(LATEX), latex.unit(r.unit), latex.escaped(r.verdict)]
-            lines.append((group, cells))
-    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}}"
-    head = ["Symbol", "Quantity", "Value", f"{share} interval", "Unit", "Determined by"]
-    columns = r"@{}l>{\raggedright\arraybackslash}Xllll@{}"
-    layout = {"columns": columns, "head": head, "lines": lines, "headings": _GROUPS}
-    return _table("Parameters of the joint", "parameters", table.notes(), layout)
-
-
-def _table(
-    caption: str,
-    label: str,
-    notes: Sequence[str],
-    layout: Mapping[str, Any],
-) -> str:
-    """Fill the template of tables."""
-    below = latex.escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
-    return filled("table.tex.j2", caption=caption, label=label, notes=below, **layout) + "\n"
+    lines = [
+        (group, [
+            latex_symbol(r.symbol, r.name), escaped(r.meaning or r.name), *r.shown(LATEX),
+            latex_unit(r.unit), escaped(r.verdict),
+        ])
+        for group, rows in table.groups.items()
+        for r in rows
+    ]  # fmt: skip
+    share = rf"\qty{{{100 * table.summary.level:g}}}{{\percent}} interval"
+    head = ["Symbol", "Quantity", "Value", share, "Unit", "Determined by"]
+    return _table(
+        "Parameters of the joint", "parameters", table.notes(), head=head, lines=lines,
+        columns=r"@{}l>{\raggedright\arraybackslash}Xllll@{}", headings=_GROUPS,
+    )  # fmt: skip
 
 
 def methods_latex(compared: Comparison) -> str:
     """Write a comparison of methods, or of runs, as a ``table*``."""
     lines = []
     for row in compared.rows:
-        name = latex.symbol(row.symbol, row.name)
+        name = latex_symbol(row.symbol, row.name)
         name += r"\textsuperscript{m}" if row.of_motion else ""
         cells = [_cell(row.cells.get(column.label)) for column in compared.columns]
-        lines.append(((row.kind, row.gauge_free), [name, latex.unit(row.unit), *cells]))
+        lines.append(((row.kind, row.gauge_free), [name, latex_unit(row.unit), *cells]))
     notes = filled(
         "methods_notes.txt.j2",
         compared=compared,
         cells=[cell for row in compared.rows for cell in row.cells.values()],
         skewed=any("^{+" in text for _, texts in lines for text in texts),
     ).splitlines()
-    head = ["", "Unit", *(latex.escaped(c.label) for c in compared.columns)]
-    columns = f"@{{}}ll{'l' * len(compared.columns)}@{{}}"
-    title = "Runs side by side" if compared.several else "Estimates by method"
-    label = "runs" if compared.several else "methods"
-    return _table(title, label, notes, {"columns": columns, "head": head, "lines": lines})
+    several = compared.several
+    return _table(
+        "Runs side by side" if several else "Estimates by method",
+        "runs" if several else "methods",
+        notes,
+        head=["", "Unit", *(escaped(column.label) for column in compared.columns)],
+        lines=lines,
+        columns=f"@{{}}ll{'l' * len(compared.columns)}@{{}}",
+    )
+
+
+def _table(caption: str, label: str, notes: Sequence[str], **layout: Any) -> str:
+    """Fill the template of tables."""
+    below = escaped(". ".join(notes)).replace(r" \%", r"\,\%") + "."
+    return filled("table.tex.j2", caption=caption, label=label, notes=below, **layout) + "\n"
 
 
 def _cell(cell: ResultRow | None) -> str:
@@ -132,12 +128,10 @@ def _cell(cell: ResultRow | None) -> str:
         return ""
     if cell.status == "undetermined":
         return "---" if cell.converged else "n.c."
+    marks = {"b": cell.status == "bound", "d": cell.doubted, "s": not cell.alike}
+    marks[r"\dag"] = cell.plain
     shown, _ = cell.texts(LATEX)
-    if cell.status == "bound":
-        return shown + r"\textsuperscript{b}"
-    shown += r"\textsuperscript{d}" if cell.doubted else ""
-    shown += "" if cell.alike else r"\textsuperscript{s}"
-    return shown + (r"\textsuperscript{\dag}" if cell.plain else "")
+    return shown + "".join(rf"\textsuperscript{{{mark}}}" for mark, on in marks.items() if on)
 
 
 def summary_table(summary: Readable) -> str:
@@ -153,9 +147,56 @@ def summary_texts(summary: Readable, run: str) -> dict[str, str]:
 
 def latex_texts(summary: Readable, run: str) -> dict[str, str]:
     """Write tables and references for a paper, by file name inside the run directory."""
-    table = parameter_table(summary, run)
     return {
-        "text/references.bib": latex.references(),
-        "tables/parameters.tex": parameters_latex(table),
+        "text/references.bib": references(),
+        "tables/parameters.tex": parameters_latex(parameter_table(summary, run)),
         "tables/estimates.tex": methods_latex(comparison({run: summary})),
     }
+
+
+# -- LaTeX with siunitx
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#",
+    "%": r"\%", "_": r"\_", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
+    "²": r"\textsuperscript{2}", "³": r"\textsuperscript{3}", "µ": r"\textmu{}", "μ": r"\textmu{}",
+    "°": r"\textdegree{}", "–": "--", "…": r"\dots{}", "†": r"\dag{}",
+    "−": r"\ensuremath{-}", "×": r"\ensuremath{\times}", "·": r"\ensuremath{\cdot}",
+    "±": r"\ensuremath{\pm}", "≤": r"\ensuremath{\leq}", "≥": r"\ensuremath{\geq}",
+    # the standard fonts have other signs in their places
+    "<": r"\ensuremath{<}", ">": r"\ensuremath{>}", "|": r"\textbar{}",
+}  # fmt: skip
+
+
+def escaped(text: str) -> str:
+    """Write plain text so that LaTeX prints it as it is; ``?`` for what pdflatex cannot print."""
+
+    def printable(character: str) -> str:
+        # letters of western and central Europe, such as in a recording's name, pdflatex knows
+        if character < "\u017f" and (character.isascii() or character.isalpha()):
+            return _LATEX.get(character, character)
+        plain = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
+        return _LATEX.get(character) or "".join(_LATEX.get(c, c) for c in plain) or "?"
+
+    return "".join(map(printable, text))
+
+
+def references() -> str:
+    """Give the BibTeX entries of the methods and of this package."""
+    text = (files("bayesfric.report.paper") / "references.bib").read_text(encoding="utf-8")
+    return text.replace("VERSION", __version__)
+
+
+def latex_symbol(latex: str, name: str) -> str:
+    """Write a quantity's symbol, or its name in typewriter."""
+    from bayesfric.report.figures.style import mathtext  # with Matplotlib
+
+    shown = mathtext(latex, name)
+    return shown if shown.startswith("$") else rf"\texttt{{{escaped(name)}}}"
+
+
+def latex_unit(text: str) -> str:
+    """Write a unit such as ``kg m²`` or ``N s/m`` for siunitx; ``1`` where there is none."""
+    if not text:
+        return "1"
+    return rf"\unit{{{re.sub(' +', '.', text.strip()).replace('²', '^2')}}}"

@@ -211,7 +211,7 @@ class Message(Open):
 
 
 class FindingRow(Message):
-    """What may be missing, as :class:`bayesfric.diagnostics.finding.Finding` has it."""
+    """What may be missing, as :class:`bayesfric.diagnostics.explanation.Finding` has it."""
 
     severity: Literal["note", "doubt"]
     p: Share

@@ -11,7 +11,13 @@ from bayesfric.base import __version__
 from bayesfric.estimates.information import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driving_shares
-from bayesfric.identifiability.local import LocalInformation, given_by, local_information, verdict
+from bayesfric.identifiability.local import (
+    LocalInformation,
+    given_by,
+    local_information,
+    meaning_of,
+    verdict,
+)
 from bayesfric.inference.fitting import Fit
 from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.noise import SCALES
@@ -73,7 +79,7 @@ def summarise(
         },
         "identifiability": {
             "null_directions": [
-                {"parameters": n.exponents, "meaning": n.meaning} for n in local.null_directions
+                {"parameters": n, "meaning": meaning_of(n)} for n in local.null_directions
             ],
         },
         "noise": noise_part.noise_record(fit, residual, choice),

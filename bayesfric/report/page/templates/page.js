@@ -3,13 +3,9 @@
   // tables: a heading's button sorts by its column; numbers behind data-sort, open ones last
   const key = (row, column) => {
     const cell = row.cells[column];
-    const told = cell.dataset.sort;
-    if (told === undefined) {
-      const text = cell.textContent.trim();
-      return cell.classList.contains("number") ? null : text;
-    }
-    const number = Number(told);
-    return told !== "" && Number.isFinite(number) ? number : told;
+    const value = cell.dataset.sort;
+    if (value === undefined) return cell.classList.contains("number") ? null : cell.textContent.trim();
+    return value === "" || isNaN(value) ? value : Number(value);
   };
   const compare = (a, b) =>
     typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), "en", { numeric: true });
@@ -27,24 +23,6 @@
       });
       body.append(...rows.map((one) => one.row));
     }));
-  }
-
-  // a table's filter: rows that hold all the words
-  for (const box of document.querySelectorAll(".filter input")) {
-    const rows = [...document.getElementById(box.dataset.table).tBodies[0].rows];
-    const line = box.closest(".filter");
-    const told = line.querySelector("output");
-    line.hidden = false;
-    box.addEventListener("input", () => {
-      const words = box.value.toLowerCase().split(/\s+/).filter(Boolean);
-      let shown = 0;
-      for (const row of rows) {
-        const text = row.textContent.toLowerCase();
-        row.hidden = !words.every((word) => text.includes(word));
-        shown += !row.hidden;
-      }
-      told.textContent = words.length ? `${shown} of ${rows.length}` : "";
-    });
   }
 
   // what a link leads to is opened

@@ -1,0 +1,401 @@
+"""Formats of files for simulators, controllers and tables, and the body that a joint gets there.
+
+Isaac Lab's names and units: ``isaaclab/actuators/actuator_base_cfg.py`` of isaac-sim/IsaacLab
+(efforts in N m, viscous friction in N m s/rad); Isaac Sim's: the Physx Joint Schema of NVIDIA's
+Omni Physics documentation, ``PhysxJointAxisAPI:angular``, whose viscousFrictionCoefficient is per
+degree of what turns (its parser multiplies by 57.2958), as of Isaac Sim 5.0.
+
+``gains.<joint>.ff_velocity_scale`` of the joint_trajectory_controller (control.ros.org, "Details
+about parameters") is effort per reference speed where it commands an effort: viscous friction. It
+has no other friction; numbers for a custom controller are under ``friction``, and the law is in C.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+
+from bayesfric.base.errors import BadInput, nearest
+from bayesfric.base.safe_read import read_text
+from bayesfric.base.templates import environment
+from bayesfric.export.bam import BAM_NAMES, BAM_NUMBERS, bam_model, bam_numbers, bam_torque
+from bayesfric.export.joint_model import (
+    LINK_AND_DRIVE,
+    NUMBERS,
+    Number,
+    Numbers,
+    Trajectory,
+    simulated_torque,
+    simulator_numbers,
+    static_friction,
+    torque_along,
+)
+from bayesfric.export.written_law import Language
+from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.quantities import Quantity
+from bayesfric.recordings.arrays import Array
+
+Files = dict[str, str | bytes]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of an export; ``None`` where left out."""
+
+    joint: str = "joint"  # name of the joint in the simulator's model
+    into: Path | None = None  # model whose joint is changed
+    draws: int | None = None
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of files for a simulator, a controller or a table."""
+
+    name: str
+    meaning: str  # in a sentence
+    names: Mapping[str, str]  # its names of numbers that it has
+    templates: Mapping[str, str] = field(default_factory=dict)  # by file name with {stem}
+    write: Callable[[Mapping[str, Any]], Files] | None = None  # in place of templates
+    language: Language | None = None  # in which the model has the law
+    options: frozenset[str] = frozenset()  # of Options, in addition to joint
+    notes: frozenset[str] = frozenset()  # words that templates/notes.txt.j2 tests
+    complete: bool = False  # whether it carries the law itself instead of numbers
+    friction: bool = True  # whether its friction is a function of speed
+
+    @property
+    def numbers(self) -> Mapping[str, Number]:
+        """All numbers that it may have."""
+        return NUMBERS if self.friction else {**NUMBERS, **BAM_NUMBERS}
+
+    @property
+    def carried(self) -> frozenset[str]:
+        """Numbers that it has, or leaves to the surrounding model."""
+        return frozenset(NUMBERS if self.complete else {*self.names.values(), *LINK_AND_DRIVE})
+
+    def fit(
+        self, joint: Joint, values: Array, motions: Sequence[Trajectory], load: float
+    ) -> Numbers:
+        """Compute its numbers for vectors ``(n, d)``; ``load`` is that of static friction."""
+        if not self.friction:
+            return bam_numbers(joint, values, list(motions))
+        numbers = simulator_numbers(joint, values, motions, self.carried)
+        if "static_friction" in self.carried:
+            numbers["static_friction"] = static_friction(joint, values, load)
+        return numbers
+
+    def torque(
+        self, joint: Joint, vector: Array, numbers: Numbers, motions: Sequence[Trajectory]
+    ) -> Array:
+        """Compute the measured motor torque by its own law along the motions, ``(M,)``."""
+        if self.complete:
+            written = [not omitted(p.row) for p in joint.parameters]
+            return torque_along(joint, np.where(written, vector, 0.0)[None], motions)[0]
+        if not self.friction:
+            return np.asarray(bam_torque(joint, numbers, list(motions))[0])
+        return np.asarray(simulated_torque(joint, numbers, motions)[0])
+
+
+def omitted(row: Quantity) -> bool:
+    """Whether a term is zero at 20 degC at the start of a recording, so that a law omits it."""
+    return bool(row.signal) or row.shape == "warming_time"
+
+
+def format_of(name: str) -> Format:
+    """Look up a format."""
+    if name not in FORMATS:
+        raise BadInput("--to", f"there is no format {name!r}", nearest(name, FORMATS))
+    return FORMATS[name]
+
+
+def filled(template: str, **values: Any) -> str:
+    """Fill a template of this folder."""
+    return str(_environment().get_template(template).render(**values))
+
+
+@cache
+def _environment() -> Any:
+    jinja = environment("bayesfric.export")
+    # the shortest text that is read back as the same number
+    jinja.filters["n"] = lambda x: repr(float(x))
+    jinja.globals["degree"] = math.pi / 180.0
+    return jinja
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body at the joint, turning about y with gravity along -z; or sliding along x."""
+
+    mass: float  # kg
+    com: tuple[float, float, float]  # centre of mass where the joint is at zero, m
+    about_axis: float  # inertia about the joint's axis through the centre of mass, kg m²
+    across: float  # about the other two, kg m²
+    armature: float  # left for the joint, kg m² or kg
+    inertia: float  # of the body about the joint, kg m² or kg
+
+
+def body_of(numbers: Mapping[str, float], rotary: bool) -> Body:
+    """Choose a body for a joint's numbers.
+
+    Torque identifies inertia and first moment ``ml`` about the joint, not mass and distance: these
+    are chosen so that half of the inertia ``I`` is that of the mass at its distance. Where the
+    inertia is identified only together with the rotor's, a link with weight is given nearly all of
+    it, as the lightest pendulum weighs ``(ml)²/I`` and smaller shares make it heavier; one without
+    is a placeholder of 0.1 kg, as simulators want a mass.
+    """
+    inertia, armature = numbers["link_inertia"], numbers["armature"]
+    moment, angle = numbers["link_moment"], numbers["link_gravity_angle"]
+    weighted, separate = rotary and moment != 0.0, inertia > 0.0
+    if not separate:
+        share = 0.9 if weighted else 1e-3
+        inertia, armature = share * armature, (1.0 - share) * armature
+    centre = (0.0, 0.0, 0.0)
+    if not rotary:
+        cube = inertia / 600.0  # of 0.1 m; it has no effect
+        return Body(inertia, centre, cube, cube, armature, inertia)
+    if not weighted:
+        return Body(1.0 if separate else 0.1, centre, inertia, inertia, armature, inertia)
+    at_distance = 0.5 if separate else 0.9
+    distance = at_distance * inertia / moment
+    com = (-distance * math.sin(angle), 0.0, -distance * math.cos(angle))
+    about = (1.0 - at_distance) * inertia
+    return Body(moment / distance, com, about, about, armature, inertia)
+
+
+# Time step of the MuJoCo model, s. With a friction constraint as stiff as two steps allow, its
+# motion is that of the fitted joint to a tenth of a milliradian.
+_STEP = 5e-4
+
+
+def _write_mujoco(content: Mapping[str, Any]) -> Files:
+    """Write a whole model of the joint, or a joint of a model changed in place."""
+    options, numbers, stem = content["options"], content["numbers"], content["stem"]
+    files: Files = {}
+    if "law" in content:
+        files = {f"{stem}_friction.py": filled("mujoco_friction.py.j2", **content)}
+    if (path := options.into) is not None:
+        text = read_text(path, "name an MJCF file with --into")
+        changed = patched(text, options.joint, _mujoco_attributes(numbers), str(path))
+        return {path.name: changed, **files}
+    joint = _mujoco_attributes({**numbers, "armature": content["body"].armature})
+    return {f"{stem}.xml": filled("mujoco.xml.j2", joint=joint, step=_STEP, **content), **files}
+
+
+def _mujoco_attributes(numbers: Mapping[str, float]) -> dict[str, str]:
+    """Format the attributes of the joint."""
+    damping, quadratic = numbers["damping"], numbers["quadratic"]
+    stiffness, cubic = numbers["stiffness"], numbers["stiffness_cubic"]
+    attributes = {
+        "armature": repr(numbers["armature"]),
+        "damping": f"{damping!r} {quadratic!r} 0" if quadratic else repr(damping),
+        "frictionloss": repr(numbers["friction"]),
+    }
+    if stiffness or cubic:
+        attributes["stiffness"] = f"{stiffness!r} 0 {cubic!r}" if cubic else repr(stiffness)
+    return attributes
+
+
+def patched(text: str, name: str, attributes: Mapping[str, str], where: str) -> str:
+    """Set attributes of a named joint in an MJCF text; every other byte stays."""
+    data, parser = text.encode(), expat.ParserCreate("utf-8")
+    open_tags: list[str] = [""]
+    joints: list[tuple[str, int]] = []  # name, and position of the tag
+
+    def begin(tag: str, tag_attributes: dict[str, str]) -> None:
+        if (open_tags[-1], tag) == ("body", "joint") and "name" in tag_attributes:
+            joints.append((tag_attributes["name"], parser.CurrentByteIndex))
+        open_tags.append(tag)
+
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = lambda _: open_tags.pop()
+    try:
+        parser.Parse(data, True)
+    except expat.ExpatError as error:
+        raise BadInput(f"--into {where}", f"is no XML ({error})", "name an MJCF file") from None
+    positions = [position for joint, position in joints if joint == name]
+    if len(positions) != 1:
+        problem = f"has {'several joints' if positions else 'no joint'} {name!r}"
+        raise BadInput(f"--into {where}", problem, nearest(name, sorted(dict(joints))))
+    before, after = data[: positions[0]].decode(), data[positions[0] :].decode()
+    tag = re.match(r"(?:[^>\"']|\"[^\"]*\"|'[^']*')*>", after)
+    assert tag is not None
+    changed = tag[0]
+    for key, value in attributes.items():
+        attribute = rf"(\s{key}\s*=\s*)(?:\"[^\"]*\"|'[^']*')"
+        changed, count = re.subn(attribute, rf'\g<1>"{value}"', changed, count=1)
+        if not count:
+            inside = changed.rstrip("/>").rstrip()
+            changed = f'{inside} {key}="{value}"{changed[len(inside) :]}'
+    return before + changed + after[tag.end() :]
+
+
+# Actuators that better-actuator-models 1.0.2 knows, that of most users first.
+_BAM_ACTUATORS = ("mx106", "mx64", "xl320", "xl330", "xl330i", "erob80_100", "erob80_50",
+                  "sts3215", "unitree_go1")  # fmt: skip
+
+
+def _write_bam(content: Mapping[str, Any]) -> Files:
+    """Write the parameters that BAM's ``load_model`` reads; it wants the name of one of its own.
+
+    The joint's, or that of an actuator whose drive the user replaces.
+    """
+    numbers, model = content["numbers"], bam_model(content["numbers"])
+    names = [name for name, number in BAM_NAMES.items() if numbers[number] or number == "friction"]
+    parameters = {name: numbers[BAM_NAMES[name]] for name in names}
+    name = content["name"] if content["name"] in _BAM_ACTUATORS else _BAM_ACTUATORS[0]
+    record = {"model": model, "actuator": name, **parameters}
+    return {"params.json": json.dumps(record, indent=1) + "\n"}
+
+
+def _write_draws(content: Mapping[str, Any]) -> Files:
+    """Write draws of numbers and parameters, a row each, to randomise simulations."""
+    import pandas as pd
+
+    joint, vectors = content["run"].joint, content["vectors"].draws
+    count = content["options"].draws
+    if count is not None and count > len(vectors):
+        problem = f"is {count}, and the run has {len(vectors)}"
+        raise BadInput("--draws", problem, "reduce it, or fit with more steps")
+    columns = {(name, NUMBERS[name].unit(joint)): x for name, x in content["draws"].items()}
+    columns |= {(p.name, p.unit): x for p, x in zip(joint.parameters, vectors.T, strict=True)}
+    # remarks are in export.json only: many readers do not accept comments
+    titled = {f"{name} [{unit}]" if unit else name: x for (name, unit), x in columns.items()}
+    return {"draws.csv": pd.DataFrame(titled).to_csv(index=False).encode()}
+
+
+# Formats with a body have the link, and the transmission from the motor's torque to the joint's.
+_BODY = {
+    "inertia about the joint": "link_inertia",
+    "mass times distance": "link_moment",
+    "angle of the centre": "link_gravity_angle",
+    "joint torque per motor torque": "gain",
+    "joint torque, less": "torque_offset",
+}
+_MUJOCO = {
+    "joint armature": "armature",
+    "joint damping": "damping",
+    "joint damping, second number": "quadratic",
+    "joint frictionloss": "friction",
+    "joint stiffness": "stiffness",
+    "joint stiffness, third number": "stiffness_cubic",
+    "body inertia about the joint": "link_inertia",
+    "body mass times distance": "link_moment",
+    "body angle of its centre": "link_gravity_angle",
+    "actuator gear": "gain",
+    "actuator bias, negative": "torque_offset",
+}
+_PINOCCHIO = {
+    "model.armature": "armature",
+    "DAMPING": "damping",
+    "QUADRATIC": "quadratic",
+    "FRICTION": "friction",
+    "STIFFNESS": "stiffness",
+    "STIFFNESS_CUBIC": "stiffness_cubic",
+}
+_ISAAC = {
+    "armature": "armature",
+    "friction": "static_friction",
+    "dynamic_friction": "friction",
+    "viscous_friction": "damping",
+}
+_ROS2 = {
+    "ff_velocity_scale": "damping",
+    "friction.coulomb": "friction",
+    "friction.static": "static_friction",
+    "friction.quadratic": "quadratic",
+    "friction.armature": "armature",
+}
+_URDF = {"{stem}.urdf": "joint.urdf.j2"}
+_C_FILES = {"{stem}_feedforward.c": "feedforward.c.j2", "{stem}_feedforward.h": "feedforward.h.j2"}
+_ABOUT = {f"about: {number}": number for number in NUMBERS}
+_DYNAMICS = {"dynamics damping": "damping", "dynamics friction": "friction"}
+
+FORMATS: Mapping[str, Format] = {
+    form.name: form
+    for form in (
+        Format(
+            "mujoco",
+            "MuJoCo",
+            _MUJOCO,
+            write=_write_mujoco,
+            language="python",
+            options=frozenset({"into"}),
+            notes=frozenset({"mujoco"}),
+        ),
+        Format(
+            "urdf",
+            "URDF",
+            _DYNAMICS | _BODY,
+            _URDF,
+            notes=frozenset({"joint torque", "body", "ignored", "gravity"}),
+        ),
+        Format(
+            "sdf",
+            "SDF",
+            _DYNAMICS | {"dynamics spring_stiffness": "stiffness"} | _BODY,
+            {"{stem}.sdf": "joint.sdf.j2"},
+            notes=frozenset({"joint torque", "body", "gravity"}),
+        ),
+        Format(
+            "drake",
+            "Drake",
+            {"rotor_inertia gear_ratio²": "armature", "dynamics damping": "damping"} | _BODY,
+            _URDF,
+            notes=frozenset({"joint torque", "body", "drake", "gravity"}),
+        ),
+        Format(
+            "pinocchio",
+            "Pinocchio",
+            _PINOCCHIO | _BODY,
+            _URDF | {"{stem}_pinocchio.py": "pinocchio.py.j2"},
+            notes=frozenset({"joint torque", "body", "pinocchio"}),
+        ),
+        Format(
+            "isaac",
+            "Isaac Lab and Isaac Sim",
+            _ISAAC,
+            {"{stem}_isaac_lab.py": "isaac_lab.py.j2", "{stem}.usda": "joint.usda.j2"},
+            notes=frozenset({"joint torque", "isaac"}),
+        ),
+        Format(
+            "bam",
+            "BAM",
+            BAM_NAMES,
+            write=_write_bam,
+            notes=frozenset({"joint torque", "bam"}),
+            friction=False,
+        ),
+        Format(
+            "ros2-control",
+            "ros2_control, and its feed-forward in C99",
+            _ROS2,
+            {"{stem}_ros2_control.yaml": "ros2_control.yaml.j2"} | _C_FILES,
+            language="c",
+            notes=frozenset({"joint torque"}),
+        ),
+        Format("c", "feed-forward in C99", _ABOUT, _C_FILES, language="c", complete=True),
+        Format(
+            "python",
+            "feed-forward in Python",
+            _ABOUT,
+            {"{stem}_feedforward.py": "feedforward.py.j2"},
+            language="python",
+            complete=True,
+        ),
+        Format(
+            "csv",
+            "a CSV table of draws",
+            {name: name for name in NUMBERS},
+            write=_write_draws,
+            options=frozenset({"draws"}),
+        ),
+    )
+}

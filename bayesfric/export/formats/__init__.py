@@ -1,1 +1,0 @@
-"""Formats to export to, one file each; see :mod:`bayesfric.export.format`."""
