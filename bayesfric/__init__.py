@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from bayesfric.fit.result import report, summary
     from bayesfric.fleet.fleet import Fleet
     from bayesfric.mechanism.element import Element, Load
+    from bayesfric.mechanism.experiment import simulate
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
     from bayesfric.recordings.source import Recording
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Arm", "BadInput", "Element", "Fleet", "Joint", "Load", "Model", "Recording", "Term", "check",
-    "export", "plot", "report", "rollout", "summary",
+    "export", "plot", "report", "rollout", "simulate", "summary",
 ]  # fmt: skip
 
 # Imported when first used: the command line must answer --help at once.
@@ -51,6 +52,7 @@ _HOMES = {
     "plot": "plot",
     "report": "fit.result",
     "rollout": "rollouts.rollout",
+    "simulate": "mechanism.experiment",
     "summary": "fit.result",
 }
 

@@ -30,7 +30,7 @@ from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from bayesfric.base.options import Options
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.quantities import turned
 from bayesfric.recordings.arrays import Array
 
 # In the order of results; a method comes after the one that it starts from.

@@ -33,7 +33,7 @@ from bayesfric.export.written_law import law, unwritten
 from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.identifiability.friction_curve import covered, friction_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of

@@ -11,7 +11,7 @@ import numpy as np
 from bayesfric.export.joint_model import Trajectory, torque_along
 from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.quantities import turned
 from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 

@@ -13,7 +13,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, read_array
 from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice
+from bayesfric.inference.noise import NoiseChoice
 from bayesfric.inference.posterior import Diagnostics, Posterior, Status
 from bayesfric.inference.predictive import predict_held_out
 from bayesfric.mechanism.joint import Joint

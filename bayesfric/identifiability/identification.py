@@ -46,8 +46,8 @@ from bayesfric.identifiability.simulated_recording import (
 from bayesfric.inference.local_units import units_of
 from bayesfric.inference.prior.priors import KNOWN
 from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism import experiment
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
@@ -422,11 +422,11 @@ def trials(
         )
     }
     if rare:
-        wave = excitation.square(time, 1.0, hertz)
+        wave = experiment.square(time, 1.0, hertz)
         signals = {"in which the load drives the motor, such as a square wave": wave} | signals
     for form, shape in signals.items():
         text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
-        torque = excitation.current_loop(peak * shape, period, LAG)
+        torque = experiment.current_loop(peak * shape, period, LAG)
         experiments.append(("excitation", text, torque, base.inputs))
     simulated = []
     for kind, text, torque, bolted in experiments:

@@ -13,10 +13,10 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.assemble import open_directions
+from bayesfric.estimates.autoregression import burg
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.estimates.torque import torque_jacobian, typical_load
-from bayesfric.inference.likelihood.autoregression import burg
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.local_units import LocalUnits, units_of
 from bayesfric.inference.prior.priors import Prior

@@ -20,9 +20,7 @@ from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.inference.likelihood.likelihood import Likelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.linearisation import linearisation_change
-from bayesfric.inference.noise import SCALES
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.noise.scale import NoiseScale, noise_of
+from bayesfric.inference.noise import SCALES, Autoregressive, NoiseScale, noise_of
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.predictive import Prediction
 from bayesfric.inference.prior.priors import Prior, PriorText, default_prior, read_prior

@@ -19,7 +19,7 @@ from scipy.special import ndtr, ndtri
 from bayesfric.inference.coordinates import BoundedCoordinates, Coordinates, log_normal
 from bayesfric.inference.prior.priors import Prior
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 
 # Relative standard deviation below which a prior determines its parameter.

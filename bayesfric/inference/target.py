@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.gearbox_coordinates import choose_coordinates
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.noise.scale import Noise
+from bayesfric.inference.noise import Noise
 from bayesfric.inference.prior.priors import JointPrior, Prior
 
 Array = NDArray[np.float64]

@@ -15,8 +15,7 @@ from tomlkit.items import InlineTable, Table
 
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.problem.config import Config, parse_config
 from bayesfric.recordings.source import Recording, Source
 

@@ -18,7 +18,7 @@ from bayesfric.estimates.processing import (
 )
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
-from bayesfric.inference.noise.autoregressive import MAX_ORDER, Autoregressive
+from bayesfric.inference.noise import MAX_ORDER, Autoregressive
 from bayesfric.inference.prior.priors import Prior, as_knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term

@@ -27,10 +27,9 @@ from bayesfric.estimates.methods import (
 from bayesfric.estimates.point_estimate import METHODS, Estimate, Knowledge, Method
 from bayesfric.inference.fitting import make_target, target_of
 from bayesfric.inference.likelihood.likelihood import Likelihood
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice, choose_noise
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive, NoiseChoice, choose_noise
 from bayesfric.inference.prior.priors import Prior, as_knowledge
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bayesfric.mechanism.parameter import quantity_of
+from bayesfric.mechanism.quantities import quantity_of
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.summary.conclusions import put_reported

@@ -17,7 +17,7 @@ from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
-from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import Config, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import config_of, document_text, recording_table

@@ -33,14 +33,14 @@ from ranks import summary_of
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.inference.fitting import fit, make_target
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 from bayesfric.inference.prior.priors import Prior, read_prior
 from bayesfric.inference.sampling import sampling
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.filters import ParallelFilter
 from bayesfric.recordings.measurement import Inputs
 from bayesfric.recordings.observation import Observation

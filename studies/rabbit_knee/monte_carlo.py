@@ -31,7 +31,7 @@ from bayesfric.estimates.point_estimate import METHODS, Estimate, Estimation, Kn
 from bayesfric.estimates.torque import filtered_torque
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.experiment import Simulation, record
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.recordings.observation import Observation, observe
 from bayesfric.recordings.source import Processing

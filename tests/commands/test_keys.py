@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET, configuration
 from bayesfric.fleet.plan import FleetTables, read_plan
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables, parse_config
 from tests.conftest import REPOSITORY
 

@@ -139,9 +139,9 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     recordings = []
     for seed, kg in enumerate((0.0, 0.3)):
         more = {"added_mass": kg, "radius": 0.1} if kg else {}
-        made = replace(full, gain=False).simulate(
-            {}, rate=250, duration=8.0, excitation="multisine", torque_noise=0.01, amplitude=1.0,
-            seed=seed + 1, **more,
+        made = bf.simulate(
+            replace(full, gain=False), {}, rate=250, duration=8.0, excitation="multisine",
+            torque_noise=0.01, amplitude=1.0, seed=seed + 1, **more,
         )  # fmt: skip
         made["torque"] *= times
         recordings.append(recording_of(made, name=f"{seed}", **more))

@@ -12,8 +12,7 @@ from bayesfric.fit.finished_run import Finished
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.report.summary.record import Summary
 
 RATE = 1000.0

@@ -10,7 +10,7 @@ from scipy.stats import chi2, kstest, norm, truncnorm
 import bayesfric as bf
 from bayesfric.inference.discrepancy import Discrepancy, _Linearised, discrepancy
 from bayesfric.inference.fitting import make_target, read_priors
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from tests.axis import AXIS, VALUES, swing
 from tests.inference.test_missing import regression
 

@@ -10,9 +10,8 @@ from bayesfric.inference.coordinates import BoundedCoordinates
 from bayesfric.inference.gearbox_coordinates import GearboxCoordinates, choose_coordinates
 from bayesfric.inference.prior.priors import read_prior
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.own_term import Term
-from bayesfric.mechanism.presets import PRESETS
 from tests.inference.test_coordinates import numeric_log_determinant
 
 KNEE = PRESETS["rabbit-knee"]

@@ -11,7 +11,7 @@ from scipy.signal import lsim
 from bayesfric.estimates.output_error import Shooting
 from bayesfric.inference.likelihood.position_likelihood import PositionLikelihood
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.noise.autoregressive import Autoregressive
+from bayesfric.inference.noise import Autoregressive
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term

@@ -15,7 +15,7 @@ from bayesfric.estimates.least_squares import TypicalSizes, typical_sizes
 from bayesfric.inference.fitting import read_priors
 from bayesfric.inference.noise import SCALES
 from bayesfric.inference.prior.priors import JointPrior, as_knowledge, default_prior, read_prior
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 INF = math.inf
 

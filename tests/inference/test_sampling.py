@@ -9,7 +9,7 @@ from scipy import stats
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.sampling.start import Start, climb, gauss_newton
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 AXIS = PRESETS["motor-axis"]
 QUICK = Sampling(seed=3, min_ess=4000)

@@ -14,7 +14,7 @@ from bayesfric.inference.gearbox_coordinates import choose_coordinates
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions, MechanismOptions
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 
 from .joints import signal
 

@@ -7,7 +7,7 @@ import pytest
 import bayesfric as bf
 from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Inputs, Signal
 from tests.axis import swing
 from tests.recordings.samples import measured

@@ -27,7 +27,7 @@ def recipes():
 @pytest.fixture(scope="module")
 def simulated():
     joint = bf.Joint.preset("motor-axis")
-    frame = joint.simulate(duration=4, seed=1)
+    frame = bf.simulate(joint, duration=4, seed=1)
     q = frame["position"].to_numpy()
     t = frame["time"].to_numpy()
     torque = frame["torque"].to_numpy()

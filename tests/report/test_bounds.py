@@ -8,7 +8,7 @@ import pytest
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling.sampling import Sampling
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
 from bayesfric.report.summary.conclusions import (

@@ -4,7 +4,7 @@ import copy
 from types import SimpleNamespace
 
 from bayesfric.export.point_estimate import open_scalings
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.conclusions import put_reported

@@ -20,7 +20,7 @@ from bayesfric.commands.fit import fit
 from bayesfric.commands.report import report
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.model import Model
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice
+from bayesfric.inference.noise import NoiseChoice
 from bayesfric.problem.config import parse_config, read_config
 from bayesfric.report import run_directory
 from bayesfric.report.run_directory import write_run

@@ -14,8 +14,7 @@ from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.configuration import MechanismOptions
 from bayesfric.mechanism.element import Element, Load
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.report.paper.tables import summary_table
 from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.record import Summary

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesfric.inference.likelihood.autoregression import autocovariance, simulated
+from bayesfric.estimates.autoregression import autocovariance, simulated
 from bayesfric.inference.predictive import predict_held_out
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.held_out import Validation, divide
 from bayesfric.recordings.source import Processing
 from bayesfric.report.summary.parts import share_of, validation_record

@@ -12,8 +12,8 @@ import pytest
 import bayesfric as bf
 from bayesfric.fit.finished_run import finished
 from bayesfric.fit.result import result_of
-from bayesfric.mechanism.closed_loop import follow
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.forward import follow
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.recordings.measurement import Law
 from bayesfric.report.messages import roll_out_messages
 from bayesfric.report.summary.rows import rollout_part

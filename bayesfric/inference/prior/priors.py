@@ -18,8 +18,7 @@ from bayesfric.base.errors import BadInput, nearest
 from bayesfric.estimates.least_squares import TypicalSizes, sizes_at
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import TURN, Parameter, turned
-from bayesfric.mechanism.quantities import State
+from bayesfric.mechanism.quantities import TURN, Parameter, State, turned
 from bayesfric.recordings.arrays import Array
 
 # 3.3e-4, [0, 1] or {distribution = "norm", loc = 1, scale = 2}

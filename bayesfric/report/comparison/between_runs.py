@@ -12,8 +12,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, read_array
-from bayesfric.mechanism.parameter import quantity_of
-from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.mechanism.quantities import QUANTITIES, quantity_of
 from bayesfric.population.population import (
     Interval,
     Likelihood,

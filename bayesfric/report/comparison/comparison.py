@@ -17,8 +17,7 @@ from typing import Any, Literal
 from bayesfric.base.errors import BadInput
 from bayesfric.base.templates import capital
 from bayesfric.estimates.point_estimate import METHODS, Kind, Method
-from bayesfric.mechanism.parameter import quantity_of, scales_with_torque
-from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.mechanism.quantities import QUANTITIES, quantity_of, scales_with_torque
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.result_row import ResultRow, estimate_row, known_row, posterior_row
 from bayesfric.report.summary.conclusions import put_reported

@@ -17,7 +17,7 @@ from bayesfric.inference.prior.priors import bound_of
 from bayesfric.inference.sampling import convergence
 from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
-from bayesfric.mechanism.parameter import quantity_of
+from bayesfric.mechanism.quantities import quantity_of
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.rows import Described
 from bayesfric.report.words import listed

@@ -21,11 +21,10 @@ from bayesfric.diagnostics.before_a_fit import (
     strange_velocity,
 )
 from bayesfric.diagnostics.explanation import of_recording
-from bayesfric.estimates.information import CORRELATED
+from bayesfric.estimates.autoregression import CORRELATED
 from bayesfric.estimates.input_error import CONTRADICTED
 from bayesfric.inference.fitting import Fit
-from bayesfric.mechanism.parameter import quantity_of
-from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State
+from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State, quantity_of
 from bayesfric.recordings.filters import LEAST_RATIO
 from bayesfric.report.summary.conclusions import held, noise_cut
 from bayesfric.report.summary.noise import correlation_of

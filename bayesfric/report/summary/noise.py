@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.autoregression import CORRELATED, PASSES, lag_one, ljung_box, predictors
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.autoregression import PASSES, ljung_box, predictors
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.noise import SCALES
-from bayesfric.mechanism.parameter import effort_words
+from bayesfric.inference.noise import SCALES, NoiseChoice
+from bayesfric.mechanism.quantities import effort_words
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.report.summary.record import Likelihood, Summary

@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from bayesfric.diagnostics.calibration_check import CalibrationCheck
 from bayesfric.diagnostics.policy import REPLICATES
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.identifiability.friction_curve import (
     friction_curves,

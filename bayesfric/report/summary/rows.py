@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.estimates.point_estimate import HALF, Bound, Kind
-from bayesfric.mechanism.parameter import turned
+from bayesfric.mechanism.quantities import turned
 from bayesfric.results.reported import Determined, Reported, Spread
 from bayesfric.results.roll_out import Input, RollOut, tells_nothing
 from bayesfric.results.roll_out import Part as RecordingPart

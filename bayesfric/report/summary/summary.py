@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base import __version__
-from bayesfric.estimates.information import lag_one
+from bayesfric.estimates.autoregression import lag_one
 from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.identifiability.coverage import back_driving_shares
 from bayesfric.identifiability.local import (
@@ -19,11 +19,10 @@ from bayesfric.identifiability.local import (
     verdict,
 )
 from bayesfric.inference.fitting import Fit
-from bayesfric.inference.likelihood.noise_choice import NoiseChoice
-from bayesfric.inference.noise import SCALES
+from bayesfric.inference.noise import SCALES, NoiseChoice
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.prior.priors import Prior
-from bayesfric.mechanism.parameter import TURN
+from bayesfric.mechanism.quantities import TURN
 from bayesfric.report.summary import noise as noise_part
 from bayesfric.report.summary.conclusions import bound_warning
 from bayesfric.report.summary.derived_quantities import (
