@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bayesfric.mechanism.experiment import simulate
     from bayesfric.mechanism.joint import Joint
     from bayesfric.mechanism.own_term import Term
-    from bayesfric.recordings.recording import Recording
+    from bayesfric.recordings.source import Recording
     from bayesfric.rollouts.rollout import rollout
 
 __all__ = [
@@ -45,7 +45,7 @@ _HOMES = {
     "Joint": "mechanism.joint",
     "Load": "mechanism.element",
     "Model": "fit.model",
-    "Recording": "recordings.recording",
+    "Recording": "recordings.source",
     "Term": "mechanism.own_term",
     "check": "fit.check_report",
     "export": "export.exported",

@@ -21,9 +21,8 @@ from bayesfric.fleet.plan import FleetTables
 from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables
 from bayesfric.problem.config_text import toml_value
+from bayesfric.recordings.readers import TableOptions, read_table
 from bayesfric.recordings.recognition import Chosen, Log, recognise
-from bayesfric.recordings.tables import read_table
-from bayesfric.recordings.tables.reader import TableOptions
 from bayesfric.recordings.units import OPEN
 
 # Name in place of a preset.

@@ -30,7 +30,7 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config_text import config_of, mechanism_table, prior_value, recording_table
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Recording
 from bayesfric.report.summary.summary import estimate_summary
 
 if TYPE_CHECKING:

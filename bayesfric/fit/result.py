@@ -14,7 +14,7 @@ from bayesfric.inference.fitting import Fit
 from bayesfric.problem.config_text import saved_name
 from bayesfric.problem.problem import Problem
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.tables import sha256
+from bayesfric.recordings.readers import sha256
 from bayesfric.report.summary.record import Summary, read_summary_file
 from bayesfric.report.terminal import PrintedSummary
 

@@ -20,11 +20,10 @@ from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.checks import moving_samples
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import AT_ROOM, Inputs
-from bayesfric.recordings.moving import moving_samples
-from bayesfric.recordings.observation import Observation, as_position
-from bayesfric.recordings.timing import retimed
+from bayesfric.recordings.observation import Observation, as_position, retimed
 
 # Time constant of a current loop, as in the paper's bench.
 LAG = 0.005

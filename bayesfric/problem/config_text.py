@@ -17,8 +17,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.mechanism.configuration import ElementOptions, LoadOptions
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.problem.config import Config, parse_config
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Recording, Source
 
 # Name of a model made in Python, in messages.
 _MODEL = Path("Model")

@@ -25,10 +25,9 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
 from bayesfric.recordings.held_out import Divided, HeldOut, divide
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation
+from bayesfric.recordings.observation import Observation, longest_delay, timed
 from bayesfric.recordings.read import read_recordings
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.timing import longest_delay, timed
+from bayesfric.recordings.source import Recording
 
 # Warn if the requested bandwidth changes the inertia by more than this factor.
 _LARGER_INERTIA = 1.05

@@ -38,7 +38,7 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, read_config
 from bayesfric.problem.config_text import with_settings, with_terms
 from bayesfric.problem.preparation import prepare
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 
 # Seconds after which the simulation of the output-error likelihood restarts.

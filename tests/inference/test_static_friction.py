@@ -7,8 +7,8 @@ from scipy import stats
 import bayesfric as bf
 from bayesfric.inference.likelihood.torque_likelihood import StaticFriction
 from bayesfric.mechanism.forward import simulate
+from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.moving import Rest
 from tests.axis import AXIS, VALUES
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")

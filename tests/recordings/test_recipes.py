@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Source
+from bayesfric.recordings.source import Recording, Source
 from tests.conftest import REPOSITORY
 from tests.recordings.samples import measured
 

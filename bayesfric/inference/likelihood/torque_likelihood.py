@@ -21,8 +21,8 @@ from bayesfric.inference.noise import Autoregressive
 from bayesfric.mechanism import kernels
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.checks import Rest
 from bayesfric.recordings.measurement import Inputs
-from bayesfric.recordings.moving import Rest
 from bayesfric.recordings.observation import Observation
 
 # Smallest log probability of a standstill.

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
-from bayesfric.recordings.moving import too_slow
+from bayesfric.recordings.checks import too_slow
 from bayesfric.report.comparison.between_runs import SharedQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
 from bayesfric.report.figures.registry import FOREST, ROLL_OUT, RUN_FIGURES, read_captions

@@ -25,7 +25,7 @@ from bayesfric.estimates.autoregression import CORRELATED
 from bayesfric.estimates.input_error import CONTRADICTED
 from bayesfric.inference.fitting import Fit
 from bayesfric.mechanism.quantities import QUANTITIES, Quantity, State, quantity_of
-from bayesfric.recordings.resolution import LEAST_RATIO
+from bayesfric.recordings.filters import LEAST_RATIO
 from bayesfric.report.summary.conclusions import held, noise_cut
 from bayesfric.report.summary.noise import correlation_of
 from bayesfric.report.summary.record import Message, Summary
