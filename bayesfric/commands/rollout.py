@@ -16,8 +16,7 @@ from bayesfric.report.figures.registry import read_captions
 from bayesfric.report.figures.rollout import FIGURE, rollout_figure
 from bayesfric.report.figures.style import save
 from bayesfric.report.messages import roll_out_messages
-from bayesfric.report.summary.record import read_summary_file
-from bayesfric.report.summary.rows import RollOutPart, rollout_part
+from bayesfric.report.summary.record import RollOutPart, read_summary_file, rollout_part
 from bayesfric.report.words import filled, line_of
 from bayesfric.rollouts.rollout import rollout as played
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,6 @@ from bayesfric.export.written_law import law, unwritten
 from bayesfric.fit.finished_run import Finished, finished
 from bayesfric.identifiability.friction_curve import covered, friction_torque
 from bayesfric.recordings.arrays import Array
-from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
 from bayesfric.results.reported import ORDER
 
@@ -135,7 +134,7 @@ def export(
     if output is not None:
         check_output_folder(Path(output), force=force, marker="export.json")
     run = posterior if isinstance(posterior, Finished) else finished(posterior)
-    exported = _export(replace(run, summary=put_reported(run.summary)), form, options)
+    exported = _export(run, form, options)
     if output is not None:
         exported.write(output, force=force)
     return exported
@@ -320,8 +319,8 @@ def _not_identified(
             kinds = (*(rows[name].totals or (rows[name].name,)), *(rows[name].by_direction or ()))
             quantities = [f"total_{side}.{kind}" for side in ("drive", "back") for kind in kinds]
             table = run.summary.derived
-        reported = [table[x].reported for x in quantities if x in table]
-        status = max((x.status for x in reported if x), key=ORDER.index, default="identified")
+        worst = (table[x].reported.status for x in quantities if x in table)
+        status = max(worst, key=ORDER.index, default="identified")
         if status != "identified":
             statuses[name] = status
     return statuses

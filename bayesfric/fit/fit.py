@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bayesfric.base.atomic_write import jsonable
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback
 from bayesfric.diagnostics.calibration_check import CalibrationCheck, calibration_check
@@ -23,12 +22,10 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.inference.stiction_violations import StictionViolation, stiction_violations
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
-from bayesfric.report.summary.conclusions import add_model_error, put_reported
 from bayesfric.report.summary.derived_quantities import groups
-from bayesfric.report.summary.doubts import find_doubts, put_doubts
+from bayesfric.report.summary.doubts import add_model_error, find_doubts, put_doubts
 from bayesfric.report.summary.parts import friction_part, self_check_doubts, self_check_part
-from bayesfric.report.summary.record import FindingRow, Identifiability, RegressionPart, Summary
-from bayesfric.report.summary.rows import BackEmfPart, RestsPart
+from bayesfric.report.summary.record import FindingRow, RegressionPart, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
 
@@ -129,31 +126,39 @@ def _conclude(
     problem: Problem, start: StartingPoint, sampled: Fit, examined: Examination
 ) -> Summary:
     """Summarise a posterior: numbers with intervals, and doubts."""
-    derived = groups(sampled)
+    derived, explained = groups(sampled), examined.explained
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, examined.back_emf, len(problem.recordings))
-    rests = [RestsPart.model_validate(vars(v)) for v in examined.stiction_violations]
-    summary = summary.model_copy(update={"fit": summary.fit.model_copy(update={"rests": rests})})
-    summary = _with_findings(summary, examined.explained, examined.included)
+    summary = _with_back_emf(summary, examined.back_emf)
+    findings = explained.with_severity(widened=summary.widened)
+    identifiability = summary.identifiability
+    if examined.identified is not None:
+        directions = {"directions": [*examined.identified.directions]}
+        identifiability = identifiability.model_copy(update=directions)
+    violations = {"rests": [*examined.stiction_violations]}
+    update: dict[str, Any] = {
+        "fit": summary.fit.model_copy(update=violations),
+        "findings": [FindingRow.read(finding.as_dict()) for finding in findings],
+        "taken": [FindingRow.read(finding.as_dict()) for finding in examined.included],
+        "regression": RegressionPart(
+            twins=len(explained.replicates),
+            asked=len(explained.kinds),
+            reason=explained.reason,
+            share=explained.share,
+        ),
+        "identifiability": identifiability,
+        "warnings": [*summary.warnings, *start.missing],
+        # a data file does not say that it is simulated; the configuration may
+        "may_be_simulated": may_be_simulated(problem),
+    }
+    summary = summary.model_copy(update=update)
     doubts = find_doubts(sampled, summary, examined.contradicted)
     if examined.calibration_check is not None:
         part = self_check_part(sampled, summary, examined.calibration_check, derived)
         summary = summary.model_copy(update={"self_check": part})
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)
-    update: dict[str, Any] = {
-        "friction": friction_part(sampled, summary),
-        "warnings": [*summary.warnings, *start.missing],
-        # a data file does not say that it is simulated; the configuration may
-        "may_be_simulated": may_be_simulated(problem),
-    }
-    if examined.identified is not None:
-        directions = {"directions": jsonable(examined.identified.directions)}
-        update["identifiability"] = Identifiability.model_validate(
-            summary.identifiability.as_dict() | directions
-        )
-    return put_reported(summary.model_copy(update=update))
+    return summary.model_copy(update={"friction": friction_part(sampled, summary)})
 
 
 def may_be_simulated(problem: Problem) -> bool:
@@ -166,32 +171,12 @@ def may_be_simulated(problem: Problem) -> bool:
     )
 
 
-def _with_findings(
-    summary: Summary, explained: Explanation, included: Sequence[Finding]
-) -> Summary:
-    findings = explained.with_severity(widened=summary.widened)
-    regression = {
-        "twins": len(explained.replicates),
-        "asked": len(explained.kinds),
-        "reason": explained.reason,
-        "share": explained.share,
-    }
-    update = {
-        "findings": [FindingRow.model_validate(finding.as_dict()) for finding in findings],
-        "taken": [FindingRow.model_validate(finding.as_dict()) for finding in included],
-        "regression": RegressionPart.model_validate(regression),
-    }
-    return summary.model_copy(update=update)
-
-
-def _with_back_emf(summary: Summary, term: SpeedTerm | None, recordings: int) -> Summary:
+def _with_back_emf(summary: Summary, term: SpeedTerm | None) -> Summary:
     """Add what an error of the nominal back-EMF is collinear with, for voltage drives."""
     if term is None:
         return summary
-    part = BackEmfPart.model_validate(jsonable({**vars(term), "among": recordings}))
     changes = {
         name: {"meaning": line_of("with back-emf", {"meaning": summary.parameters[name].meaning})}
         for name in term.same_as_back_emf
     }
-    fit = summary.fit.model_copy(update={"back_emf": part})
-    return summary.with_rows(changes, fit=fit)
+    return summary.with_rows(changes, fit=summary.fit.model_copy(update={"back_emf": term}))

@@ -18,7 +18,7 @@ from bayesfric.inference.sampling.sampling import sample
 from bayesfric.population.joint_runs import JointTarget, varying_parts
 from bayesfric.population.population import Interval, Varying, interval
 from bayesfric.problem.problem import Problem, starting_point
-from bayesfric.results.reported import Outcome, verdict
+from bayesfric.results.reported import Outcome, outcome_of
 
 LEVEL = 0.9
 # Largest number of recordings of a joint posterior.
@@ -127,14 +127,12 @@ def pooled(problem: Problem, seed: int | None, progress: ProgressCallback) -> Po
         ),
         level=LEVEL,
         status=status,
-        outcome=verdict(
+        outcome=outcome_of(
             converged=status == "reliable",
-            doubts=len(doubts),
-            doubtful=sum(map(bool, moved_by.values())),
-            asked=None if any(e.reason for e in explained) else len(explained[0].kinds),
-            explained=None,
+            doubted=bool(doubts),
             lacking=bool(findings) and any(errors.is_plausible for errors in discrepancies),
-        ).outcome,
+            tested=not any(e.reason for e in explained),
+        ),
         findings=findings,
         problems=posterior.diagnostics.problems,
         warnings=check(problem).warnings,

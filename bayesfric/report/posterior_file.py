@@ -18,8 +18,7 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.report.summary.derived_quantities import Group, coefficients
-from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow, Summary
 
 # Draws of the groups that hold a number for every draw and every output: at most, at least,
 # and between them as many as make so many numbers.

@@ -8,13 +8,14 @@ from typing import Any, Literal
 
 from bayesfric.estimates.point_estimate import HALF, Bound
 from bayesfric.report.numbers import Medium, finer
-from bayesfric.report.summary.conclusions import bound_hint, put_reported
 from bayesfric.report.summary.derived_quantities import described_as
-from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.rows import (
+from bayesfric.report.summary.doubts import bound_hint
+from bayesfric.report.summary.record import (
     Described,
-    EstimatedRow,
     PosteriorRow,
+    Readable,
+    Summary,
+    ValueRow,
     is_skewed,
     sd_towards,
 )
@@ -158,7 +159,7 @@ class ResultRow:
             yield "open" if self.status == "undetermined" else "quiet", self.remark
 
 
-def estimate_row(name: str, row: EstimatedRow, converged: bool = True) -> ResultRow:
+def estimate_row(name: str, row: ValueRow, converged: bool = True) -> ResultRow:
     """Judge one number of a point estimate, whose search converged or did not."""
     what: dict[str, Any] = {"name": name, **described_as(row)}
     if not converged:
@@ -186,9 +187,8 @@ def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:
     ``accounts`` is whether the noise model accounts for correlated residuals.
     """
     reported = row.reported
-    assert reported is not None  # put_reported concludes of every run
     what: dict[str, Any] = {"name": name, **described_as(row), "posterior": row}
-    if not reported.how.converged:
+    if not row.converged:
         remark = "the sampling has not converged"
         return ResultRow(row.value, "undetermined", remark=remark, converged=False, **what)
     doubted = bool(row.doubted)
@@ -241,5 +241,5 @@ def _weak_by(row: PosteriorRow) -> str:
 
 def result_rows(summary: Readable) -> dict[str, ResultRow]:
     """Judge every parameter and derived quantity of a summary, by name."""
-    read = put_reported(Summary.read(summary))
+    read = Summary.read(summary)
     return {name: posterior_row(name, row, read.accounts) for name, row in read.rows.items()}

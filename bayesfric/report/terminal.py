@@ -17,7 +17,6 @@ from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.report.messages import messages_of
 from bayesfric.report.numbers import TEXT, finer, text_rounded
 from bayesfric.report.paper.tables import parameter_table
-from bayesfric.report.summary.conclusions import put_reported
 from bayesfric.report.summary.parts import friction_cells, off_rows
 from bayesfric.report.summary.record import Friction, Message, Readable, Summary, of_noise
 from bayesfric.report.words import filled
@@ -65,16 +64,14 @@ def brief(summary: Readable, messages: Sequence[Message] | None = None) -> Brief
     rows = {
         row.name: row.posterior.reported
         for row in table.rows
-        if row.posterior is not None
-        and row.posterior.reported is not None
-        and not _in_tables(row.name)
+        if row.posterior is not None and not _in_tables(row.name)
     }
     shown = [name for name, row in rows.items() if row.status != "unidentified"]
     shown = [n for n in shown if n in read.joint or not _is_rescaled(rows, n, read.joint)]
     shown.sort(key=lambda name: ORDER.index(rows[name].status))
     directions = read.identifiability.null_directions
     scaled = any(len(direction.parameters) > 1 for direction in directions)
-    lost = tuple(name for name, row in rows.items() if not row.how.converged)
+    lost = tuple(name for name, row in rows.items() if not read.rows[name].converged)
     messages = messages_of(read) if messages is None else messages
     findings = list(dict.fromkeys(message.brief for message in messages if message.brief))
     return Brief(
@@ -168,7 +165,7 @@ class PrintedSummary(Summary):
 
 def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
     """Print a summary, line by line; ``verbose`` with how it was made."""
-    read = put_reported(Summary.read(summary))
+    read = Summary.read(summary)
     messages = messages_of(read)
     answer = brief(read, messages)
     table = [("", "value", "sd", answer.level, "", "status"), *answer.lines]
@@ -180,7 +177,7 @@ def fit_text(summary: Readable, *, verbose: bool = False) -> Iterator[str]:
             "fit.txt.j2",
             summary=read,
             messages=messages,
-            rows={n: r for n, r in read.rows.items() if r.reported and not r.of_motion},
+            rows={n: r for n, r in read.rows.items() if not r.of_motion},
             noise=read.noise,
             validation=read.validation,
             check=read.self_check,

@@ -34,7 +34,7 @@ def rows(config: str) -> list[dict[str, Any]]:
         {
             "name": name,
             "known": known,
-            "printed": [row.value, row.printed.sd, row.printed.low, row.printed.high],
+            "printed": [row.value, row.reported.sd, row.reported.low, row.reported.high],
             "posterior": [row.middle, row.sd, *row.interval],
             "status": row.reported.status if row.reported else "",
         }

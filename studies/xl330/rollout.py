@@ -18,7 +18,7 @@ from held_out import GAINS
 import bayesfric as bf
 from bayesfric.problem.config import parse_config
 from bayesfric.problem.config_text import document_text
-from bayesfric.report.summary.rows import rollout_part
+from bayesfric.report.summary.record import rollout_part
 
 PATH = Path(__file__).with_name("xl330-rollout.toml")
 # Terms that `bayesfric explain` names first on these runs.
@@ -58,8 +58,8 @@ def fitted(effort: str) -> dict[str, Any]:
     rows = {
         name: {
             "median": row.median,
-            "interval": [row.printed.low, row.printed.high],
-            "sd": row.printed.sd,
+            "interval": [row.reported.low, row.reported.high],
+            "sd": row.reported.sd,
         }
         for name, row in summary.parameters.items()
     }

@@ -6,7 +6,6 @@ import h5py
 import numpy as np
 
 from bayesfric.base import __version__
-from bayesfric.report.summary.conclusions import put_reported
 
 # name: unit, symbol, value, plain sd, sd for correlated residuals
 TOTALS = {
@@ -182,5 +181,4 @@ def every_kind():
 
 def concluded(summary):
     """Conclude anew what is reported of a summary that was changed."""
-    cleared = summary.with_rows({name: {"reported": None} for name in summary.rows})
-    return put_reported(cleared)
+    return summary.with_rows(dict.fromkeys(summary.rows, {}))

@@ -4,6 +4,11 @@ import copy
 
 import numpy as np
 import pytest
+from bayesfric.report.summary.conclusions import (
+    bound_hint,
+    bound_warning,
+    noise_cut,
+)
 
 from bayesfric.inference.fitting import fit, make_target, read_priors
 from bayesfric.inference.prior.priors import bound_of
@@ -11,14 +16,8 @@ from bayesfric.inference.sampling.sampling import Sampling
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
-from bayesfric.report.summary.conclusions import (
-    bound_hint,
-    bound_warning,
-    noise_cut,
-)
 from bayesfric.report.summary.derived_quantities import loss_leaning
-from bayesfric.report.summary.record import Summary
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.terminal import brief
 

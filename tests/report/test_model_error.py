@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bayesfric.report.summary.conclusions import add_model_error
 
 from bayesfric.inference.discrepancy import Discrepancy
 from bayesfric.report.figures.registry import FinishedRun, run_figures
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.result_row import result_rows
-from bayesfric.report.summary.conclusions import add_model_error
 from bayesfric.report.summary.derived_quantities import groups
 from tests.inference.test_discrepancy import fitted
 

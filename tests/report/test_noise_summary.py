@@ -1,9 +1,9 @@
 """What is said of noise that is not what the likelihood takes it for."""
 
 import pytest
+from bayesfric.report.summary.noise import correlation_of
 
 from bayesfric.report.summary import noise
-from bayesfric.report.summary.noise import correlation_of
 from bayesfric.report.summary.record import Summary
 
 

@@ -52,7 +52,7 @@ def test_a_constant_bias_is_doubted_where_intervals_miss_by_it(result):
     check = summary.self_check.rows[NAME]
     assert check.bias == pytest.approx(2.0)
     assert check.bias_error == pytest.approx(0.0, abs=1e-6)
-    width = summary.parameters[NAME].printed.sd / summary.parameters[NAME].sd
+    width = summary.parameters[NAME].reported.sd / summary.parameters[NAME].sd
     reach = 1.645 * width
     held = norm.cdf(reach - 2.0) - norm.cdf(-reach - 2.0)
     assert check.coverage == pytest.approx(held, abs=1e-3)
@@ -75,7 +75,7 @@ def test_what_filters_leave_of_the_torque_is_no_noise(result):
     half = told(result, checked(result, [0.0], unexplained=0.5)).self_check
     assert half.unexplained == 0.5
     row = result.summary.parameters[NAME]
-    reach = 1.645 * np.sqrt(2.0) * row.printed.sd / row.sd
+    reach = 1.645 * np.sqrt(2.0) * row.reported.sd / row.sd
     assert half.rows[NAME].coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=1e-3)
 
 
@@ -84,7 +84,7 @@ def test_the_whole_scatters_less_than_its_excerpts(result):
     check = told(result, checked(result, [3.0, -3.0], share=0.05)).self_check.rows[NAME]
     assert check.bias_error == pytest.approx(3.0 / np.sqrt(39), rel=1e-3)
     row = result.summary.parameters[NAME]
-    reach, off = 1.645 * row.printed.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
+    reach, off = 1.645 * row.reported.sd / row.sd, 3.0 * np.sqrt(0.05 + 1.0 / 40.0)
     held = norm.cdf(reach - off) - norm.cdf(-reach - off)
     assert check.coverage == pytest.approx(held, abs=1e-3)
 

@@ -16,7 +16,7 @@ from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.measurement import Law
 from bayesfric.report.messages import roll_out_messages
-from bayesfric.report.summary.rows import rollout_part
+from bayesfric.report.summary.record import rollout_part
 from bayesfric.rollouts.rollout import (
     PreparedRecording,
     Residuals,
@@ -339,7 +339,7 @@ def test_a_run_read_back_has_the_draws_of_its_intervals(made):
             # 4000 draws of maybe 400 independent ones
             ends = np.quantile(posterior.draws[:, k], [0.05, 0.95])
             assert ends == pytest.approx(
-                [row.printed.low, row.printed.high], abs=0.25 * row.printed.sd
+                [row.reported.low, row.reported.high], abs=0.25 * row.reported.sd
             ), name
         whole = posterior.values(posterior.picked(7))
         assert whole.shape == (7, len(posterior.joint.names))

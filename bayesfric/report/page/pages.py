@@ -12,6 +12,7 @@ from pydantic import Field
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.safe_read import open_hdf5, parse_json, read_text
+from bayesfric.identifiability.open_directions import Remedy
 from bayesfric.recordings.moving import too_slow
 from bayesfric.report.comparison.between_runs import PooledQuantity
 from bayesfric.report.comparison.comparison import Comparison, comparison, explained
@@ -23,8 +24,7 @@ from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import ParameterTable, parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Readable, RemedyRow, Summary
-from bayesfric.report.summary.rows import Pair, Part
+from bayesfric.report.summary.record import Pair, Part, Readable, Summary
 from bayesfric.report.terminal import brief
 
 
@@ -71,7 +71,7 @@ def open_quantities(table: ParameterTable, summary: Summary) -> dict[str, Any]:
     joint, directions = table.joint, summary.identifiability.directions
     # and what no scaling changes
     rows = [*joint, *table.groups["free"]]
-    steps: dict[str, RemedyRow] = {}
+    steps: dict[str, Remedy] = {}
     for direction in directions:
         for remedy in direction.remedies:
             steps.setdefault(remedy.text, remedy)

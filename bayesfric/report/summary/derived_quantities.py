@@ -19,7 +19,7 @@ from bayesfric.inference.target import Target
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.parameter import quantity_of
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.report.summary.rows import Described
+from bayesfric.report.summary.record import Described, PosteriorRow
 from bayesfric.report.words import listed
 from bayesfric.results.reported import LEVEL as LEVEL
 
@@ -70,7 +70,7 @@ def groups(fit: Fit) -> Groups:
     return _totals(fit), coefficients(fit)
 
 
-def described_as(quantity: Any) -> dict[str, str]:
+def described_as(quantity: Any) -> dict[str, Any]:
     """Give unit, symbol and meaning of a parameter or derived quantity."""
     return {key: getattr(quantity, key) for key in Described.model_fields}
 
@@ -128,7 +128,7 @@ def gradients(fit: Fit, group: Group) -> Array:
     return np.asarray((change[:, :k] - change[:, k:]) / (2.0 * steps))
 
 
-def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, dict[str, Any]]:
+def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str, PosteriorRow]:
     """Put all derived quantities into the form of ``summary.json``, by name."""
     rows = {}
     for group in (group for group in derived if group.quantities):
@@ -144,17 +144,17 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
             by |= loss_leaning(q.name, q.values)
-            if np.isfinite(prior).any():
-                by["prior_interval"] = spread(prior)["interval"]
-            rows[q.name] = {
+            finite = bool(np.isfinite(prior).any())
+            rows[q.name] = PosteriorRow(
                 **described_as(q),
                 **spread(q.values),
-                "converged": bool(converged),
+                converged=bool(converged),
                 **by,
-                "undefined_share": 1.0 - float(np.isfinite(q.values).mean()),
-                "gauge_free": q.gauge_free,
-                **({"of_motion": True} if q.of_motion else {}),
-            }
+                prior_interval=spread(prior)["interval"] if finite else None,
+                undefined_share=1.0 - float(np.isfinite(q.values).mean()),
+                gauge_free=q.gauge_free,
+                of_motion=q.of_motion,
+            )
     return rows
 
 
