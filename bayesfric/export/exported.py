@@ -29,7 +29,7 @@ from bayesfric.export.joint_model import (
 )
 from bayesfric.export.point_estimate import ParameterVectors, parameter_vectors
 from bayesfric.export.written_law import law, unwritten
-from bayesfric.fit.finished_run import Finished, finished
+from bayesfric.fit.result import Result, result_of
 from bayesfric.identifiability.friction_curve import covered, friction_torque
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.summary.derived_quantities import LEVEL, rms_of
@@ -133,7 +133,7 @@ def export(
     _check(form, options)
     if output is not None:
         check_output_folder(Path(output), force=force, marker="export.json")
-    run = posterior if isinstance(posterior, Finished) else finished(posterior)
+    run = result_of(posterior)
     exported = _export(run, form, options)
     if output is not None:
         exported.write(output, force=force)
@@ -154,7 +154,7 @@ def _check(form: Format, options: Options) -> None:
         raise BadInput("--joint", f"{options.joint!r} is no name", "use letters, digits, _ - . /")
 
 
-def _export(run: Finished, form: Format, options: Options) -> Exported:
+def _export(run: Result, form: Format, options: Options) -> Exported:
     chain, motions = run.joint, [Trajectory.of(o) for o in run.model.observations]
     vectors = parameter_vectors(run, motions, options.draws or _DRAWS)
     values = np.vstack([vectors.point, vectors.draws])
@@ -267,7 +267,7 @@ def _notes(
 
 
 def _number_rows(
-    run: Finished,
+    run: Result,
     names: Mapping[str, str],
     numbers: Mapping[str, float],
     draws: Mapping[str, Array],
@@ -306,7 +306,7 @@ def _number_rows(
 
 
 def _not_identified(
-    run: Finished, names: tuple[str, ...], vectors: ParameterVectors
+    run: Result, names: tuple[str, ...], vectors: ParameterVectors
 ) -> dict[str, str]:
     """Give the reported status of the parameters that are not identified."""
     scaled = {name for scaling in vectors.scalings for name in scaling.names}
@@ -327,7 +327,7 @@ def _not_identified(
 
 
 def _torque_error(
-    run: Finished,
+    run: Result,
     form: Format,
     vector: Array,
     numbers: Mapping[str, float],
@@ -351,7 +351,7 @@ def _torque_error(
 
 
 def _friction_error(
-    run: Finished, numbers: Mapping[str, float], vectors: ParameterVectors
+    run: Result, numbers: Mapping[str, float], vectors: ParameterVectors
 ) -> dict[str, float]:
     """Compare a format's friction with the median over draws, at recorded speeds and loads.
 

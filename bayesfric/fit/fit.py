@@ -75,7 +75,7 @@ def fit(
     sampled = replace(sampled, discrepancy=errors)
     examined = _examine(problem, start, sampled, explained, included, progress)
     # conclude
-    return Result(problem, sampled, _conclude(problem, start, sampled, examined))
+    return Result.of_fit(problem, sampled, _conclude(problem, start, sampled, examined))
 
 
 def _refuse_collinear_losses(problem: Problem, start: StartingPoint) -> None:

@@ -36,7 +36,7 @@ def rows(config: str) -> list[dict[str, Any]]:
             "known": known,
             "printed": [row.value, row.reported.sd, row.reported.low, row.reported.high],
             "posterior": [row.middle, row.sd, *row.interval],
-            "status": row.reported.status if row.reported else "",
+            "status": row.reported.status,
         }
         for name, known in KNOWN[config].items()
         if (row := summary.parameters.get(name)) is not None

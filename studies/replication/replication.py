@@ -147,7 +147,7 @@ def one(task: tuple[str, str, Path, str]) -> dict[str, Any]:
             "interval": [row.reported.low, row.reported.high],
             # whether its data determine it, by each of its sds, doubted or not
             "determined": row.verdict == "data" or bool(row.doubted),
-            "status": row.reported.status if row.reported else "",
+            "status": row.reported.status,
             "prior": row.prior_sd,
         }
     error = summary.model_error

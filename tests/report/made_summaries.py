@@ -177,8 +177,3 @@ def every_kind():
     rows["motor_50%.inertia"] = posterior_row("kg", 95123.0, 310.0)
     run["fixed"] = {"offset": {"unit": "N m", "value": -0.0213}}
     return run
-
-
-def concluded(summary):
-    """Conclude anew what is reported of a summary that was changed."""
-    return summary.with_rows(dict.fromkeys(summary.rows, {}))

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.paper.tables import summary_table
+from bayesfric.report.summary import summary as summary_module
 from bayesfric.report.summary.record import Summary
 from bayesfric.report.summary.summary import summarise
 
@@ -369,7 +371,8 @@ def test_one_loss_for_both_ways_says_which_was_seen(make_fit, monkeypatch):
     plain = summarise(lossy).derived
     # a swing without gravity or friction behind the gear brakes as long as it speeds up
     assert {plain[name].mirrored for name in sides.values()} == {None}
-    monkeypatch.setattr("bayesfric.report.summary.summary._SELDOM", 1.0)
+    always = partial(summary_module._with_mirrored, seldom=1.0)
+    monkeypatch.setattr(summary_module, "_with_mirrored", always)
     found = summarise(lossy)
     shares = [found.derived[name].mirrored for name in sides.values()]
     assert shares == pytest.approx([0.5, 0.5], abs=0.1)

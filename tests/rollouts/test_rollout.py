@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
-from bayesfric.fit.finished_run import finished
 from bayesfric.fit.result import result_of
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
@@ -224,7 +223,7 @@ def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
 def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, turns):
     """A motion over four turns: beyond half of one, gravity may be anything."""
     _, found = made
-    run = finished(found)
+    run = result_of(found)
     m, o = run.model.recordings[0], run.model.observations[0]
     far = replace(m, position=np.linspace(0.0, 8.0 * np.pi, m.time.size))
     moved = far.position + np.linspace(-2.0, 2.0, 5)[:, None], np.zeros((5, m.time.size))
@@ -239,7 +238,7 @@ def test_half_a_turn_is_all_there_is_where_gravity_acts(made, joint, gravity, tu
 def test_plays_that_go_another_way_over_the_top_do_not_make_the_bands(made, joint, lost):
     """Of 100 plays some leave for the next turn half way; without gravity that is no other way."""
     _, found = made
-    run = finished(found)
+    run = result_of(found)
     m, o = run.model.recordings[0], run.model.observations[0]
     near = m.position + np.random.default_rng(1).normal(0.0, 0.1, (100, 1))
     near[:lost, m.time.size // 2 :] += 2.0 * np.pi
@@ -274,7 +273,7 @@ def test_recordings_that_tell_nothing_decide_nothing(made):
 def test_one_play_over_the_top_does_not_say_how_much_torque_moves_the_joint(made, joint):
     """The whole torque makes 0.2 rad, of which half is measured; and one of 40 plays leaves."""
     _, found = made
-    run = finished(found)
+    run = result_of(found)
     m = run.model.recordings[0]
     rng = np.random.default_rng(2)
     alone = m.position + np.zeros((40, 1)) * m.position
@@ -332,7 +331,7 @@ def test_a_run_read_back_has_the_draws_of_its_intervals(made):
     """What goes on from a run, goes on from draws that have the intervals it tells."""
     folder, found = made
     summary = result_of(found).summary
-    for posterior in (finished(found), finished(folder / "run")):
+    for posterior in (result_of(found), result_of(folder / "run")):
         assert posterior.joint.names == result_of(found).model.chain.names
         for k, name in enumerate(posterior.names):
             row = summary.parameters[name]
@@ -346,7 +345,7 @@ def test_a_run_read_back_has_the_draws_of_its_intervals(made):
 
 
 def test_what_was_fixed_is_filled_in(made):
-    posterior = finished(made[1])
+    posterior = result_of(made[1])
     names = posterior.joint.names
     known = {name: SimpleNamespace(value=0.5 + k) for k, name in enumerate(names)}
     model = SimpleNamespace(chain=posterior.joint, priors=known)
