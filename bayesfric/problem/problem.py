@@ -72,8 +72,7 @@ class Problem:
         BadInput
             If the joint has no such element.
         """
-        others = [term for term in self.chain.terms if term.name != term.name]
-        terms = [*others, term]
+        terms = [*(other for other in self.chain.terms if other.name != term.name), term]
         named = with_terms(self.config, [term.name for term in terms])
         return type(self).from_config(named, terms=terms, recordings=self.given or None)
 

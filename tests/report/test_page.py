@@ -161,6 +161,8 @@ def test_what_ensembles_make_that_disagree_is_nowhere_shown_as_a_result(tmp_path
     told["noise"]["innovation_whiteness"] = {"white": False}
     sound = read_page(run_page(tmp_path, told, "knee"))
     told["sampler"] = {"status": "unusable", "problems": ["R-hat 1.3: raise max_steps"]}
+    for row in (*told["parameters"].values(), *told["derived"].values()):
+        row["converged"] = False
     failed = read_page(run_page(tmp_path, told, "knee"))
     (first,) = failed.all("section", id="findings")
     (why,) = failed.all("section", id="why")
