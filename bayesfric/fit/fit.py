@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from bayesfric.base.errors import BadInput
@@ -14,7 +14,8 @@ from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.finding import Finding
 from bayesfric.estimates.assemble import collinear_losses
 from bayesfric.fit.result import Result
-from bayesfric.identifiability.identification import Identification, SpeedTerm, identify, speed_term
+from bayesfric.identifiability.identification import SpeedTerm, identify, speed_term
+from bayesfric.identifiability.open_directions import OpenDirection
 from bayesfric.inference import fitting
 from bayesfric.inference.discrepancy import discrepancy
 from bayesfric.inference.fitting import Fit
@@ -28,20 +29,6 @@ from bayesfric.report.summary.parts import friction_part, self_check_doubts, sel
 from bayesfric.report.summary.record import FindingRow, RegressionPart, Summary
 from bayesfric.report.summary.summary import summarise
 from bayesfric.report.words import line_of
-
-
-@dataclass(frozen=True)
-class Examination:
-    """Checks of a posterior."""
-
-    explained: Explanation  # what else explains the torque
-    included: Sequence[Finding]  # effects added to the model automatically
-    # priors that the data contradict: estimate, and distance in standard deviations
-    contradicted: Mapping[str, tuple[float, float]]
-    back_emf: SpeedTerm | None
-    stiction_violations: Sequence[StictionViolation]
-    calibration_check: CalibrationCheck | None  # None if it was not requested
-    identified: Identification | None  # at the median; None if that cannot be simulated
 
 
 def fit(
@@ -70,12 +57,11 @@ def fit(
     if problem.held_out:
         held_out = predict_held_out(sampled.target, sampled.posterior, problem.held_out)
         sampled = replace(sampled, held_out=held_out)
-    # examine
+    # examine and conclude
     errors = discrepancy(sampled.target, sampled.posterior, explained.missing)
     sampled = replace(sampled, discrepancy=errors)
-    examined = _examine(problem, start, sampled, explained, included, progress)
-    # conclude
-    return Result.of_fit(problem, sampled, _conclude(problem, start, sampled, examined))
+    summary = _conclude(problem, start, sampled, explained, included, progress)
+    return Result.of_fit(problem, sampled, summary)
 
 
 def _refuse_collinear_losses(problem: Problem, start: StartingPoint) -> None:
@@ -91,70 +77,51 @@ def _refuse_collinear_losses(problem: Problem, start: StartingPoint) -> None:
         )
 
 
-def _examine(
+def _conclude(
     problem: Problem,
     start: StartingPoint,
     sampled: Fit,
     explained: Explanation,
     included: Sequence[Finding],
     progress: ProgressCallback,
-) -> Examination:
-    target, posterior, recordings = sampled.target, sampled.posterior, problem.recordings
-    tables = problem.config.tables
+) -> Summary:
+    """Check a posterior, and summarise it: numbers with intervals, and doubts."""
+    target, posterior, tables = sampled.target, sampled.posterior, problem.config.tables
     checked: CalibrationCheck | None = None
     if tables.self_check.recordings != 0:
         checked = calibration_check(target, posterior, problem.observations, explained)
     progress(Progress("identifiability"))
-    identified: Identification | None = None
+    directions: list[OpenDirection] = []
     with suppress(BadInput):  # the median may be impossible to simulate
-        identified = identify(start.target, posterior.median)
-    usable = posterior.diagnostics.status != "unusable"
-    return Examination(
-        explained=explained,
-        included=included,
-        contradicted=problem.contradicted(dict(start.searched.point)),
-        back_emf=speed_term(target, posterior.median, recordings),
-        stiction_violations=[*stiction_violations(sampled, recordings, tables.processing)]
-        if usable
-        else [],
-        calibration_check=checked,
-        identified=identified,
-    )
-
-
-def _conclude(
-    problem: Problem, start: StartingPoint, sampled: Fit, examined: Examination
-) -> Summary:
-    """Summarise a posterior: numbers with intervals, and doubts."""
-    derived, explained = groups(sampled), examined.explained
+        directions += identify(start.target, posterior.median).directions
+    violations: list[StictionViolation] = []
+    if posterior.diagnostics.status != "unusable":
+        violations += stiction_violations(sampled, problem.recordings, tables.processing)
+    derived = groups(sampled)
     summary = summarise(sampled, problem.references(), start.choice, derived)
     summary = add_model_error(summary, sampled, derived)
-    summary = _with_back_emf(summary, examined.back_emf)
+    summary = _with_back_emf(summary, speed_term(target, posterior.median, problem.recordings))
     findings = explained.with_severity(widened=summary.widened)
-    identifiability = summary.identifiability
-    if examined.identified is not None:
-        directions = {"directions": [*examined.identified.directions]}
-        identifiability = identifiability.model_copy(update=directions)
-    violations = {"rests": [*examined.stiction_violations]}
     update: dict[str, Any] = {
-        "fit": summary.fit.model_copy(update=violations),
+        "fit": summary.fit.model_copy(update={"rests": violations}),
         "findings": [FindingRow.read(finding.as_dict()) for finding in findings],
-        "taken": [FindingRow.read(finding.as_dict()) for finding in examined.included],
+        "taken": [FindingRow.read(finding.as_dict()) for finding in included],
         "regression": RegressionPart(
             twins=len(explained.replicates),
             asked=len(explained.kinds),
             reason=explained.reason,
             share=explained.share,
         ),
-        "identifiability": identifiability,
+        "identifiability": summary.identifiability.model_copy(update={"directions": directions}),
         "warnings": [*summary.warnings, *start.missing],
         # a data file does not say that it is simulated; the configuration may
         "may_be_simulated": may_be_simulated(problem),
     }
     summary = summary.model_copy(update=update)
-    doubts = find_doubts(sampled, summary, examined.contradicted)
-    if examined.calibration_check is not None:
-        part = self_check_part(sampled, summary, examined.calibration_check, derived)
+    contradicted = problem.contradicted(dict(start.searched.point))
+    doubts = find_doubts(sampled, summary, contradicted)
+    if checked is not None:
+        part = self_check_part(sampled, summary, checked, derived)
         summary = summary.model_copy(update={"self_check": part})
         doubts += self_check_doubts(summary)
     summary = put_doubts(summary, doubts)

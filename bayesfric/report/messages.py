@@ -9,8 +9,9 @@ from typing import Any
 from bayesfric.report.comparison.comparison import comparison
 from bayesfric.report.numbers import p_text
 from bayesfric.report.summary.doubts import references_off
-from bayesfric.report.summary.record import FEWEST, Message, Readable, RollOutPart, Summary
+from bayesfric.report.summary.record import Message, Readable, Summary
 from bayesfric.report.words import line_of
+from bayesfric.results.roll_out import FEWEST, RollOutPart
 
 
 def roll_out_messages(rollout: RollOutPart) -> dict[str, dict[str, Any]]:

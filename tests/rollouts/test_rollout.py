@@ -15,7 +15,6 @@ from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.recordings.measurement import Law
 from bayesfric.report.messages import roll_out_messages
-from bayesfric.report.summary.record import rollout_part
 from bayesfric.rollouts.rollout import (
     PreparedRecording,
     Residuals,
@@ -195,9 +194,9 @@ def test_a_joint_that_lacks_a_torque_is_said_to(made, joint, tmp_path):
     other = bf.Recording.from_dataframe(
         frame, time="t", position="q", target="goal", kp="4 N m/rad", kd="0.05 N m s/rad"
     )
-    doubt = roll_out_messages(rollout_part(rollout(found, other, draws=30)))["roll-out"]
+    doubt = roll_out_messages(rollout(found, other, draws=30).summary)["roll-out"]
     assert doubt["inside"] < 0.5
-    assert "roll-out" not in roll_out_messages(rollout_part(rollout(found, draws=30)))
+    assert "roll-out" not in roll_out_messages(rollout(found, draws=30).summary)
 
 
 def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
@@ -211,11 +210,11 @@ def test_bands_wider_than_the_motion_are_said_to_tell_nothing(made):
     assert span < np.pi
     assert two.at_position.width == pytest.approx(np.median((two.band[1] - two.band[0])[fine]))
     assert not two.wide
-    told = rollout_part(played)
+    told = played.summary
     assert "wide bands" not in roll_out_messages(told)
     # at what half of all bands are wider than
     small = replace(two, room=two.at_position.width, blind=0.5)
-    told = rollout_part(replace(played, rolled=(small,)))
+    told = replace(played, rolled=(small,)).summary
     assert roll_out_messages(told)["wide bands"] == {"wide": ["two"]}
 
 
@@ -264,10 +263,10 @@ def test_recordings_that_tell_nothing_decide_nothing(made):
     (one,) = played.rolled
     wide = replace(one, name="wide", over=0.5, at_position=replace(one.at_position, inside=1.0))
     left = replace(one, name="left", at_position=replace(one.at_position, inside=0.67))
-    doubt = roll_out_messages(rollout_part(replace(played, rolled=(wide, left))))["roll-out"]
+    doubt = roll_out_messages(replace(played, rolled=(wide, left)).summary)["roll-out"]
     assert doubt["inside"] == pytest.approx(0.67)
     assert doubt["narrow"] == ["left"]
-    assert "roll-out" not in roll_out_messages(rollout_part(replace(played, rolled=(wide,))))
+    assert "roll-out" not in roll_out_messages(replace(played, rolled=(wide,)).summary)
 
 
 def test_one_play_over_the_top_does_not_say_how_much_torque_moves_the_joint(made, joint):

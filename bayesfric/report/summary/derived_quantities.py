@@ -144,13 +144,11 @@ def derived_rows(fit: Fit, local: LocalInformation, derived: Groups) -> dict[str
             if by["verdict"] == "prior":
                 by |= weakly_given(given_by(local, fit.posterior.priors, change, sd, prior_sd))
             by |= loss_leaning(q.name, q.values)
-            finite = bool(np.isfinite(prior).any())
             rows[q.name] = PosteriorRow(
                 **described_as(q),
                 **spread(q.values),
                 converged=bool(converged),
                 **by,
-                prior_interval=spread(prior)["interval"] if finite else None,
                 undefined_share=1.0 - float(np.isfinite(q.values).mean()),
                 gauge_free=q.gauge_free,
                 of_motion=q.of_motion,

@@ -31,16 +31,12 @@ from bayesfric.results.reported import (
     Verdict,
     outcome_of,
 )
-from bayesfric.results.roll_out import Error, Input, RollOut, tells_nothing
-from bayesfric.results.roll_out import Part as RecordingPart
+from bayesfric.results.roll_out import RollOutPart
 
 if TYPE_CHECKING:
     import pandas as pd
 
 GAIN = "drive.gain"
-# Share inside 90 % bands below which they are called too narrow. Positions within a second of each
-# other are nearly one, so that few recordings may well leave their bands for a tenth of the time.
-FEWEST = 0.8
 # JSON has lists only; a pair is one with a low and a high end.
 Pair = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 NotNegative = Annotated[FiniteFloat, Field(ge=0.0)]
@@ -116,7 +112,6 @@ class PosteriorRow(Described):
     prior: str = ""
     prior_default: bool = False
     prior_sd: NotNegative | None = None
-    prior_interval: Pair | None = None  # of the same level
     contraction: FiniteFloat | None = None
     data_sd: NotNegative | None = None
     verdict: Determined
@@ -567,65 +562,6 @@ class Friction(Part):
     level: Share
     parameters: list[str] = []  # those sampled
     rows: list[FrictionRow]
-
-
-class RollOutRow(Part):
-    """One recording simulated with draws of the posterior, or all together."""
-
-    part: RecordingPart | None = None
-    input: Input | None = None
-    position: Error
-    speed: Error
-    blind: Share = 0.0  # of the time in which the position's band is too wide
-    over: Share = 0.0  # of the draws that went another way over the top
-
-    @property
-    def narrow(self) -> bool:
-        """Whether the position leaves its bands far too often."""
-        return self.position.inside < FEWEST
-
-    @property
-    def wide(self) -> bool:
-        """Whether being inside the position's band says nothing."""
-        return tells_nothing(self.blind, self.over)
-
-
-class RollOutPart(Part):
-    """Recordings simulated with draws of the posterior."""
-
-    level: Share
-    draws: int
-    seed: int
-    unit: str
-    recordings: dict[Name, RollOutRow]
-    pooled: RollOutRow
-    unexplained: dict[Name, NotNegative]
-    left: FiniteFloat
-    torque_unit: str
-
-
-def rollout_part(rollout: RollOut) -> RollOutPart:
-    """Sum roll-outs up."""
-    rows = {
-        rolled.name: RollOutRow(
-            part=rolled.part,
-            input=rolled.input,
-            position=rolled.at_position,
-            speed=rolled.at_speed,
-            blind=rolled.blind,
-            over=rolled.over,
-        )
-        for rolled in rollout.rolled
-    }
-    pooled = RollOutRow(
-        position=rollout.pooled["at_position"],
-        speed=rollout.pooled["at_speed"],
-        blind=sum(row.blind for row in rows.values()) / len(rows),
-        over=sum(row.over for row in rows.values()) / len(rows),
-    )
-    same = ("level", "draws", "seed", "unexplained", "left", "torque_unit")
-    values = {key: getattr(rollout, key) for key in same}
-    return RollOutPart(unit=rollout.rolled[0].unit, recordings=rows, pooled=pooled, **values)
 
 
 # -- the whole

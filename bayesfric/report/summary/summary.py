@@ -22,7 +22,6 @@ from bayesfric.inference.posterior import Posterior
 from bayesfric.mechanism.parameter import TURN, effort_words
 from bayesfric.recordings.arrays import Array, Flags
 from bayesfric.report.summary.derived_quantities import (
-    LEVEL,
     Groups,
     derived_rows,
     described_as,
@@ -206,15 +205,13 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
     rows = {}
     sound = d.sound(d.rhat, d.ess)
     for j, (name, prior) in enumerate(zip(fit.posterior.names, fit.posterior.priors, strict=True)):
-        sd, prior_sd, ends = float(flat[:, j].std()), prior.sd(), prior.interval(LEVEL)
+        sd, prior_sd = float(flat[:, j].std()), prior.sd()
         # the noise scale's own information: a variance estimated from n residuals
         data_sd = local.data_sd[j] if j < len(local.names) else sd
         judged: dict[str, Any] = {"verdict": verdict(sd, prior_sd, data_sd)}
         if judged["verdict"] == "prior" and j < len(local.names):
             gradient = np.eye(len(local.names))[j]
             judged |= weakly_given(given_by(local, fit.posterior.priors, gradient, sd, prior_sd, j))
-        # a whole turn has no interval: where it is cut means nothing
-        finite = np.isfinite(ends).all() and not prior.whole_turn
         rows[name] = PosteriorRow(
             **described[name],
             **spread(flat[:, j]),
@@ -224,7 +221,6 @@ def _parameters(fit: Fit, local: LocalInformation) -> dict[str, PosteriorRow]:
             prior=prior.text,
             prior_default=prior.default,
             prior_sd=_number(prior_sd),
-            prior_interval=list(ends) if finite else None,
             contraction=_number(1.0 - (sd / prior_sd) ** 2),
             data_sd=_number(data_sd),
             **judged,
