@@ -146,10 +146,8 @@ class RollOut:
             r.name: RollOutRow(r.at_position, r.at_speed, r.blind, r.over, r.part, r.input)
             for r in self.rolled
         }
-        blind, over = (
-            float(np.mean([getattr(row, key) for row in rows.values()]))
-            for key in ("blind", "over")
-        )
+        blind = sum(row.blind for row in rows.values()) / len(rows)
+        over = sum(row.over for row in rows.values()) / len(rows)
         pooled = RollOutRow(self.pooled["at_position"], self.pooled["at_speed"], blind, over)
         return RollOutPart(
             rows,

