@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesfric.results.reported import LEVEL as LEVEL
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -19,9 +21,6 @@ Part = Literal["fitted", "held out", "new"]
 Which = Literal["at_position", "at_speed"]
 WHICH: dict[Which, str] = {"at_position": "", "at_speed": "/s"}
 
-LEVEL = 0.9
-# Share of the time in which bands may be as wide as anything that moves, before they say nothing.
-BLIND = 0.2
 # Share of the simulations that may go another way over the top, as few as a band leaves out.
 MOST_OVER = 1.0 - LEVEL
 # Share inside 90 % bands below which they are called too narrow. Positions within a second of each
@@ -29,9 +28,12 @@ MOST_OVER = 1.0 - LEVEL
 FEWEST = 0.8
 
 
-def tells_nothing(blind: float, over: float) -> bool:
-    """Whether bands are too wide to judge by, from the shares of :class:`Rolled`."""
-    return blind > BLIND or over > MOST_OVER
+def tells_nothing(blind: float, over: float, *, most_blind: float = 0.2) -> bool:
+    """Whether bands are too wide to judge by, from the shares of :class:`Rolled`.
+
+    They may be as wide as anything that moves for a share ``most_blind`` of the time.
+    """
+    return blind > most_blind or over > MOST_OVER
 
 
 @dataclass(frozen=True, eq=False)
