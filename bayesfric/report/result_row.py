@@ -161,24 +161,22 @@ class ResultRow:
 
 def estimate_row(name: str, row: ValueRow, converged: bool = True) -> ResultRow:
     """Judge one number of a point estimate, whose search converged or did not."""
-    what: dict[str, Any] = {"name": name, **described_as(row)}
+    what: dict[str, Any] = {"value": row.value, "name": name, **described_as(row)}
     if not converged:
         remark = "the search has not converged"
-        return ResultRow(row.value, "undetermined", remark=remark, converged=False, **what)
-    if row.sd is None or row.determined is False or row.at_bound is not None:
-        # a scaling does not move a zero away from its bound
-        span = row.span if row.span is not None and row.span[0] < row.span[1] else None
-        if span is not None:
-            low, high = span
-            remark = f"not determined: {low:.3g} to {high:.3g} fit as well"
-            return ResultRow(row.value, "undetermined", span=(low, high), remark=remark, **what)
-        if row.at_bound is not None:
-            return ResultRow(row.value, "bound", remark=f"at its {row.at_bound} bound", **what)
-        return ResultRow(row.value, "undetermined", remark="not determined", **what)
-    if row.sd_robust is None:
-        return ResultRow(row.value, "determined", sd=row.sd, sd_plain=row.sd, **what)
-    what |= {"sd": row.sd_robust, "sd_plain": row.sd, "accounts": True}
-    return ResultRow(row.value, "determined", **what)
+        return ResultRow(status="undetermined", remark=remark, converged=False, **what)
+    if row.sd is not None and row.determined is not False and row.at_bound is None:
+        accounts = row.sd_robust is not None
+        sds = {"sd": row.sd_robust if accounts else row.sd, "sd_plain": row.sd}
+        return ResultRow(status="determined", accounts=accounts, **sds, **what)
+    # a scaling does not move a zero away from its bound
+    if row.span is not None and row.span[0] < row.span[1]:
+        low, high = row.span
+        remark = f"not determined: {low:.3g} to {high:.3g} fit as well"
+        return ResultRow(status="undetermined", span=(low, high), remark=remark, **what)
+    if row.at_bound is not None:
+        return ResultRow(status="bound", remark=f"at its {row.at_bound} bound", **what)
+    return ResultRow(status="undetermined", remark="not determined", **what)
 
 
 def posterior_row(name: str, row: PosteriorRow, accounts: bool) -> ResultRow:

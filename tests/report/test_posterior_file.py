@@ -39,16 +39,6 @@ def run(fitted, path):
     return *fitted, xr.load_datatree(path, engine="h5netcdf")
 
 
-def test_every_number_comes_back(run):
-    fit, summary, data = run
-    made = posterior_tree(fit, summary, CONFIG, [])
-    assert set(data.children) == set(made.children)
-    for group, expected in made.children.items():
-        xr.testing.assert_identical(data[group].to_dataset(), expected.to_dataset())
-    assert dict(data.attrs) == dict(made.attrs)
-    assert data.attrs["config"] == CONFIG
-
-
 def test_two_writes_are_the_same(fitted, path):
     assert written(*fitted) == path.read_bytes()
 

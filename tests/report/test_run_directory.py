@@ -7,7 +7,6 @@ import shutil
 from dataclasses import replace
 from importlib.metadata import version
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -122,19 +121,13 @@ def test_what_a_paper_wants_can_be_had_later(run, tmp_path, monkeypatch):
     assert {path.name for path in again.iterdir()} == {path.name for path in run.iterdir()}
 
 
-def test_the_groups_of_the_design(run, archive):
-    with h5py.File(run / "posterior.nc") as file:
-        assert set(file) == {"posterior", "sample_stats", "prior", "log_prior", *OF_OUTPUTS}
-    assert set(archive["posterior"].data_vars) == SAMPLED
-    assert set(archive["prior"].data_vars) == SAMPLED
+def test_groups_and_dimensions_have_the_names_of_the_design(archive, problem):
+    assert set(archive.children) == {"posterior", "sample_stats", "prior", "log_prior", *OF_OUTPUTS}
+    assert set(archive["posterior"].data_vars) == set(archive["prior"].data_vars) == SAMPLED
     assert {"lp", "ensemble"} <= set(archive["sample_stats"].data_vars)
+    assert all(archive["posterior"][name].dims == ("chain", "draw") for name in SAMPLED)
     for group in OF_OUTPUTS:
         assert set(archive[group].data_vars) == set(NAMES), group
-
-
-def test_dimensions_have_names(archive, problem):
-    for name in SAMPLED:
-        assert archive["posterior"][name].dims == ("chain", "draw")
     for o in problem.observations:
         time = f"time_{o.name}"
         assert archive["observed_data"][o.name].dims == (time,)

@@ -94,11 +94,8 @@ def number(x):
 
 
 def spread_is_whole(row):
-    assert isinstance(row["unit"], str)
-    assert all(number(row[key]) for key in ("mean", "sd", "median"))
     low, high = row["interval"]
-    assert number(low)
-    assert number(high)
+    assert all(map(number, (row["mean"], row["sd"], row["median"], low, high)))
     assert low <= row["median"] <= high
     assert row["level"] == 0.9
     assert row["verdict"] in ("data", "prior", "weak")

@@ -348,7 +348,8 @@ def test_what_was_fixed_is_filled_in(made):
     names = posterior.joint.names
     known = {name: SimpleNamespace(value=0.5 + k) for k, name in enumerate(names)}
     model = SimpleNamespace(chain=posterior.joint, priors=known)
-    given = replace(posterior, model=model, names=(names[0],), draws=np.full((3, 1), 0.7))
+    summary = SimpleNamespace(parameters=dict.fromkeys(names[:1]))
+    given = replace(posterior, model=model, summary=summary, draws=np.full((3, 1), 0.7))
     values = given.values(given.draws)
     assert (values[:, 0] == 0.7).all()
     for k in range(1, len(names)):
