@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import bayesfric as bf
+from bayesfric.base.atomic_write import jsonable
 from bayesfric.fit.result import result_of
 from bayesfric.mechanism.closed_loop import follow
 from bayesfric.mechanism.presets import PRESETS
@@ -142,7 +143,7 @@ def test_the_command_prints_what_python_returns(bench, made):
     frame = rolled.frame
     assert frame.loc[("two", "position"), "inside"] == rolled.rolled[0].at_position.inside
     summary = bf.summary(folder / "run")
-    assert summary.rollout.as_dict() == found
+    assert jsonable(summary.rollout) == found
     page = (folder / "run" / "report.html").read_text()
     assert 'id="roll-out"' in page
     for kind in ("pdf", "png", "svg"):

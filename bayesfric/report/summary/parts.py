@@ -47,9 +47,6 @@ from bayesfric.results.reported import LEVEL, Status
 
 # -- held-out validation
 
-LEVELS = (0.5, 0.9, 0.99)
-# Coverage of the 90 % intervals that passes.
-_JUDGED, _PASSES = 0.9, (0.85, 0.95)
 # Standard errors by which a coverage must be off.
 _SURE = 2.0
 
@@ -86,21 +83,16 @@ def validation_record(fit: Fit) -> Validation:
             f"; the {' and the '.join(borrowed)} of a recording held out whole is that of a "
             "fitted one, picked at random for each draw"
         )
-    parts = {}
-    for p in fit.held_out:
-        time = p.held_out.observation.time
-        update = {"held_out": p.held_out.part, "from_": float(time[0]), "to": float(time[-1])}
-        parts[p.held_out.name] = _held_out([p], outputs).model_copy(update=update)
     return Validation(
         predictive=how,
         quantity=outputs.quantity,
         unit=outputs.unit,
-        parts=parts,
-        pooled=_held_out(fit.held_out, outputs),
+        parts={p.held_out.name: _held_out([p], outputs, p.held_out.part) for p in fit.held_out},
+        pooled=_held_out(fit.held_out, outputs, "all together"),
     )
 
 
-def _held_out(predictions: Sequence[Prediction], outputs: Outputs) -> HeldOut:
+def _held_out(predictions: Sequence[Prediction], outputs: Outputs, part: str) -> HeldOut:
     at = places([p.held_out.observation for p in predictions])
     pit = np.concatenate([p.pit for p in predictions])
     residual = np.concatenate([p.measured - p.mean for p in predictions])
@@ -108,13 +100,14 @@ def _held_out(predictions: Sequence[Prediction], outputs: Outputs) -> HeldOut:
     standard = residual / np.sqrt(variance)
     centred = standard - standard.mean()
     out = np.abs(pit - 0.5)  # how far from the middle of what was predicted
-    shares = {level: share_of(out <= level / 2.0, at, centred) for level in LEVELS}
-    share, off = shares[_JUDGED], _discrepancy(residual**2 - variance, at)
+    shares = {level: share_of(out <= level / 2.0, at, centred) for level in (0.5, LEVEL, 0.99)}
+    share, off = shares[LEVEL], _discrepancy(residual**2 - variance, at)
     verdict = _verdict(share, off)
     words = {"covers": share.text, "effective": share.effective_outputs}
     if off.interval[0] > 0.0:
         words["beyond"] = f"{off.value:.3g} {outputs.unit}"
     return HeldOut(
+        held_out=part,
         outputs=residual.size,
         coverage={f"{level:g}": share for level, share in shares.items()},
         residual_rms=rms_of(residual),
@@ -134,13 +127,16 @@ def _discrepancy(excess: Array, at: NDArray[np.int64]) -> Discrepancy:
     return Discrepancy(value=value, interval=[low, high], level=LEVEL)
 
 
-def _verdict(share: Coverage, discrepancy: Discrepancy) -> str:
-    low, high = _PASSES
+def _verdict(
+    share: Coverage, discrepancy: Discrepancy, *, passes: tuple[float, float] = (0.85, 0.95)
+) -> str:
+    """Judge by the coverage of the intervals, and whether it ``passes``."""
+    low, high = passes
     if low <= share.share <= high:
         return "covered"
     # too few are inside, and what is outside is too far out: then both say the same
     beyond = share.share < low and discrepancy.interval[0] > 0.0
-    if not beyond and abs(share.share - _JUDGED) <= _SURE * share.standard_error:
+    if not beyond and abs(share.share - LEVEL) <= _SURE * share.standard_error:
         return "undecided"
     return "too wide" if share.share > high else "model discrepancy"
 

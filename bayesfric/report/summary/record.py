@@ -48,7 +48,7 @@ class Part(BaseModel):
     """A piece of a summary, checked when read."""
 
     # keys of other versions are ignored; what they lack has a default
-    model_config = ConfigDict(frozen=True, extra="ignore", strict=True, populate_by_name=True)
+    model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
 
     @classmethod
     def read(cls, document: Self | Mapping[str, Any], where: str = "summary.json") -> Self:
@@ -69,7 +69,7 @@ class Part(BaseModel):
 
     def as_dict(self) -> dict[str, Any]:
         """Give strings, numbers, lists and dicts, as JSON has them."""
-        return self.model_dump(mode="json", by_alias=True)
+        return self.model_dump(mode="json")
 
 
 # -- rows
@@ -467,8 +467,6 @@ class HeldOut(Part):
     """How well one held-out part, or all of them, was predicted."""
 
     held_out: str = "all together"
-    from_: FiniteFloat | None = Field(None, alias="from")
-    to: FiniteFloat | None = None
     outputs: int
     coverage: dict[str, Coverage]
     residual_rms: NotNegative
