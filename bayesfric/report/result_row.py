@@ -167,8 +167,8 @@ def estimate_row(name: str, row: ValueRow, converged: bool = True) -> ResultRow:
         return ResultRow(status="undetermined", remark=remark, converged=False, **what)
     if row.sd is not None and row.determined is not False and row.at_bound is None:
         accounts = row.sd_robust is not None
-        sds = {"sd": row.sd_robust if accounts else row.sd, "sd_plain": row.sd}
-        return ResultRow(status="determined", accounts=accounts, **sds, **what)
+        what |= {"sd": row.sd_robust if accounts else row.sd, "sd_plain": row.sd}
+        return ResultRow(status="determined", accounts=accounts, **what)
     # a scaling does not move a zero away from its bound
     if row.span is not None and row.span[0] < row.span[1]:
         low, high = row.span
