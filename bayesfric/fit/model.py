@@ -32,7 +32,7 @@ from bayesfric.problem.config_text import config_of, mechanism_table, prior_valu
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.recording import Recording
-from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.summary.summary import estimate_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,7 +121,7 @@ class Model(Problem):
         rows = {
             (estimate.method, name): row
             for estimate in self.estimates(methods or METHODS)
-            for name, row in estimate_summary(estimate)["parameters"].items()
+            for name, row in estimate_table(estimate).as_dict()["parameters"].items()
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]

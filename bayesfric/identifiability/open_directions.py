@@ -66,7 +66,7 @@ class OpenDirection:
     # for a factor of e
     exponents: dict[str, float]
     in_units: dict[str, str]  # units of parameters next to zero, which have no logarithm
-    log_sd: float  # sd of the factor's logarithm; infinite for a null direction
+    log_sd: float | None  # sd of the factor's logarithm; None for a null direction
     meaning: str
     reasons: tuple[str, ...]
     remedies: tuple[Remedy, ...]
@@ -95,7 +95,7 @@ def open_directions(
             else float(round(row[j], 9 if null else 3))
             for j in named
         }
-        log_sd = np.inf if null else left_along(local.information, row)
+        log_sd = None if null else left_along(local.information, row)
         rest = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
         theory = number < local.from_theory
         yield OpenDirection(
@@ -103,7 +103,9 @@ def open_directions(
             exponents,
             in_units,
             log_sd,
-            meaning_of(exponents, in_units) if null else _weak(exponents, in_units, log_sd, rest),
+            meaning_of(exponents, in_units)
+            if log_sd is None
+            else _weak(exponents, in_units, log_sd, rest),
             tuple(_scaling(coverage) if theory else _reasons(free, row, null, coverage, back)),
             remedies(local, row, simulated, known),
         )
