@@ -318,9 +318,6 @@ def refused(summaries, *parts):
     assert not re.search("Input should|pydantic|<class", str(caught.value))
 
 
-INERTIA = "parameters.motor.inertia"
-
-
 def put(key, value):
     """Change the posterior's motor inertia."""
     return lambda run: run["parameters"]["motor.inertia"].update({key: value})
@@ -331,15 +328,11 @@ def put(key, value):
     [
         (lambda r: r.pop("parameters"), ["parameters", "is missing"]),
         (lambda r: r.update(parameters=[1, 2]), ["parameters", "[1, 2]"]),
-        (lambda r: r["parameters"]["motor.inertia"].pop("mean"), [f"{INERTIA}.mean", "is missing"]),
-        (put("mean", "3e-4"), [f"{INERTIA}.mean", "'3e-4'"]),
-        (put("sd", -1.0), [f"{INERTIA}.sd", "-1.0"]),
-        (put("mean", 10**400), [f"{INERTIA}.mean"]),
-        (put("mean", True), [f"{INERTIA}.mean", "true"]),
-        (put("interval", [1.0]), [f"{INERTIA}.interval"]),
-        (put("verdict", "maybe"), [f"{INERTIA}.verdict", "'maybe'"]),
+        (put("mean", "3e-4"), ["parameters.motor.inertia.mean", "'3e-4'"]),
+        (put("sd", -1.0), ["parameters.motor.inertia.sd", "-1.0"]),
+        (put("mean", True), ["parameters.motor.inertia.mean", "true"]),
+        (put("verdict", "maybe"), ["parameters.motor.inertia.verdict", "'maybe'"]),
         (lambda r: r["estimates"].update(guess={"parameters": {}}), ["estimates", "guess"]),
-        (lambda r: r.update(references={"motor.inertia": 3.3e-4}), ["references.motor.inertia"]),
         (
             lambda r: r["references"]["motor.inertia"].update(unit="g m²"),
             ["references.motor.inertia", "'g m²'", "'kg m²'"],

@@ -18,10 +18,8 @@ from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.report.numbers import HTML, TEXT
-from bayesfric.report.page.pages import run_page
 from bayesfric.report.summary.parts import QUANTILES, friction_cells, friction_part
 from bayesfric.report.summary.summary import summarise
-from bayesfric.report.terminal import fit_text
 
 from .conftest import build
 
@@ -212,18 +210,11 @@ def test_rows_are_quantiles_of_the_friction_of_draws_at_recorded_speeds(plain):
         assert np.subtract(*row.interval[::-1]) < 0.9 * sum(widths)
 
 
-def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee, tmp_path):
-    part = friction_part(plain, summarise(plain))
-    cells = list(friction_cells(part, TEXT))
-    assert len(cells) == 3
-    assert all(row[0][0] == "±" and row[1] == "" and row[4] == "identified" for row in cells)
-    summary = summarise(plain).model_copy(update={"friction": part})
-    lines = list(fit_text(summary, verbose=True))
-    for speed, _, value, interval, _ in cells:
-        (line,) = [line for line in lines if line.startswith(f"  {speed} ")]
-        assert value in line and interval in line  # noqa: PT018
-    page = run_page(tmp_path, summary, "run")
-    assert all(f'<td class="number">{row[3]}</td>' in page for row in friction_cells(part, HTML))
+def test_printed_is_a_line_a_speed_where_both_directions_are_alike(plain, knee):
+    for medium in (TEXT, HTML):
+        cells = list(friction_cells(friction_part(plain, summarise(plain)), medium))
+        assert len(cells) == 3
+        assert {(row[0][0], row[1], row[4]) for row in cells} == {("±", "", "identified")}
     # by direction and at three loads each speed is a line
     rows = friction_part(knee, summarise(knee)).rows
     assert {np.sign(row.load) for row in rows} == {-1.0, 0.0, 1.0}

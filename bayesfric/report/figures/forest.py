@@ -81,15 +81,14 @@ def forest_figure(compared: Comparison) -> Figure:
 
 def _drawable(compared: Comparison) -> list[Quantity]:
     """Rows with something to compare, or else with anything to show."""
-    for least in (2, 1):
-        if rows := [
-            row
-            for row in compared.rows
-            if least
-            <= sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
-        ]:
-            return rows
-    raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
+
+    def count(row: Quantity) -> int:
+        return sum(c.status != "undetermined" or c.span is not None for c in row.cells.values())
+
+    rows = [r for r in compared.rows if count(r) > 1] or [r for r in compared.rows if count(r)]
+    if not rows:
+        raise BadInput("forest", "no quantity is determined by any of the columns", "fit says why")
+    return rows
 
 
 def _panel(
@@ -97,9 +96,8 @@ def _panel(
 ) -> None:
     ax.margins(x=0.06)
     words: list[tuple[float | None, int, str]] = []
-    for y, column, (marker, colour) in zip(
-        reversed(range(len(columns))), columns, looks, strict=True
-    ):
+    lines = zip(reversed(range(len(columns))), columns, looks, strict=True)
+    for y, column, (marker, colour) in lines:
         if (cell := row.cells.get(column.label)) is None:
             continue
         mark: Look = {
