@@ -68,8 +68,8 @@ class Part(BaseModel):
             raise BadInput(wrong.where, wrong.what, hint) from None
 
     def as_dict(self) -> dict[str, Any]:
-        """Give strings, numbers, lists and dicts, as JSON has them."""
-        return self.model_dump(mode="json")
+        """Give what JSON has: strings, numbers, lists and dicts, and ``None`` for infinity."""
+        return dict(jsonable(self.model_dump()))
 
 
 # -- rows
