@@ -203,7 +203,7 @@ def _precision(joint: FittedJoint) -> Array:
     """Precision ``(5, 5)`` of a joint's friction, zero of numbers that it does not have."""
     sd = np.full(len(NUMBERS), np.inf)
     for k, key in enumerate(NUMBERS):
-        sds = [row.reported.sd for row in joint.number_rows(key) if row.reported is not None]
+        sds = [row.reported.sd for row in joint.number_rows(key)]
         if sds:
             sd[k] = np.mean(sds)
     return np.diag(sd**-2.0)

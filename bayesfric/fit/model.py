@@ -31,7 +31,7 @@ from bayesfric.problem.config_text import config_of, mechanism_table, prior_valu
 from bayesfric.problem.problem import Problem, StartingPoint, starting_point
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.source import Recording
-from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.summary.summary import estimate_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,7 +122,7 @@ class Model(Problem):
         rows = {
             (estimate.method, name): row
             for estimate in self.estimates(methods or METHODS)
-            for name, row in estimate_summary(estimate)["parameters"].items()
+            for name, row in estimate_table(estimate).as_dict()["parameters"].items()
         }
         frame = pd.DataFrame.from_dict(rows, orient="index")
         frame.index.names = ["method", "name"]
@@ -168,9 +168,9 @@ class Model(Problem):
         BadInput
             If nothing has that name, it is fixed, or nothing can be estimated here.
         """
+        target, point = self._at_estimate(progress)
         from bayesfric.identifiability.next_recording import ranking
 
-        target, point = self._at_estimate(progress)
         with self.config.named(), few_threads(self.observations):
             local = local_information(target, point)
             return ranking(

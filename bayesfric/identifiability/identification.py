@@ -86,7 +86,7 @@ class OpenDirection:
     # for a factor of e
     exponents: dict[str, float]
     in_units: dict[str, str]  # units of parameters next to zero, which have no logarithm
-    log_sd: float  # sd of the factor's logarithm; infinite for a null direction
+    log_sd: float | None  # sd of the factor's logarithm; None for a null direction
     meaning: str
     reasons: tuple[str, ...]
     remedies: tuple[Remedy, ...]
@@ -282,10 +282,12 @@ def open_directions(
             else float(round(row[j], 9 if null else 3))
             for j in named
         }
-        log_sd = np.inf if null else left_along(local.information, row)
+        log_sd = None if null else left_along(local.information, row)
         rest = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
-        meaning = meaning_of(exponents, in_units) if null else ""
-        meaning = meaning or _weak(exponents, in_units, log_sd, rest)
+        if log_sd is None:
+            meaning = meaning_of(exponents, in_units)
+        else:
+            meaning = _weak(exponents, in_units, log_sd, rest)
         theory = number < local.from_theory
         reasons = _scaling(coverage) if theory else _reasons(free, row, null, coverage, back)
         cures = remedies(local, row, simulated, known)

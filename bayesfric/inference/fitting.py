@@ -36,9 +36,7 @@ from bayesfric.recordings.observation import Observation
 class Fit:
     """A posterior with its target and what was examined of it.
 
-    One of three: ``Fit`` is the sampled posterior; :class:`bayesfric.fit.result.Result` adds model
-    and summary, and writes a run; :class:`bayesfric.fit.finished_run.Finished` is what later
-    commands need, of either a result or a run directory.
+    :class:`bayesfric.fit.result.Result` adds model and summary.
     """
 
     target: Target  # in the coordinates that were sampled

@@ -84,7 +84,7 @@ def test_how_late_a_target_acts_is_unknown_by_default():
     stiff = Model(SERVO, servo(250.0, 400.0, 1.25), sampling=QUICK)
     assert stiff.chain.delay_name == "target.delay"
     row = stiff.fit(seed=1).summary.joint["motor.viscous"]
-    right = abs(row.value - PENDULUM["motor.viscous"]) < 3.0 * row.printed.sd
+    right = abs(row.value - PENDULUM["motor.viscous"]) < 3.0 * row.reported.sd
     assert right or row.reported.status != "identified"
 
 

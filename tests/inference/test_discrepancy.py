@@ -142,7 +142,7 @@ def test_a_right_model_is_widened_by_its_residual_s_scatter_only(right):
     most = np.sqrt(chi2.ppf(0.999, 10) / 10.0)
     for row in right.summary.joint.values():
         assert row.value == row.middle
-        assert 0.95 * row.sd < row.printed.sd < most * row.sd
+        assert 0.95 * row.sd < row.reported.sd < most * row.sd
 
 
 def test_intervals_of_a_wrong_model_hold_the_truth(wrong):
@@ -150,8 +150,8 @@ def test_intervals_of_a_wrong_model_hold_the_truth(wrong):
     assert wrong.fit.discrepancy.chance > 0.99
     for name in ("motor.inertia", "motor.coulomb", "load.first_moment"):
         row = wrong.summary.parameters[name]
-        assert row.printed.sd > row.sd
-        assert abs(row.reported.value - VALUES[name]) < 3.0 * row.printed.sd
+        assert row.reported.sd > row.sd
+        assert abs(row.reported.value - VALUES[name]) < 3.0 * row.reported.sd
 
 
 def test_without_candidates_nothing_moves(right):

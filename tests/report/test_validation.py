@@ -30,7 +30,7 @@ def predicted(fit, change=lambda torque: torque, names=("other",), hold_out=None
     divided = divide(made, PROCESSING, Validation(recordings=names, hold_out=hold_out))
     found = predict_held_out(fit.target, fit.posterior, divided.held_out)
     fit = replace(fit, held_out=found)
-    return fit, validation_record(fit)
+    return fit, validation_record(fit).as_dict()
 
 
 def test_the_right_model_covers_what_it_says(knee):
@@ -160,7 +160,7 @@ def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds,
     of, outside = every
     off = np.arange(p.measured.size) * 7919 % of < outside
     p.held_out.observation.measured[:] = p.mean + sds * NOISE * off
-    pooled = validation_record(replace(knee, held_out=found))["pooled"]
+    pooled = validation_record(replace(knee, held_out=found)).as_dict()["pooled"]
     share = pooled["coverage"]["0.9"]
     assert (pooled["outputs"] < 80) == (n == 100)
     assert share["share"] == pytest.approx(1 - outside / of, abs=0.015)

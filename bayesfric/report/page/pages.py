@@ -19,8 +19,7 @@ from bayesfric.report.numbers import HTML
 from bayesfric.report.page.rendering import page_figures, render
 from bayesfric.report.paper.tables import parameter_table
 from bayesfric.report.summary.parts import friction_cells
-from bayesfric.report.summary.record import Readable, Summary
-from bayesfric.report.summary.rows import Pair, Part
+from bayesfric.report.summary.record import Pair, Part, Readable, Summary
 from bayesfric.report.terminal import brief
 
 
