@@ -728,7 +728,7 @@ def read_summary_file(run: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise BadInput(str(file), "holds no table of results", again)
     # runs of 0.1 hold other numbers
-    if re.match(r"0\.[01]\b", version := str(document.get("bayesfric"))):
-        what = f"is a run of bayesfric {version}, which this version cannot read"
+    if version := re.match(r"0\.[01]\b", str(document.get("bayesfric"))):
+        what = f"is a run of bayesfric {version[0]}, which this version cannot read"
         raise BadInput(str(run), what, "fit it again")
     return document
