@@ -63,11 +63,13 @@ def layout_of(path: Path, joints: Joints, table: str | None, *, in_order: bool =
     for name, label in labels.items():
         chosen = recognise(opened, label).chosen
         chosen.pop("temperature", None)
-        columns = [channel.column for key, channel in chosen.items() if key != "time"]
+        columns = [column for key, (column, _) in chosen.items() if key != "time"]
         candidates = (name, label, "_".join(label.split()))
         token = next((t for t in candidates if t and all(t in column for column in columns)), "")
         tokens[name] = token
-        pattern = {k: {"column": c.column, "unit": c.unit or OPEN} for k, c in chosen.items()}
+        pattern = {
+            k: {"column": column, "unit": unit or OPEN} for k, (column, unit) in chosen.items()
+        }
         for key in pattern.keys() - {"time"} if token else ():
             pattern[key]["column"] = pattern[key]["column"].replace(token, "{joint}")
         if "current" in pattern:

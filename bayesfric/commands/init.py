@@ -22,7 +22,7 @@ from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables
 from bayesfric.problem.config_text import toml_value
 from bayesfric.recordings.readers import TableOptions, read_table
-from bayesfric.recordings.recognition import Chosen, Log, recognise
+from bayesfric.recordings.recognition import Log, recognise
 from bayesfric.recordings.units import OPEN
 
 # Name in place of a preset.
@@ -158,10 +158,10 @@ def _channels(log: Log, geared: bool) -> dict[str, dict[str, str]]:
     drive = next((key for key in ("current", "voltage") if key in log.chosen), "torque")
     channels = {}
     for channel in ("time", "position", "velocity", drive):
-        choice = log.chosen.get(channel) or Chosen(OPEN, "")
-        if choice.column != OPEN or channel in ("position", drive):
+        column, unit = log.chosen.get(channel, (OPEN, ""))
+        if column != OPEN or channel in ("position", drive):
             side = {"side": "motor"} if geared and channel in ("position", "velocity") else {}
-            keys = {"column": choice.column, "unit": choice.unit or OPEN}
+            keys = {"column": column, "unit": unit or OPEN}
             channels[channel] = keys | side | _CONSTANTS.get(channel, {})
     return channels
 

@@ -123,7 +123,7 @@ def _parts(model: Problem) -> Iterator[tuple[Measurement, Observation, str | Non
     for recording, observation in zip(model.recordings, model.observations, strict=True):
         yield recording, observation, None
     for part in model.held_out:
-        yield part.recording, part.observation, part.part
+        yield part.recording, part.observation, part.held_out
 
 
 def _lines(found: Mapping[str, Any], verbose: bool) -> Iterator[str]:

@@ -17,7 +17,7 @@ from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.posterior import Posterior
 from bayesfric.inference.target import Target
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.held_out import HeldOut
+from bayesfric.recordings.held_out import Part
 
 # Numbers of predicted torque, and of probabilities, in memory at once.
 _BUDGET, _BLOCK = 20_000_000, 1_000_000
@@ -31,7 +31,7 @@ class Prediction:
     noise's correlation with previous outputs is not used.
     """
 
-    held_out: HeldOut
+    held_out: Part
     torque: Array  # (n, M) filtered torque of each draw, N m or N
     noise: Any  # SciPy's distribution of a residual, of shape (n, 1)
     # noise scale or offset unknown for this recording: each draw uses those of a random fitted one
@@ -68,7 +68,7 @@ class Prediction:
 
 
 def predict_held_out(
-    target: Target, posterior: Posterior, held_out: Sequence[HeldOut]
+    target: Target, posterior: Posterior, held_out: Sequence[Part]
 ) -> tuple[Prediction, ...]:
     """Predict held-out torque with the posterior of a fit.
 

@@ -23,7 +23,7 @@ from bayesfric.inference.priors import Prior, as_knowledge
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, Tables
-from bayesfric.recordings.held_out import Divided, divide
+from bayesfric.recordings.held_out import Part, divide, fitted
 from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.observation import Observation, longest_delay, timed
 from bayesfric.recordings.read import read_recordings
@@ -32,7 +32,7 @@ from bayesfric.recordings.source import Recording
 
 def prepare(
     config: Config, recordings: Sequence[Recording] | None = None, terms: Sequence[Term] = ()
-) -> tuple[Joint, dict[str, Prior], Divided, list[Observation]]:
+) -> tuple[Joint, dict[str, Prior], list[Part], list[Observation]]:
     """Read and preprocess every recording of a configuration, or those given.
 
     ``terms`` are the functions of custom terms that its table ``mechanism`` names. Returns joint,
@@ -54,9 +54,9 @@ def prepare(
         chain = replace(chain, delay=True)
     chain = replace(chain, by_target=by_target)
     with config.named():
-        measurements, divided, doubted = _with_band(measurements, chain, tables)
+        measurements, parts, doubted = _with_band(measurements, chain, tables)
         # the torque's rate scales a prior, for any delay
-        observations = (_with_delay(divided, 0.0) if chain.delay else divided).observations
+        _, observations = fitted(_with_delay(parts, 0.0) if chain.delay else parts)
     if tables.mechanism.offset == "per-recording":
         chain = replace(chain, own_offsets=tuple(o.name for o in observations))
     with config.named():
@@ -66,24 +66,22 @@ def prepare(
         if chain.delay:
             prior = priors[chain.delay_name]
             known = as_knowledge(chain, priors)
-            evidence = chain, divided.recordings, observations, known, tables.estimation
+            recordings_fitted, encoder = fitted(parts)
+            evidence = chain, recordings_fitted, observations, known, tables.estimation
             delay = prior.value if prior.fixed else estimate_delay(*evidence)
             if not prior.fixed and abs(delay) > min(
-                longest_delay(o, r.period)
-                for r, o in zip(divided.recordings, divided.observations, strict=True)
+                longest_delay(o, r.period) for r, o in zip(recordings_fitted, encoder, strict=True)
             ):
                 # trim the ends, where the torque is unknown, and a margin
                 measurements = [
                     replace(r, late=delay + math.copysign(r.period, delay)) for r in measurements
                 ]
-                divided = divide(measurements, tables.processing, tables.validation)
-                divided = _note_attenuation(divided, doubted)
-            divided = _with_delay(divided, delay)
-        encoder = divided.observations
-        divided = _with_refined_motion(
-            divided, chain, as_knowledge(chain, priors), tables.estimation
-        )
-    return chain, priors, divided, encoder
+                parts = divide(measurements, tables.processing, tables.validation)
+                parts = _note_attenuation(parts, doubted)
+            parts = _with_delay(parts, delay)
+        _, encoder = fitted(parts)
+        parts = _with_refined_motion(parts, chain, as_knowledge(chain, priors), tables.estimation)
+    return chain, priors, parts, encoder
 
 
 def _read_all(
@@ -106,24 +104,23 @@ def _read_all(
 
 def _with_band(
     recordings: list[Measurement], chain: Joint, tables: Tables
-) -> tuple[list[Measurement], Divided, Sequence[Attenuated]]:
+) -> tuple[list[Measurement], list[Part], Sequence[Attenuated]]:
     """Filter to a band that preserves the inertia, or note that the requested one does not."""
-    divided = divide(recordings, tables.processing, tables.validation)
-    _check_signals(chain, divided.observations)
-    pair = divided.recordings, divided.observations
-    attenuated = attenuations(chain, *pair, tables.processing)
+    parts = divide(recordings, tables.processing, tables.validation)
+    _check_signals(chain, fitted(parts)[1])
+    attenuated = attenuations(chain, *fitted(parts), tables.processing)
     if not attenuated:
-        return recordings, divided, ()
+        return recordings, parts, ()
     if not tables.processing.chooses_band:
-        return recordings, _note_attenuation(divided, attenuated), attenuated
+        return recordings, _note_attenuation(parts, attenuated), attenuated
     narrower = {a.recording: a.narrower for a in attenuated}
     recordings = [replace(r, widest_band=narrower.get(r.name)) for r in recordings]
     return recordings, divide(recordings, tables.processing, tables.validation), ()
 
 
 def _note_attenuation(
-    divided: Divided, attenuated: Sequence[Attenuated], *, larger: float = 1.05
-) -> Divided:
+    parts: Sequence[Part], attenuated: Sequence[Attenuated], *, larger: float = 1.05
+) -> list[Part]:
     """Note that a narrower band contradicts the requested one.
 
     If the inertia changes by less than a factor ``larger``, keep the user's bandwidth.
@@ -137,38 +134,35 @@ def _note_attenuation(
         for a in attenuated
         if a.larger > larger * a.inertia
     }
-    observations = [
-        replace(o, settings={**o.settings, **notes.get(o.name, {})}) for o in divided.observations
-    ]
-    return replace(divided, observations=observations)
+
+    def noted(o: Observation) -> Observation:
+        return replace(o, settings={**o.settings, **notes.get(o.name, {})})
+
+    return [p if p.held_out else replace(p, observation=noted(p.observation)) for p in parts]
 
 
-def _with_delay(divided: Divided, delay: float) -> Divided:
+def _with_delay(parts: Sequence[Part], delay: float) -> list[Part]:
     """Compare with the torque ``delay`` seconds earlier."""
-    pairs = zip(divided.recordings, divided.observations, strict=True)
-    return replace(
-        divided,
-        observations=[timed(o, r, delay) for r, o in pairs],
-        held_out=tuple(
-            replace(part, observation=timed(part.observation, part.recording, delay))
-            for part in divided.held_out
-        ),
-    )
+    return [replace(p, observation=timed(p.observation, p.recording, delay)) for p in parts]
 
 
 def _with_refined_motion(
-    divided: Divided, chain: Joint, knowledge: Knowledge, options: Estimation
-) -> Divided:
+    parts: list[Part], chain: Joint, knowledge: Knowledge, options: Estimation
+) -> list[Part]:
     """Refine motions by the model fitted to what is not held out."""
-    pair = divided.recordings, divided.observations
-    values, observations = with_fine_motion(chain, *pair, knowledge, options)
+    values, observations = with_fine_motion(chain, *fitted(parts), knowledge, options)
     if values is None:
-        return divided
-    held_out = tuple(
-        replace(part, observation=fine_motion(chain, values, part.recording, part.observation))
-        for part in divided.held_out
-    )
-    return replace(divided, observations=observations, held_out=held_out)
+        return parts
+    refined = iter(observations)
+    return [
+        replace(
+            p,
+            observation=fine_motion(chain, values, p.recording, p.observation)
+            if p.held_out
+            else next(refined),
+        )
+        for p in parts
+    ]
 
 
 def _check_recordings(config: Config, chain: Joint, recordings: Sequence[Measurement]) -> None:

@@ -38,6 +38,7 @@ from bayesfric.mechanism.own_term import Term
 from bayesfric.problem.config import Config, read_config
 from bayesfric.problem.config_text import with_settings
 from bayesfric.problem.preparation import prepare
+from bayesfric.recordings.held_out import fitted
 from bayesfric.recordings.source import Recording
 from bayesfric.recordings.trajectory import Trajectory, trajectory
 
@@ -71,9 +72,9 @@ class Problem:
     ) -> None:
         self.config, self.given = config, recordings or ()
         self._estimates: dict[Method, Estimate] = {}  # cache
-        self.chain, self.priors, divided, self.encoder = prepare(config, recordings, terms)
-        self.recordings, self.observations = divided.recordings, divided.observations
-        self.held_out = divided.held_out
+        self.chain, self.priors, parts, self.encoder = prepare(config, recordings, terms)
+        self.recordings, self.observations = fitted(parts)
+        self.held_out = tuple(part for part in parts if part.held_out)
         self.references()  # validates them
 
     def alone(self, k: int) -> Self:

@@ -18,6 +18,14 @@ def runs(flags: Flags, begin: int = 0) -> Segments:
     return tuple(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True))
 
 
+def in_segments(segments: Segments, n: int) -> Flags:
+    """Flag those of ``n`` samples that lie in segments."""
+    flags = np.zeros(n, dtype=np.bool_)
+    for a, b in segments:
+        flags[a:b] = True
+    return flags
+
+
 def near(flags: Flags, reach: int) -> Flags:
     """Flag what lies no more than ``reach`` samples from a flagged one."""
     n = len(flags)

@@ -151,7 +151,6 @@ def standstill_samples(
 def standstill_outputs(
     recording: Measurement,
     torque: Array,
-    parts: Segments,
     still: Flags,
     taps: Array,
     factor: int,
@@ -164,12 +163,7 @@ def standstill_outputs(
     ``torque`` is filtered as for outputs in motion. More than ``max_outputs``, which are evenly
     spaced, hold no more information.
     """
-    inner = tuple(
-        (begin + guard, end - guard)
-        for a, b in parts
-        for begin, end in runs(still[a:b], a)
-        if end - begin > 2 * guard
-    )
+    inner = tuple((a + guard, b - guard) for a, b in runs(still) if b - a > 2 * guard)
     windows = lay_windows(taps, inner, factor, np.ones(still.size, dtype=np.bool_))
     if windows.n_outputs == 0:
         return None

@@ -189,10 +189,11 @@ def inverse_lowpass(
     The inverse is ``1 + s/w`` or, of a Butterworth filter of second order, ``1 + sqrt(2) s/w +
     (s/w)²``.
     """
-    rate = derivative(values, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
-    if lag.order == 1:
+    cutoff, order = lag
+    rate = derivative(values, segments, period, reach) / (2.0 * np.pi * cutoff)
+    if order == 1:
         return values + rate
-    curvature = derivative(rate, segments, period, reach) / (2.0 * np.pi * lag.cutoff)
+    curvature = derivative(rate, segments, period, reach) / (2.0 * np.pi * cutoff)
     return np.asarray(values + math.sqrt(2.0) * rate + curvature)
 
 

@@ -36,12 +36,12 @@ class Validation(Options):
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
-    """A recording, or the end of one, that is predicted and not fitted."""
+class Part:
+    """A recording, or the beginning or end of one, that is fitted or predicted."""
 
     recording: Measurement  # as read; the name is that of the whole recording
     observation: Observation  # as prepared
-    part: str  # "whole recording", or "last 20 %"
+    held_out: str = ""  # "whole recording", or "last 20 %"; empty for a fitted part
 
     @property
     def name(self) -> str:
@@ -49,18 +49,15 @@ class HeldOut:
         return self.recording.name
 
 
-@dataclass(frozen=True, eq=False)
-class Divided:
-    """Fitted recordings with their observations, and what is to be predicted."""
-
-    recordings: list[Measurement]
-    observations: list[Observation]
-    held_out: tuple[HeldOut, ...]
+def fitted(parts: Sequence[Part]) -> tuple[list[Measurement], list[Observation]]:
+    """Return the recordings that are fitted, and their observations."""
+    remaining = [part for part in parts if not part.held_out]
+    return [part.recording for part in remaining], [part.observation for part in remaining]
 
 
 def divide(
     recordings: Sequence[Measurement], processing: Processing, validation: Validation
-) -> Divided:
+) -> list[Part]:
     """Split recordings into what is fitted and what is held out, and prepare both.
 
     Ends are cut off before anything is filtered, behind a gap of one window and ten outputs, so
@@ -74,26 +71,21 @@ def divide(
             raise BadInput(where, problem, nearest(name, names))
     if set(names) == set(validation.recordings):
         raise BadInput(where, "holds out every recording", "leave one to fit")
-    fitted, held_out = Divided([], [], ()), list[HeldOut]()
+    parts = list[Part]()
     for recording in recordings:
         if recording.name in validation.recordings:
-            o = observe(recording, processing)
-            _check(recording, o, where, f"recording {recording.name!r}")
-            held_out.append(HeldOut(recording, o, "whole recording"))
-            continue
-        if validation.hold_out is None:
-            o = observe(recording, processing)
+            parts.append(Part(recording, observe(recording, processing), "whole recording"))
+            _check(parts[-1], where, f"recording {recording.name!r}")
+        elif validation.hold_out is not None:
+            parts += _without_end(recording, processing, validation.hold_out)
         else:
-            recording, o, end = _without_end(recording, processing, validation.hold_out)
-            held_out.append(end)
-        fitted.recordings.append(recording)
-        fitted.observations.append(o)
-    return replace(fitted, held_out=tuple(held_out))
+            parts.append(Part(recording, observe(recording, processing)))
+    return parts
 
 
 def _without_end(
     recording: Measurement, processing: Processing, share: float, *, gap: int = 10
-) -> tuple[Measurement, Observation, HeldOut]:
+) -> list[Part]:
     """Hold out the last share of the samples, with a window and ``gap`` outputs before it.
 
     So the autocorrelation of the noise decays.
@@ -128,18 +120,17 @@ def _without_end(
     # the dead zone of an end at standstill would be zero
     same = processing.model_copy(update={"dead_zone": float(o.settings["dead_zone"])})
     predicted = observed(end, same, whose)
-    _check(end, predicted, where, whose)
-    return rest, o, HeldOut(end, replace(predicted, warnings=()), part)
+    held_out = Part(end, replace(predicted, warnings=()), part)
+    _check(held_out, where, whose)
+    return [Part(rest, o), held_out]
 
 
-def _check(
-    recording: Measurement, o: Observation, where: str, whose: str, *, least: int = 20
-) -> None:
+def _check(part: Part, where: str, whose: str, *, least: int = 20) -> None:
     """Refuse what determines no coverage of a 90 % interval."""
-    if not np.ptp(recording.position) > 0.0:
+    if not np.ptp(part.recording.position) > 0.0:
         raise BadInput(where, f"{whose}: the joint never moves", "hold out another part")
-    if o.measured.size < least:
-        problem = f"{whose} is too short: {o.measured.size} outputs after filtering, at least "
+    if (count := part.observation.measured.size) < least:
+        problem = f"{whose} is too short: {count} outputs after filtering, at least "
         raise BadInput(where, f"{problem}{least} are needed", "hold out more, or decimate less")
 
 

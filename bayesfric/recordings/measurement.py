@@ -20,6 +20,10 @@ ROOM = 20.0
 # Interpolation of a torque between its samples.
 Hold = Literal["zero", "linear", "cubic"]
 
+# The causal low-pass that a signal passed before it was recorded: cut-off in Hz, -3 dB, and order,
+# 1 or, Butterworth, 2.
+Lag = tuple[float, int]
+
 # --- time base ----------------------------------------------------------------------------------
 
 
@@ -181,14 +185,6 @@ class Inputs:
 AT_ROOM = Inputs(torque_rate=steady(0.0), temperature=steady(ROOM))
 
 
-@dataclass(frozen=True)
-class Lag:
-    """The causal low-pass that a maker applied to a signal: first order, or second, Butterworth."""
-
-    cutoff: float  # Hz, -3 dB
-    order: int  # 1 or 2
-
-
 @dataclass(frozen=True, eq=False)
 class Law:
     """The motor's torque at any motion of the joint; arrays have the shape (n,).
@@ -255,7 +251,7 @@ class Measurement:
     # (n,) subtracted from the command of a position target, in its unit
     feedback: Array | None = None
     held: bool = False  # whether torque is a command held until the next sample
-    torque_lag: Lag | None = None  # low-pass before recording
+    torque_lag: Lag | None = None
     velocity_lag: Lag | None = None
     ratio: float = 1.0  # of the gear, motor motion per joint motion
     motion: Literal["rotary", "linear"] = "rotary"  # of the joint

@@ -10,7 +10,16 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings import checks, units
-from bayesfric.recordings.arrays import Array, Flags, Index, Segments, near, runs, without_excluded
+from bayesfric.recordings.arrays import (
+    Array,
+    Flags,
+    Index,
+    Segments,
+    in_segments,
+    near,
+    runs,
+    without_excluded,
+)
 from bayesfric.recordings.filters import (
     FOLDING,
     LARGE_SHARE,
@@ -120,16 +129,15 @@ def observe(
     Defaults come from the recording and its ``resolution``. A cut-off that the sampling rate cannot
     carry, and settings that leave no output, are bad input.
     """
-    filters, prepared = _prepare(recording, processing, resolution)
-    if prepared.filter.n_outputs == 0:
+    filters, (q, qd, compared, still, windows, settings) = _prepare(
+        recording, processing, resolution
+    )
+    if windows.n_outputs == 0:
         problem = "the joint is never faster than the dead zone for a whole window"
         hint = "lower dead_zone (0 for none), or decimate less"
         raise BadInput(f"recording '{recording.name}', dead_zone", problem, hint)
-    q, qd, windows = prepared.q, prepared.qd, prepared.filter
     segments, period = recording.segments, recording.period
-    compared = prepared.compared & ~recording.excluded
     warnings = [*recording.warnings, *_band_warnings(filters, recording)]
-    settings = _settings(recording, processing, filters, prepared)
     if law := checks.feedback(recording.torque, q, qd, compared):
         settings["feedback"] = law[0]
     if recording.velocity is not None:
@@ -145,13 +153,7 @@ def observe(
     inputs, standstill = _filtered_inputs(recording, settings), None
     if processing.rest:
         standstill = checks.standstill_outputs(
-            recording,
-            filtered_torque,
-            prepared.parts,
-            prepared.still,
-            windows.taps,
-            filters.factor,
-            filters.guard,
+            recording, filtered_torque, still, windows.taps, filters.factor, filters.guard
         )
         settings["rest_outputs"] = 0 if standstill is None else standstill.q.size
         if standstill is None:
@@ -184,42 +186,6 @@ def observe(
             for a, b in runs(recording.excluded)
         ),
     )
-
-
-def _settings(
-    recording: Measurement, processing: Processing, filters: _Filters, prepared: _Windows
-) -> Settings:
-    resolution = filters.resolution
-    settings: Settings = {
-        "sampling_rate": filters.fs,
-        "lowpass": filters.cutoff,
-        "order": processing.order,
-        "decimate": filters.factor,
-        "band": filters.used_band,
-        "filter_cutoff": parallel_cutoff(filters.factor, filters.band, filters.fs),
-        "differentiation": processing.differentiation,
-        "velocity": "differentiated" if recording.velocity is None else "measured",
-        "reach": filters.reach,
-        "guard": filters.guard,
-        "band_by": resolution.reason,
-        "noise_seen": resolution.noise,
-        "dead_zone": prepared.dead_zone,
-        "rest": processing.rest,
-        "trim": filters.trim_samples * recording.period,
-        "trim_samples": filters.trim_samples,
-        "torque_lowpass": filters.cutoff if filters.filters_torque else 0.0,
-        "motion": "encoder",
-        "taps": len(prepared.filter.taps),
-        "n_samples": len(prepared.q),
-        "n_segments": len(recording.segments),
-        "n_outputs": prepared.filter.n_outputs,
-        **prepared.dropped,
-    }
-    if np.isfinite(resolution.acceleration_ratio):
-        settings["acceleration_ratio"] = resolution.acceleration_ratio
-    if recording.torque_constant is not None:
-        settings["torque_constant"] = recording.torque_constant
-    return settings
 
 
 def _filtered_inputs(recording: Measurement, settings: Settings) -> Inputs:
@@ -284,29 +250,21 @@ class _Filters:
         return self.fs / (2 * self.factor) if self.factor > 1 else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """The filtered motion ``(N,)`` and the windows laid over it."""
-
-    q: Array
-    qd: Array
-    compared: Flags
-    dead_zone: float
-    filter: ParallelFilter
-    dropped: dict[str, int]
-    still: Flags  # (N,) at standstill, where requested
-    parts: Segments  # without their ends and excluded spans
+# Position and speed (N,), flags (N,) of the samples to compare and of those at standstill where
+# these are requested, the windows over them, and every number used.
+_Prepared = tuple[Array, Array, Flags, Flags, ParallelFilter, Settings]
 
 
 def _prepare(
     recording: Measurement, processing: Processing, resolution: Resolution | None = None
-) -> tuple[_Filters, _Windows]:
+) -> tuple[_Filters, _Prepared]:
     """Resolve the settings and lay the windows, so that enough of them remain."""
     filters = _choose_filters(recording, processing, resolution)
     prepared = _filter_and_lay_windows(recording, processing, filters, SMALL_SHARE)
-    count = prepared.filter.n_outputs
+    *_, windows, settings = prepared
+    all_windows = windows.n_outputs + int(settings["dropped_dead_zone"])
     # the dead zone must leave a fifth of the windows, and sixty
-    if count < max(0.2 * (count + prepared.dropped["dropped_dead_zone"]), 60):
+    if windows.n_outputs < max(0.2 * all_windows, 60):
         # A narrow band's long windows nearly all touch a reversal: rather lose samples then. The
         # gaps they leave fold noise from above the band into it, which the low-pass must take off.
         if processing.lowpass is None:
@@ -369,15 +327,13 @@ def _lower_lowpass(recording: Measurement, processing: Processing, filters: _Fil
 
 def _filter_and_lay_windows(
     recording: Measurement, processing: Processing, filters: _Filters, share: float
-) -> _Windows:
+) -> _Prepared:
     """Filter the motion and lay the windows; ``share`` as in `lay_windows`."""
     segments, trim = recording.segments, filters.trim_samples
     q, qd = filtered_motion(recording, filters.cutoff, processing.order, filters.reach)
     # nothing may be left of a segment
     trimmed = tuple((a + trim, max(b - trim, a + trim)) for a, b in segments)
-    inside = np.zeros(len(q), dtype=np.bool_)
-    for a, b in trimmed:
-        inside[a:b] = True
+    inside = in_segments(trimmed, len(q))
     dead_zone = processing.dead_zone
     if isinstance(dead_zone, str):
         dead_zone = units.quantity(dead_zone, "angular_speed", "speed")
@@ -414,12 +370,40 @@ def _filter_and_lay_windows(
     if included == 0:
         raise BadInput(f"{where}, exclude", "the excluded spans leave no output", "exclude less")
     windows = lay_windows(taps, parts, filters.factor, moving, share)
-    dropped = {
+    resolution = filters.resolution
+    settings: Settings = {
+        "sampling_rate": filters.fs,
+        "lowpass": filters.cutoff,
+        "order": processing.order,
+        "decimate": filters.factor,
+        "band": filters.used_band,
+        "filter_cutoff": parallel_cutoff(filters.factor, filters.band, filters.fs),
+        "differentiation": processing.differentiation,
+        "velocity": "differentiated" if recording.velocity is None else "measured",
+        "reach": filters.reach,
+        "guard": filters.guard,
+        "band_by": resolution.reason,
+        "noise_seen": resolution.noise,
+        "dead_zone": float(dead_zone),
+        "rest": processing.rest,
+        "trim": trim * recording.period,
+        "trim_samples": trim,
+        "torque_lowpass": filters.cutoff if filters.filters_torque else 0.0,
+        "motion": "encoder",
+        "taps": len(taps),
+        "n_samples": len(q),
+        "n_segments": len(segments),
+        "n_outputs": windows.n_outputs,
         "dropped_trim": untrimmed - inner,
         "dropped_excluded": inner - included,
         "dropped_dead_zone": included - windows.n_outputs,
     }
-    return _Windows(q, qd, inside & moving, float(dead_zone), windows, dropped, still, parts)
+    if np.isfinite(resolution.acceleration_ratio):
+        settings["acceleration_ratio"] = resolution.acceleration_ratio
+    if recording.torque_constant is not None:
+        settings["torque_constant"] = recording.torque_constant
+    compared = inside & moving & ~recording.excluded
+    return q, qd, compared, still & in_segments(parts, len(q)), windows, settings
 
 
 # --- torque and motion ----------------------------------------------------------------------------
@@ -556,9 +540,10 @@ def _step_sentences(filters: _Filters, recording: Measurement, settings: Setting
     end = filters.used_band or filters.cutoff or 0.25 * filters.fs
     for signal, lag in ("torque", recording.torque_lag), ("velocity", recording.velocity_lag):
         if lag:
-            times = math.hypot(1.0, (end / lag.cutoff) ** lag.order)
+            cutoff, order = lag
+            times = math.hypot(1.0, (end / cutoff) ** order)
             yield (
-                f"{signal}: the low-pass at {lag.cutoff:.4g} Hz is undone, which makes it and "
+                f"{signal}: the low-pass at {cutoff:.4g} Hz is undone, which makes it and "
                 f"later noise {times:.2g} times as large at the end of the band"
             )
     length = "rad" if recording.motion == "rotary" else "m"

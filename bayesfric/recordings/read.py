@@ -17,7 +17,7 @@ import numpy as np
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
 from bayesfric.recordings.arrays import Array, Flags
-from bayesfric.recordings.measurement import Grid, Inputs, Law, Measurement, Signal, make_grid
+from bayesfric.recordings.measurement import Grid, Inputs, Lag, Law, Measurement, Signal, make_grid
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
     SI,
@@ -172,8 +172,8 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
         steps=tuple(steps),
         warnings=tuple(warnings),
         held=channel.held,
-        torque_lag=channel.lag,
-        velocity_lag=source.velocity.lag if source.velocity else None,
+        torque_lag=_lag(channel),
+        velocity_lag=_lag(source.velocity),
         motion=drive.motion,
         torque_constant=torque_constant,
         law=replace(played, off=off),
@@ -332,6 +332,13 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
         load_torque=load_torque,
         others={str(x): Signal(grid.time, grid.linear(table.column(x))) for x in source.others},
     )
+
+
+def _lag(channel: Channel | None) -> Lag | None:
+    """Return the low-pass that a channel passed before it was recorded, where one is known."""
+    if not isinstance(channel, Velocity | Torque | Current) or channel.lowpass is None:
+        return None
+    return channel.lowpass, channel.lowpass_order
 
 
 def _excluded(

@@ -54,18 +54,11 @@ _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]\s*$")
 _PARTS = re.compile(r"(?:m[AV]|mNm|Nm)(?![A-Za-z])|[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+|°")
 
 
-class Chosen(NamedTuple):
-    """A column chosen for a channel; ``unit`` is empty where unknown."""
-
-    column: str
-    unit: str
-
-
 @dataclass(frozen=True)
 class Log:
     """Recognised columns of a log."""
 
-    chosen: dict[str, Chosen]  # by channel
+    chosen: dict[str, tuple[str, str]]  # column and its unit, empty if unknown, by channel
     columns: tuple[str | int, ...]  # all columns
     joint: str = ""  # chosen of several
     joints: tuple[str, ...] = ()
@@ -91,7 +84,7 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     if label is None and joint is not None:
         where_not = f"{table.where}, --joint {joint}"
         raise BadInput(where_not, "there is no such joint", nearest(joint, joints))
-    chosen: dict[str, Chosen] = {}
+    chosen: dict[str, tuple[str, str]] = {}
     for channel in ("time", "position", "velocity", *_DRIVES):
         if channel in _DRIVES and not chosen.keys().isdisjoint(_DRIVES):
             continue
@@ -103,7 +96,7 @@ def recognise(table: Table, joint: str | None = None) -> Log:
         if of:
             # the joint's, or else one without a joint
             column, name = min(of, key=lambda s: (s[1].joint != label, s[1].joint != ""))
-            chosen[channel] = Chosen(column, name.unit)
+            chosen[channel] = column, name.unit
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
     return Log(chosen, columns, label or "", joints if len(joints) > 1 else (), where)
 

@@ -15,7 +15,6 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 from bayesfric.base.errors import BadInput, Unfit, nearest
 from bayesfric.base.options import Options, configuration_error
 from bayesfric.recordings import units
-from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.readers import TableOptions
 from bayesfric.recordings.tables import Table
 from bayesfric.recordings.units import Hertz, HertzOrOff, Kilograms, Metres, Seconds
@@ -99,24 +98,23 @@ class Position(Channel):
     )
 
 
-class Lagged(Channel):
-    """A channel that its maker may have filtered."""
-
-    lowpass: Hertz | None = Field(
-        None,
+Lowpass = Annotated[
+    Hertz | None,
+    Field(
         description="Cut-off (-3 dB) of the causal low-pass that the drive applied before it was "
-        "recorded; what that took in the band is given back.",
-    )
-    lowpass_order: Literal[1, 2] = Field(1, description="Order of that filter; 2 is Butterworth.")
-
-    @property
-    def lag(self) -> Lag | None:
-        """The low-pass that it passed before it was recorded, where one is known."""
-        return None if self.lowpass is None else Lag(self.lowpass, self.lowpass_order)
+        "recorded; what that took in the band is given back."
+    ),
+]
+LowpassOrder = Annotated[
+    Literal[1, 2], Field(description="Order of that filter; 2 is Butterworth.")
+]
 
 
-class Velocity(Lagged, Position):
+class Velocity(Position):
     """The velocity channel, of the joint or of the motor."""
+
+    lowpass: Lowpass = None
+    lowpass_order: LowpassOrder = 1
 
 
 class Effort(Channel):
@@ -134,22 +132,23 @@ class Effort(Channel):
         "half a sample later.",
     )
 
-    @property
-    def lag(self) -> Lag | None:
-        """The low-pass that it passed before it was recorded, where one is known."""
-        return None
 
-
-class Torque(Lagged, Effort):
+class Torque(Effort):
     """The motor torque (or force) itself, or a signal proportional to it."""
+
+    lowpass: Lowpass = None
+    lowpass_order: LowpassOrder = 1
 
     constant: str | None = Field(
         None, description="What turns the signal into a torque, such as '35.15 N/V'."
     )
 
 
-class Current(Lagged, Effort):
+class Current(Effort):
     """The motor current."""
+
+    lowpass: Lowpass = None
+    lowpass_order: LowpassOrder = 1
 
     torque_constant: TorqueConstant = Field(description="Torque per current, such as '0.32 N m/A'.")
 

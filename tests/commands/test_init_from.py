@@ -84,12 +84,12 @@ def test_names(name, channel, joint, unit):
 
 def test_what_is_wanted_is_not_what_is_measured():
     one = found(time=T, target_position=Q, position=Q, velocity=V, torque=TAU)
-    assert one["position"].column == "position"
+    assert one["position"][0] == "position"
 
 
 def test_a_column_that_is_no_clock_is_not_the_time():
     assert "time" not in found(timestamp=0 * T, position=Q, torque=TAU)
-    assert found(stamp=0 * T, t=T, position=Q, torque=TAU)["time"].column == "t"
+    assert found(stamp=0 * T, t=T, position=Q, torque=TAU)["time"][0] == "t"
 
 
 # -- the command

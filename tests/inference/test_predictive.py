@@ -9,12 +9,12 @@ from scipy import stats
 
 from bayesfric.inference.predictive import Prediction, predict_held_out
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.held_out import HeldOut
+from bayesfric.recordings.held_out import Part
 from tests.report.conftest import NOISE, build
 
 
 def held(o, part="last 20 %"):
-    return HeldOut(SimpleNamespace(name=o.name), o, part)
+    return Part(SimpleNamespace(name=o.name), o, part)
 
 
 def prediction(torque, noise, measured):

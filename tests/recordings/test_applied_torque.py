@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from bayesfric.recordings.measurement import Lag
 from bayesfric.recordings.observation import applied_torque
 from tests.conftest import made_recording
 
@@ -29,7 +28,7 @@ def test_what_a_makers_low_pass_took_is_given_back(order):
     true = np.sin(2 * np.pi * 3.0 * time) + 0.5 * np.sin(2 * np.pi * 7.0 * time)
     passed = lfilter(*butter(order, 5.0, fs=fine / PERIOD), true)
     torque, stamps = passed[::fine], time[::fine]
-    one = made_recording(stamps, np.sin(stamps), torque, PERIOD, torque_lag=Lag(5.0, order))
+    one = made_recording(stamps, np.sin(stamps), torque, PERIOD, torque_lag=(5.0, order))
     inner = slice(500, -50)  # the filter has settled
     assert np.abs(torque - true[::fine])[inner].max() > 0.3
     np.testing.assert_allclose(applied_torque(one, 6)[inner], true[::fine][inner], atol=5e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesfric.base.errors import BadInput
-from bayesfric.recordings.held_out import Validation, divide
+from bayesfric.recordings.held_out import Validation, divide, fitted
 from bayesfric.recordings.observation import observe
 from bayesfric.recordings.source import Processing
 from tests.conftest import made_recording
@@ -31,20 +31,17 @@ def touched(o):
 
 def test_a_named_recording_is_prepared_as_usual_but_not_fitted():
     runs = [recording(name) for name in ("a", "b", "c")]
-    divided = divide(runs, PROCESSING, Validation(recordings=("b",)))
-    assert [r.name for r in divided.recordings] == ["a", "c"]
-    assert [o.name for o in divided.observations] == ["a", "c"]
-    (held,) = divided.held_out
-    assert (held.name, held.part) == ("b", "whole recording")
-    np.testing.assert_array_equal(held.observation.measured, observe(runs[1], PROCESSING).measured)
+    parts = divide(runs, PROCESSING, Validation(recordings=("b",)))
+    assert [o.name for o in fitted(parts)[1]] == ["a", "c"]
+    assert [p.held_out for p in parts] == ["", "whole recording", ""]
+    np.testing.assert_array_equal(parts[1].observation.measured, observe(runs[1], PROCESSING).measured)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.5])
 def test_the_end_is_the_share_asked_for_and_a_window_away(share):
-    divided = divide([recording()], PROCESSING, Validation(hold_out=share))
-    (held,) = divided.held_out
-    (o,) = divided.observations
-    assert held.part == f"last {100 * share:g} %"
+    first, held = divide([recording()], PROCESSING, Validation(hold_out=share))
+    o = first.observation
+    assert (first.held_out, held.held_out) == ("", f"last {100 * share:g} %")
     assert held.recording.time.size == round(share * N)
     assert held.recording.time[-1] == PERIOD * (N - 1)
     # no output of either is made of a sample nearer than a window to those of the other
@@ -58,11 +55,9 @@ def test_the_torque_that_is_held_out_changes_nothing_that_is_fitted():
     one = recording()
     changed = replace(one, torque=one.torque + 5.0 * (one.time >= PERIOD * N * 0.8))
     before, after = (divide([r], PROCESSING, Validation(hold_out=0.2)) for r in (one, changed))
-    np.testing.assert_array_equal(before.observations[0].measured, after.observations[0].measured)
-    np.testing.assert_array_equal(before.recordings[0].torque, after.recordings[0].torque)
-    assert np.all(
-        after.held_out[0].observation.measured - before.held_out[0].observation.measured > 4
-    )
+    np.testing.assert_array_equal(before[0].observation.measured, after[0].observation.measured)
+    np.testing.assert_array_equal(before[0].recording.torque, after[0].recording.torque)
+    assert np.all(after[1].observation.measured - before[1].observation.measured > 4)
 
 
 def test_gaps_in_time_stay_and_stumps_go():
@@ -70,9 +65,9 @@ def test_gaps_in_time_stay_and_stumps_go():
     end = 3200 - 37
     segments = ((0, 1000), (1000, end - 65), (end - 65, 3600), (3600, N))
     one = recording(segments=segments)
-    divided = divide([one], PROCESSING, Validation(hold_out=0.2))
-    assert divided.recordings[0].segments == ((0, 1000), (1000, end - 65))
-    held = divided.held_out[0].recording
+    first, last = divide([one], PROCESSING, Validation(hold_out=0.2))
+    assert first.recording.segments == ((0, 1000), (1000, end - 65))
+    held = last.recording
     assert held.segments == ((0, 400), (400, 800))
     np.testing.assert_array_equal(held.time, one.time[3200:])
 

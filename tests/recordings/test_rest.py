@@ -48,12 +48,12 @@ def test_windows_lie_inside_and_keep_off_the_ends():
     taps = np.full(11, 1 / 11)
     ramp = np.arange(200.0)
     recording = made_recording(ramp, np.zeros(200), ramp, 1.0)
-    rest = standstill_outputs(recording, ramp, ((0, 200),), still, taps, 3, 20)
+    rest = standstill_outputs(recording, ramp, still, taps, 3, 20)
     assert rest.torque == pytest.approx(rest.stamps)
     assert rest.stamps.min() >= 50 + 20 + 5
     assert rest.stamps.max() <= 149 - 20 - 5
     assert np.diff(rest.stamps) == pytest.approx(3.0)
-    assert standstill_outputs(recording, ramp, ((0, 200),), still, taps, 3, 46) is None
+    assert standstill_outputs(recording, ramp, still, taps, 3, 46) is None
 
 
 def observed(noise, **processing):

@@ -27,8 +27,9 @@ def predicted(fit, change=lambda torque: torque, names=("other",), hold_out=None
     for seed, name in enumerate(names, start=10):
         one = recording(fit.chain, x, name, n, seed)
         made.append(replace(one, torque=change(one.torque)))
-    divided = divide(made, PROCESSING, Validation(recordings=names, hold_out=hold_out))
-    found = predict_held_out(fit.target, fit.posterior, divided.held_out)
+    parts = divide(made, PROCESSING, Validation(recordings=names, hold_out=hold_out))
+    held_out = [part for part in parts if part.held_out]
+    found = predict_held_out(fit.target, fit.posterior, held_out)
     fit = replace(fit, held_out=found)
     return fit, validation_record(fit).as_dict()
 
@@ -154,8 +155,8 @@ def test_off_by_more_than_two_standard_errors_is_called_off(knee, n, every, sds,
     """Some of so many outputs are outside, here and there."""
     x = knee.chain.vector(PRESETS["rabbit-knee"].values)
     made = [recording(knee.chain, x, name, k, 3) for name, k in (("run 0", SAMPLES), ("new", n))]
-    divided = divide(made, PROCESSING, Validation(recordings=("new",)))
-    found = predict_held_out(knee.target, knee.posterior, divided.held_out)
+    _, new = divide(made, PROCESSING, Validation(recordings=("new",)))
+    found = predict_held_out(knee.target, knee.posterior, [new])
     (p,) = found
     of, outside = every
     off = np.arange(p.measured.size) * 7919 % of < outside
