@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -510,37 +510,33 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
     # bags of sqlite3 before ROS 2 Iron hold no definitions
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
         topic, kind, connections = _topic(path, reader, options.table)
-        received, messages = list[int](), list[Any]()
+        received, rows = list[int](), list[dict[str, Any]]()
         for connection, stamp, raw in reader.messages(connections=connections):
             received.append(int(stamp))
-            messages.append(reader.deserialize(raw, connection.msgtype))
-    places, is_known = dict[str, _Place](), set[tuple[str, ...]]()
-    for k, message in enumerate(messages):
-        joints = tuple(_joints(message))
-        # lists may fill in later, and other joints may be on the topic
-        if k < 100 or joints not in is_known:
-            is_known.add(joints)
-            places |= _places(message, joints)
-    units = [("s" if is_time else _unit(kind, name)) for name, (_, _, is_time) in places.items()]
+            rows.append(_fields(reader.deserialize(raw, connection.msgtype)))
+    # of the first message that has each: joints may take turns
+    first = {name: value for row in reversed(rows) for name, value in row.items()}
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    units = [("s" if _is_time(first[name]) else _unit(kind, name)) for name in names]
 
     def load(index: int) -> NDArray[Any]:
         if index == 0:
             return _since_first(received)
-        place = list(places.values())[index - 1]
-        values: list[Any] = [_value(message, place) for message in messages]
-        if not place.is_time:
+        name = names[index - 1]
+        values = [row.get(name) for row in rows]
+        if not _is_time(first[name]):
             return _cells(values)
         stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]
-        if values[0].__msgtype__ == _STAMP:
+        if first[name].__msgtype__ == _STAMP:
             return _since_first(stamps)
         return np.array([stamp / 10**9 for stamp in stamps])
 
     return Table(
         f"{path}, table '{topic}'",
-        ["received", *places],
+        ["received", *names],
         load,
         units=["s", *units],
-        notes=(f"topic {topic} ({kind}), {len(messages)} messages",),
+        notes=(f"topic {topic} ({kind}), {len(rows)} messages",),
         by_rows=True,
     )
 
@@ -566,55 +562,30 @@ def _topic(path: Path, reader: Any, wanted: str | None) -> tuple[str, str, Seque
     return wanted, kind, topics[wanted].connections
 
 
-class _Place(NamedTuple):
-    """Where a message has a value: attributes and indices, and the joint of a list by joints."""
+def _fields(message: Any) -> dict[str, Any]:
+    """Return a message's values by their paths, and those of its joints also by joint."""
+    values = dict[str, Any]()
+    joints: Any = getattr(message, "name", None) or getattr(message, "joint_names", None)
+    if not isinstance(joints, list) or not all(isinstance(joint, str) for joint in joints):
+        joints = []
 
-    path: tuple[str | int, ...]
-    joint: str | None
-    is_time: bool
-
-
-def _places(message: Any, joints: Sequence[str]) -> dict[str, _Place]:
-    """Name a message's values by their paths, and those of its joints also by joint."""
-    places = dict[str, _Place]()
-
-    def walk(value: Any, name: str, path: tuple[str | int, ...]) -> None:
+    def walk(value: Any, name: str) -> None:
         if isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
             for k, part in enumerate(value):
-                walk(part, f"{name}[{k}]", (*path, k))
+                walk(part, f"{name}[{k}]")
         elif hasattr(value, "__msgtype__") and not _is_time(value):
-            fields = (field.name for field in dataclasses.fields(value))
-            for field in (field for field in fields if not field.startswith("_")):
-                inner = f"{name}.{field}" if name else field
-                walk(getattr(value, field), inner, (*path, field))
+            for field in dataclasses.fields(value):
+                if not field.name.startswith("_"):
+                    inner = f"{name}.{field.name}" if name else field.name
+                    walk(getattr(value, field.name), inner)
         else:
-            places[name] = _Place(path, None, _is_time(value))
+            values[name] = value
             is_list = isinstance(value, np.ndarray | list) and len(value) == len(joints)
             if is_list and not any(isinstance(part, str) for part in value):
-                places.update({f"{name}[{j}]": _Place(path, j, is_time=False) for j in joints})
+                values.update((f"{name}[{j}]", x) for j, x in zip(joints, value, strict=True))
 
-    walk(message, "", ())
-    return places
-
-
-def _value(message: Any, place: _Place) -> Any:
-    """Return a value of a message, None where it has none."""
-    value = message
-    for step in place.path:
-        if isinstance(step, int) and step >= len(value):
-            return None
-        value = value[step] if isinstance(step, int) else getattr(value, step)
-    if place.joint is None:
-        return value
-    joints = _joints(message)
-    has_joint = place.joint in joints and len(value) == len(joints)
-    return value[joints.index(place.joint)] if has_joint else None
-
-
-def _joints(message: Any) -> list[str]:
-    """Return the names of the joints that a message lists."""
-    names: Any = getattr(message, "name", None) or getattr(message, "joint_names", None)
-    return names if isinstance(names, list) and all(isinstance(n, str) for n in names) else []
+    walk(message, "")
+    return values
 
 
 def _unit(kind: str, name: str) -> str:
