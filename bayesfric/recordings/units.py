@@ -47,8 +47,21 @@ _KINDS: dict[Kind, tuple[str, str]] = {
 # Kinds of a sliding joint in place of those of a turning one.
 _SLIDING: dict[Kind, Kind] = {"angle": "length", "angular_speed": "speed", "torque": "force"}
 
-# pint reads "Nm" as a number times a metre; everybody else means newton metre
-_NEWTON_METRE = re.compile(r"(?<![A-Za-zµμ])([mkMcuµμ]?)N-?m(?![A-Za-z])")
+# What data sheets write, and what pint would read as another quantity, as none, or, by its version,
+# as either: "Nm", "N.m", "Ncm", "oz-in", "lb-ft", "kg-cm", "RPM", "r/min", "DEG", "Amps".
+_SPELLINGS = [
+    (re.compile(rf"(?<![A-Za-zµμ]){pattern}(?![A-Za-z])"), replacement)
+    for pattern, replacement in (
+        (r"([mkMcuµμ]?)N[-.·]?(c?m)", r"(\1N*\2)"),
+        (r"ozf?[-.· ]?in", "(ozf*inch)"),
+        (r"lbf?[-.· ]?(in|ft)", r"(lbf*\1)"),
+        (r"(in|ft)[-.· ]?lbf?", r"(lbf*\1)"),
+        (r"kgf?[-.·]?(c?m)", r"(kgf*\1)"),
+        (r"(RPM|r/min)", "rpm"),
+        (r"D(EG|eg)", "deg"),
+        (r"[Aa]mps?", "A"),
+    )
+]
 # Written by ``bayesfric init --from`` for what a log does not give.
 OPEN = "?"
 
@@ -69,8 +82,11 @@ def _base(text: str) -> tuple[float, dict[str, float]]:
     """Return the SI factor of a unit text and the powers of its base units."""
     if not text.strip():
         return 1.0, {}
-    prepared = _NEWTON_METRE.sub(r"(\1N*m)", text)
-    prepared = re.sub(r"(?<=[\d.])\s*\((?=[mkMcuµμ]?N\*m\))", " * (", prepared)
+    prepared = text
+    for pattern, replacement in _SPELLINGS:
+        prepared = pattern.sub(replacement, prepared)
+    # pint takes a number before a bracket for a call
+    prepared = re.sub(r"(?<=[\d.])\s*\((?=\D)", " * (", prepared)
     try:
         value: Any = _registry().Quantity(prepared).to_base_units()
         factor = float(value.magnitude)
