@@ -75,6 +75,17 @@ def passes(bench, text, **units):
         ("joint first", "knee_pos_deg", "position", "knee", "deg"),
         ("camel case", "kneePosition", "position", "knee", ""),
         ("nothing", "status", "", "", ""),
+        ("of a microcontroller", "t_ms", "time", "", "ms"),
+        ("its clock", "millis", "time", "", "ms"),
+        ("a list's", "timestamps", "time", "", ""),
+        ("micro", "torque_uNm", "torque", "", "uN m"),
+        ("kilo", "torque_kNm", "torque", "", "kN m"),
+        ("microampere", "current_uA", "current", "", "uA"),
+        ("a prefix as a word", "torque_milli_Nm", "torque", "milli nm", ""),
+        ("no unit of length", "link_position", "position", "link", ""),
+        ("nor this", "foot_angle", "position", "foot", ""),
+        ("nor this index", "velocity_actual_606C", "velocity", "606 c", ""),
+        ("but this", "velocity_m_s", "velocity", "", "m/s"),
     ),
 )
 def test_names(name, channel, joint, unit):
@@ -90,6 +101,28 @@ def test_what_is_wanted_is_not_what_is_measured():
 def test_a_column_that_is_no_clock_is_not_the_time():
     assert "time" not in found(timestamp=0 * T, position=Q, torque=TAU)
     assert found(stamp=0 * T, t=T, position=Q, torque=TAU)["time"][0] == "t"
+
+
+def test_what_stands_still_is_not_chosen():
+    """Of four drives the one that moves; a register that is constant is no torque."""
+    rng = np.random.default_rng(1)
+    drives = {
+        f"drive{k} {name}": values * (k == 2) + 1e-4 * rng.normal(size=T.size)
+        for k in range(4)
+        for name, values in (("position", Q), ("current", TAU))
+    }
+    log = recognise(table(t=T, **drives))
+    assert log.chosen["position"][0] == "drive2 position"
+    assert log.chosen["current"][0] == "drive2 current"
+    assert len(log.joints) == 4
+    assert "torque" not in found(t=T, position=Q, load=0 * T)
+    assert found(t=T, position=Q, load=0 * T, current=TAU)["current"][0] == "current"
+
+
+def test_holes_hide_no_column():
+    q = Q.copy()
+    q[:3] = np.nan
+    assert found(t=T, position=q, torque=TAU)["position"][0] == "position"
 
 
 # -- the command
