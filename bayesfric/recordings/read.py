@@ -104,9 +104,16 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
     # columns
     source, table = _by_time(source, table)
     _check_columns(source, table)
+    keys, first = source.columns, source.position.column
+    stamps = np.arange(table.values(first).size) / (source.rate or 1.0)
+    if source.time is not None:
+        stamps = table.values(source.time.column)
+    table, rows = table.without_holes(keys, first, stamps, source.valid)
     position, position_step = joint_signal(source.position, "position", table, drive)
     steps, velocity = [*table.notes, position_step], None
     time = recorded_time(source, table, len(position))
+    if source.time is None:
+        time = stamps[rows] - stamps[rows[:1]]
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         steps.append(step)
@@ -207,7 +214,7 @@ def _by_time(source: Columns, table: Table) -> tuple[Columns, Table]:
 def _check_columns(source: Columns, table: Table) -> None:
     """Refuse an unusable column, one that serves two channels, and different lengths."""
     first = source.position.column
-    count = len(table.column(first))
+    count = len(table.values(first))
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
         other = channel_at.setdefault(table.place(channel.column), key)
@@ -215,8 +222,8 @@ def _check_columns(source: Columns, table: Table) -> None:
             problem = f"is taken both for {other} and for {key}"
             raise BadInput(table.label(channel.column), problem, f"name another column for {key}")
     for column in source.columns:
-        if len(table.column(column)) != count:
-            problem = f"has {len(table.column(column))} values, column '{first}' has {count}"
+        if len(table.values(column)) != count:
+            problem = f"has {len(table.values(column))} values, column '{first}' has {count}"
             raise BadInput(table.label(column), problem, "give columns of one length")
 
 
@@ -482,7 +489,7 @@ def _sha256(source: Columns, table: Table) -> str:
     digest = hashlib.sha256()
     for column in source.columns:
         digest.update(f"{column}\0".encode())
-        digest.update(table.column(column).astype("<f8").tobytes())
+        digest.update(table.values(column).astype("<f8").tobytes())
     return digest.hexdigest()
 
 

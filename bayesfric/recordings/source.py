@@ -497,7 +497,7 @@ class Recording:
         if self.table is None:
             raise ValueError("the recording is in files already")
         names = self._header.items()
-        frame = pd.DataFrame({name: self.table.column(column) for column, name in names})
+        frame = pd.DataFrame({name: self.table.values(column) for column, name in names})
         frame.to_csv(path, index=False)
         return type(self)(self.filed(glob.escape(path.name)), path.parent)
 

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesfric.base.errors import BadInput, nearest
-from bayesfric.recordings.arrays import Array, Index
+from bayesfric.recordings.arrays import Array, Flags, Index
 
 # possessive, so that it fails at the first wrong character
 _NUMBER = re.compile(r"[+-]?(\d++(\.\d*+)?|\.\d++)([eE][+-]?\d++)?")
+_ISO_8601 = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d")
 _ONE_OF_SEVERAL = re.compile(r"(.+)\[(\d{1,9})\]", re.DOTALL)
 _LISTS = (list, tuple, np.ndarray)
+# Text of cells without a value; other text that is no number is refused.
+_EMPTY = {"", "nan", "na", "n/a", "<na>", "nat", "null", "none", "-", "--"}
 
 
 def is_number(text: str, decimal: str = ".") -> bool:
@@ -81,7 +84,12 @@ class Table:
         return names.index(name), signal
 
     def values(self, key: str | int) -> Array:
-        """Return a column ``(n,)`` by name or number from 1, NaN where a cell is no number."""
+        """Return a column ``(n,)`` by name or number from 1, NaN where a cell is no number.
+
+        Dates become seconds since the first.
+        """
+        if key in self._columns:
+            return self._columns[key]
         cells = self.cells(key)
         if cells.ndim != 1:
             shape = " x ".join(map(str, cells.shape)) or "one value"
@@ -92,25 +100,37 @@ class Table:
         if cells.dtype.kind in "biuf":
             with np.errstate(over="ignore"):  # a long double may become infinite
                 return cells.astype(np.float64, copy=False)
-        if cells.dtype.kind != "O":
+        if (dates := as_dates(cells)) is not None:
+            since = (dates - dates[~np.isnat(dates)].min()) / np.timedelta64(1, "ns")
+            values = np.asarray(since, dtype=np.float64) / 1e9
+        elif cells.dtype.kind == "O":
+            values = np.array([_number(cell, self.decimal) for cell in cells], dtype=np.float64)
+        else:
             problem = f"holds {cells.dtype.name}, not numbers"
             raise BadInput(self.label(key), problem, "export it as numbers")
-        return np.array([_number(cell, self.decimal) for cell in cells], dtype=np.float64)
+        self._columns[key] = values
+        return values
 
     def column(self, key: str | int) -> Array:
         """Return a column ``(n,)`` whose numbers must all be finite."""
-        if key not in self._columns:
-            values = self.values(key)
-            finite = np.isfinite(values)
-            if not finite.all():
-                row = int(np.argmin(finite))
-                raise BadInput(
-                    f"{self.label(key)}, {self.row(row)}",
-                    _unlike_a_number(self.cells(key)[row]),
-                    "correct the cell, or cut the row out of the file",
-                )
-            self._columns[key] = values
-        return self._columns[key]
+        values = self.values(key)
+        finite = np.isfinite(values)
+        if not finite.all():
+            row = int(np.argmin(finite))
+            raise BadInput(
+                f"{self.label(key)}, {self.row(row)}",
+                _unlike_a_number(self.cells(key)[row]),
+                "correct the cell, or cut the row out of the file",
+            )
+        return values
+
+    def holes(self, key: str | int) -> Flags:
+        """Flag the cells ``(n,)`` without a value, unlike those with something else."""
+        flags = np.isnan(self.values(key))
+        if flags.any() and (cells := self.cells(key)).dtype.kind == "O":
+            texts = ("[]" if isinstance(cell, _LISTS) else str(cell).strip() for cell in cells)
+            flags &= np.array([text.casefold() in _EMPTY for text in texts])
+        return flags
 
     def cells(self, key: str | int) -> NDArray[Any]:
         """Return the raw cells of the rows used, (n,) or, of several signals, (n, k)."""
@@ -182,6 +202,47 @@ class Table:
         """Return the name of the column of a column's own time stamps."""
         return self.clocks.get(self.names[self.place(key)[0]])
 
+    def without_holes(
+        self,
+        keys: Sequence[str | int],
+        first: str | int,
+        stamps: Array,
+        flag: str | int | None,
+        *,
+        most: float = 0.1,
+        gap: float = 5.0,
+    ) -> tuple[Table, Index]:
+        """Leave out the rows in which a column has no value; returns those that remain, too.
+
+        A column without one in more than a share ``most`` of the rows of the column ``first`` has
+        rows of its own: it is interpolated at those by their ``stamps`` (n,), as `paired` does,
+        across no more than ``gap`` of its median steps.
+        """
+        present = {key: ~self.holes(key) for key in keys}
+        base = present[first]
+        if not base.any():
+            return self, np.arange(base.size)
+        used, columns = base.copy(), dict[str | int, Array]()
+        for key, flags in present.items():
+            own = np.flatnonzero(flags)
+            steps = np.diff(stamps[own])
+            if flags[base].mean() >= 1.0 - most or own.size < 2 or not np.all(steps > 0.0):
+                used &= flags
+                continue
+            columns[key], before = _at(stamps, stamps[own], self.values(key)[own], key == flag)
+            used &= (before >= 0) & (np.append(steps, 0.0)[before] <= gap * np.median(steps))
+        rows = np.flatnonzero(used)
+        if not rows.size or rows.size == used.size:
+            return self, np.arange(used.size)
+        lacking = ", ".join(repr(key) for key, flags in present.items() if not flags.all())
+        note = f"holes: {used.size - rows.size} of {used.size} rows left out, as cells of columns "
+        note += f"{lacking} are empty"
+        if columns:
+            note += f"; {', '.join(map(repr, columns))} interpolated at the rows of {first!r}"
+        table = replace(self.at(rows, used.size), notes=(*self.notes, note))
+        table._columns.update({key: values[rows] for key, values in columns.items()})
+        return table, rows
+
     def paired(self, keys: Sequence[str | int], clock: str | int, flag: str | int | None) -> Table:
         """Bring columns with other time stamps than the column ``clock`` to those by time.
 
@@ -194,11 +255,10 @@ class Table:
         columns, common = dict[str | int, Array](), np.ones(stamps.size, dtype=np.bool_)
         for key, column in clocks.items():
             assert column is not None
-            time, values = self.column(column), self.column(key)
+            time = self.column(column)
             self.check_order(time, column)
-            common &= (stamps >= time[0]) & (stamps <= time[-1])
-            before = np.searchsorted(time, stamps, "right") - 1
-            columns[key] = values[before] if key == flag else np.interp(stamps, time, values)
+            columns[key], before = _at(stamps, time, self.column(key), key == flag)
+            common &= before >= 0
         rows, others = np.flatnonzero(common), ", ".join(map(repr, dict.fromkeys(clocks.values())))
         if not rows.size:
             problem = f"have no time in common with those of '{clock}'"
@@ -209,6 +269,26 @@ class Table:
         table = replace(self.at(rows, stamps.size), notes=(*self.notes, note))
         table._columns.update({key: values[rows] for key, values in columns.items()})
         return table
+
+
+def _at(stamps: Array, time: Array, values: Array, is_flag: bool) -> tuple[Array, Index]:
+    """Interpolate a column at other stamps; returns its row before each, too, -1 outside."""
+    before = np.searchsorted(time, stamps, "right") - 1
+    before[~(stamps <= time[-1])] = -1
+    return values[before] if is_flag else np.interp(stamps, time, values), before
+
+
+def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:
+    """Read cells ``(n,)`` of dates, or of text by ISO 8601; ``None`` if they are others."""
+    text = cells[0] if cells.size and cells.dtype.kind == "O" else None
+    if isinstance(text, str) and _ISO_8601.match(text.strip()):
+        import pandas as pd
+
+        cells = pd.to_datetime(pd.Series(cells), utc=True, format="ISO8601", errors="coerce")
+        cells = cells.dt.tz_localize(None).to_numpy()
+    if cells.dtype.kind != "M" or np.isnat(cells).all():
+        return None
+    return cells.astype("datetime64[ns]")
 
 
 def _number(cell: Any, decimal: str) -> float:

@@ -17,9 +17,7 @@ def with_cell(folder, row, column, cell, **kwargs):
     return write(folder, "\n".join(text), **kwargs)
 
 
-@pytest.mark.parametrize(
-    "cell", ["oops", "", "nan", "NaN", "-Infinity", "NA", "0x1F", "1_0", "1e999"]
-)
+@pytest.mark.parametrize("cell", ["oops", "-Infinity", "0x1F", "1_0", "1e999"])
 @pytest.mark.parametrize("row", [1, 17, 200])
 def test_bad_cell_names_file_column_row_and_line(tmp_path, cell, row):
     with_cell(tmp_path, row, 1, cell)

@@ -34,7 +34,9 @@ def test_a_named_recording_is_prepared_as_usual_but_not_fitted():
     parts = divide(runs, PROCESSING, Validation(recordings=("b",)))
     assert [o.name for o in fitted(parts)[1]] == ["a", "c"]
     assert [p.held_out for p in parts] == ["", "whole recording", ""]
-    np.testing.assert_array_equal(parts[1].observation.measured, observe(runs[1], PROCESSING).measured)
+    np.testing.assert_array_equal(
+        parts[1].observation.measured, observe(runs[1], PROCESSING).measured
+    )
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.5])

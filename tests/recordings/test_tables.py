@@ -1,12 +1,14 @@
 """The table model: columns by name and number, parts of wider ones, holes, and rows by value."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.readers import TableOptions, read_table
+from bayesfric.recordings.source import Recording
 from bayesfric.recordings.tables import Table
-from tests.recordings.samples import has
+from tests.recordings.samples import has, measured
 
 
 def table(by_rows=False, **columns):
@@ -30,6 +32,53 @@ def test_holes_are_nan_and_refused_by_their_row_where_all_are_needed():
     np.testing.assert_array_equal(holes.values("q"), expected)
     has(refusal(lambda: holes.column("q")), "'q', row 2: is empty")
     has(refusal(lambda: holes.at(np.array([2]), 8).column(1)), "1, row 3: holds 'x', not a finite")
+
+
+AXIS = 0.01 * np.arange(1000.0)
+COLUMNS = {"t": AXIS, "q": np.sin(5.0 * AXIS), "tau": np.cos(5.0 * AXIS)}
+
+
+def recorded(columns, **keys):
+    names = {"position": "q", "torque": "tau"} | ({} if "rate" in keys else {"time": "t"})
+    return measured(Recording.from_dataframe(pd.DataFrame(columns), **names, **keys))
+
+
+@pytest.mark.parametrize("empty", [np.nan, None, "", "NA"])
+@pytest.mark.parametrize("rate", [{}, {"rate": "100 Hz"}])
+def test_rows_with_holes_are_left_out_and_counted(empty, rate):
+    columns = {name: values.astype(object) for name, values in COLUMNS.items()}
+    columns["q"][:3] = columns["tau"][500] = empty
+    recording = recorded(columns, **rate)
+    assert recording.steps[0].startswith("holes: 4 of 1000 rows left out")
+    # the missing row in the middle is no gap in time
+    time = 0.03 + recording.time
+    np.testing.assert_allclose(recording.position, np.sin(5.0 * time), atol=1e-3)
+    # linear across 0.02 s: (5 0.02)²/8
+    np.testing.assert_allclose(recording.torque, np.cos(5.0 * time), atol=1.3e-3)
+
+
+def test_columns_in_rows_of_their_own_are_paired_by_time():
+    """The torque 2.3 ms after the position, each in half of the rows, and not for a second."""
+    late = AXIS + 0.0023
+    both = {
+        "t": np.ravel([AXIS, late], "F"),
+        "q": np.ravel([np.sin(5.0 * AXIS), np.full(1000, np.nan)], "F"),
+        "tau": np.ravel([np.full(1000, np.nan), np.cos(5.0 * late)], "F"),
+    }
+    both["tau"][(both["t"] > 4.0) & (both["t"] < 5.0)] = np.nan
+    recording = recorded(both)
+    assert not ((recording.time > 4.01) & (recording.time < 4.98)).any()
+    # time counts from the first row used
+    np.testing.assert_allclose(recording.position, np.sin(5.0 * (recording.time + 0.01)), atol=1e-9)
+    # linear between 0.01 s: (5 0.01)²/8
+    np.testing.assert_allclose(recording.torque, np.cos(5.0 * (recording.time + 0.01)), atol=3.2e-4)
+
+
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%f+01:00", None])
+def test_dates_are_seconds_since_the_first(form):
+    dates = pd.to_datetime("2026-03-02T09:59:57") + pd.to_timedelta(AXIS, unit="s")
+    times = dates if form is None else dates.strftime(form)
+    np.testing.assert_allclose(recorded(COLUMNS | {"t": times}).time, AXIS, atol=1e-9)
 
 
 @pytest.mark.parametrize("turned", [False, True])
