@@ -26,12 +26,13 @@ def in_segments(segments: Segments, n: int) -> Flags:
     return flags
 
 
-def near(flags: Flags, reach: int) -> Flags:
-    """Flag what lies no more than ``reach`` samples from a flagged one."""
+def near(flags: Flags, reach: int, ahead: int | None = None) -> Flags:
+    """Flag what lies up to ``reach`` samples after a flagged one, or ``ahead`` before it."""
+    ahead = reach if ahead is None else ahead
     n = len(flags)
     before = np.concatenate([[0], np.cumsum(flags)])
     index = np.arange(n)
-    inside = before[np.minimum(index + reach + 1, n)] - before[np.maximum(index - reach, 0)]
+    inside = before[np.minimum(index + ahead + 1, n)] - before[np.maximum(index - reach, 0)]
     return np.asarray(inside > 0)
 
 

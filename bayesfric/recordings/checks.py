@@ -25,14 +25,6 @@ def check_moves(values: Array, where: str, signal: str) -> None:
         raise BadInput(where, problem, "check that this is the right column and the joint moved")
 
 
-def check_size(values: Array, where: str, signal: str) -> None:
-    """Refuse a signal of an impossible size in SI units."""
-    largest = float(np.abs(values).max(initial=0.0))
-    if not largest < 1e15:
-        problem = f"the {signal} is at most {largest:.3g} in SI units"
-        raise BadInput(where, problem, "check its unit")
-
-
 def clipped(values: Array, signal: str, *, least: float = 0.01, run: int = 4) -> list[str]:
     """Warn of limits of a raw signal at which a share ``least`` of the samples lie.
 
@@ -140,11 +132,8 @@ def standstill_samples(
         if b - a < least:
             continue
         part = sliding_window_view(position[a:b], least)
-        begins = np.flatnonzero(part.max(axis=1) - part.min(axis=1) <= step)
-        counts = np.zeros(b - a + 1, dtype=np.int64)
-        np.add.at(counts, begins, 1)
-        np.add.at(counts, begins + least, -1)
-        flags[a:b] = np.cumsum(counts[:-1]) > 0
+        begins = part.max(axis=1) - part.min(axis=1) <= step
+        flags[a:b] = near(np.pad(begins, (0, least - 1)), least - 1, ahead=0)
     return flags
 
 

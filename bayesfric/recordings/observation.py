@@ -494,17 +494,12 @@ def with_motion(
 def _band_warnings(filters: _Filters, recording: Measurement) -> Iterator[str]:
     """Warn of a band unlike the decimation, and of an acceleration that its noise drowns."""
     band, half, resolution = filters.band, filters.fs / (2 * filters.factor), filters.resolution
-    hint = "" if band is None else f"decimate = {decimation(band, filters.fs)} would fit"
-    # the small share is rounding
-    if band is not None and band > FOLDING * half * (1.0 + 1e-9):
+    least, most = (SHARING * half if filters.factor > 1 else 0.0), FOLDING * half * (1.0 + 1e-9)
+    if band is not None and not least <= band <= most:
         yield (
-            f"band: {band:.6g} Hz is above half the decimated rate ({half:.6g} Hz), "
-            f"so higher frequencies fold back; {hint}"
-        )
-    if band is not None and filters.factor > 1 and band < SHARING * half:
-        yield (
-            f"band: {band:.6g} Hz is below half the decimated rate ({half:.6g} Hz), so "
-            f"neighbouring outputs share noise and intervals come out too narrow; {hint}"
+            f"band: {band:.6g} Hz does not fit half the decimated rate ({half:.6g} Hz), so "
+            "frequencies above fold back, or neighbouring outputs share noise; decimate = "
+            f"{decimation(band, filters.fs)} would fit"
         )
     if resolution.acceleration_ratio < LEAST_RATIO:
         yield (

@@ -16,7 +16,7 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput, Unfit
 from bayesfric.recordings import checks, filters, units
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, Index
 from bayesfric.recordings.measurement import Grid, Inputs, Lag, Law, Measurement, Signal, make_grid
 from bayesfric.recordings.readers import is_recording, read_table, sha256
 from bayesfric.recordings.source import (
@@ -102,18 +102,12 @@ def read_recordings(
 def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -> Measurement:
     """Take a table's columns, check them, and bring them onto a uniform time base."""
     # columns
-    source, table = _by_time(source, table)
-    _check_columns(source, table)
-    keys, first = source.columns, source.position.column
-    stamps = np.arange(table.values(first).size) / (source.rate or 1.0)
-    if source.time is not None:
-        stamps = table.values(source.time.column)
-    table, rows = table.without_holes(keys, first, stamps, source.valid)
+    source, table, rows = _aligned(source, table)
     position, position_step = joint_signal(source.position, "position", table, drive)
     steps, velocity = [*table.notes, position_step], None
     time = recorded_time(source, table, len(position))
-    if source.time is None:
-        time = stamps[rows] - stamps[rows[:1]]
+    if source.rate is not None:
+        time = (rows - rows[:1]) / source.rate
     if source.velocity is not None:
         velocity, step = joint_signal(source.velocity, "velocity", table, drive)
         steps.append(step)
@@ -191,40 +185,29 @@ def _read(source: Columns, table: Table, drive: Drive, processing: Processing) -
 # --- columns ------------------------------------------------------------------------------------
 
 
-def _by_time(source: Columns, table: Table) -> tuple[Columns, Table]:
-    """Pair columns that have time stamps of their own by time, at those of the position."""
-    if not table.clocks:
-        return source, table
-    clocks = dict.fromkeys(c for column in source.columns if (c := table.clock(column)))
-    if source.time is None:
-        if len(clocks) > 1:
-            problem = f"its columns have time stamps of their own ({', '.join(clocks)})"
-            raise BadInput(table.where, problem, "give time in place of rate")
-        return source, table
-    if source.time.column not in table.clocks.values():
-        return source, table
-    clock = table.clock(source.position.column) or source.time.column
-    time = source.time.model_copy(update={"column": clock})
-    return (
-        source.model_copy(update={"time": time}),
-        table.paired(source.columns, clock, source.valid),
-    )
-
-
-def _check_columns(source: Columns, table: Table) -> None:
-    """Refuse an unusable column, one that serves two channels, and different lengths."""
+def _aligned(source: Columns, table: Table) -> tuple[Columns, Table, Index]:
+    """Bring all columns to the rows, and to the time stamps, of the position."""
     first = source.position.column
-    count = len(table.values(first))
     channel_at: dict[tuple[int, int | None], str] = {}
     for key, channel in source.channels.items():
         other = channel_at.setdefault(table.place(channel.column), key)
         if other != key:
             problem = f"is taken both for {other} and for {key}"
             raise BadInput(table.label(channel.column), problem, f"name another column for {key}")
-    for column in source.columns:
-        if len(table.values(column)) != count:
-            problem = f"has {len(table.values(column))} values, column '{first}' has {count}"
-            raise BadInput(table.label(column), problem, "give columns of one length")
+    if source.time is None:
+        clocks = dict.fromkeys(c for column in source.columns if (c := table.clock(column)))
+        if len(clocks) > 1:
+            problem = f"its columns have time stamps of their own ({', '.join(clocks)})"
+            raise BadInput(table.where, problem, "give time in place of rate")
+        stamps = np.arange(table.values(first).size, dtype=np.float64)
+        return source, *table.aligned(source.columns, first, None, stamps, source.valid)
+    clock = source.time.column
+    if clock in table.clocks.values():
+        clock = table.clock(first) or clock
+        time = source.time.model_copy(update={"column": clock})
+        source = source.model_copy(update={"time": time})
+    columns, stamps = source.columns, table.values(clock)
+    return source, *table.aligned(columns, first, clock, stamps, source.valid)
 
 
 def _signed(channel: Channel, table: Table) -> Array:
@@ -232,12 +215,6 @@ def _signed(channel: Channel, table: Table) -> Array:
     values = table.column(channel.column)
     if channel.twos_complement is not None:
         full = 2.0**channel.twos_complement
-        wrong = (values < 0) | (values >= full) | (values != np.floor(values))
-        if wrong.any():
-            index = int(np.argmax(wrong))
-            where = f"{table.label(channel.column)}, {table.row(index)}"
-            problem = f"{values[index]:g} is no unsigned number of {channel.twos_complement} bits"
-            raise BadInput(where, problem, "correct or leave out twos_complement")
         values = np.where(values >= full / 2, values - full, values)
     return values * channel.sign
 
@@ -253,9 +230,7 @@ def _scaled(channel: Channel, table: Table, kind: units.Kind, key: str, *constan
     values = _signed(channel, table)
     if channel.times is not None:
         values = values * table.column(channel.times)
-    values = values * factor
-    checks.check_size(values, table.label(channel.column), key)
-    return values
+    return values * factor
 
 
 def joint_signal(channel: Position, key: str, table: Table, drive: Drive) -> tuple[Array, str]:
@@ -283,10 +258,7 @@ def recorded_time(source: Columns, table: Table, count: int) -> Array:
         return np.arange(count) / source.rate
     time = _scaled(source.time, table, "time", "time")
     table.check_order(time, source.time.column)
-    since = np.asarray(time - time[0]) if count else time
-    # steps far smaller than the stamps themselves are lost
-    table.check_order(since, source.time.column)
-    return since
+    return np.asarray(time - time[0]) if count else time
 
 
 def chosen_rows(source: Columns, time: Array, where: str) -> tuple[int, int]:
@@ -324,7 +296,6 @@ def _inputs(source: Columns, table: Table, drive: Drive, grid: Grid, steps: list
             where = f"{table.label(channel.column)}, unit of temperature"
             raise BadInput(where, f"'{channel.unit}' is no temperature", "write 'degC' or 'K'")
         degrees = _signed(channel, table) - zero[channel.unit]
-        checks.check_size(degrees, table.label(channel.column), "temperature")
         temperature = Signal(grid.time, grid.linear(degrees))
         low, high = temperature.values.min(), temperature.values.max()
         steps.append(f"temperature: {low:.3g} to {high:.3g} degC")

@@ -202,80 +202,66 @@ class Table:
         """Return the name of the column of a column's own time stamps."""
         return self.clocks.get(self.names[self.place(key)[0]])
 
-    def without_holes(
+    def aligned(
         self,
         keys: Sequence[str | int],
         first: str | int,
+        clock: str | int | None,
         stamps: Array,
         flag: str | int | None,
         *,
         most: float = 0.1,
         gap: float = 5.0,
     ) -> tuple[Table, Index]:
-        """Leave out the rows in which a column has no value; returns those that remain, too.
+        """Bring columns to the rows in which all have a value; returns these rows, too.
 
-        A column without one in more than a share ``most`` of the rows of the column ``first`` has
-        rows of its own: it is interpolated at those by their ``stamps`` (n,), as `paired` does,
-        across no more than ``gap`` of its median steps.
+        Rows are those of the column ``first``, at ``stamps`` (n,) of the column ``clock``. A column
+        with other time stamps, or without a value in more than a share ``most`` of the rows, is
+        interpolated by time, across no more than ``gap`` of its median steps: linearly, of a
+        ``flag`` the last value before.
         """
-        present = {key: ~self.holes(key) for key in keys}
-        base = present[first]
-        if not base.any():
-            return self, np.arange(base.size)
-        used, columns = base.copy(), dict[str | int, Array]()
-        for key, flags in present.items():
-            own = np.flatnonzero(flags)
-            steps = np.diff(stamps[own])
-            if flags[base].mean() >= 1.0 - most or own.size < 2 or not np.all(steps > 0.0):
-                used &= flags
-                continue
-            columns[key], before = _at(stamps, stamps[own], self.values(key)[own], key == flag)
-            used &= (before >= 0) & (np.append(steps, 0.0)[before] <= gap * np.median(steps))
-        rows = np.flatnonzero(used)
-        if not rows.size or rows.size == used.size:
+        used = ~self.holes(first)
+        if not used.any():
             return self, np.arange(used.size)
-        lacking = ", ".join(repr(key) for key, flags in present.items() if not flags.all())
-        note = f"holes: {used.size - rows.size} of {used.size} rows left out, as cells of columns "
-        note += f"{lacking} are empty"
+        base, columns, lacking = used.copy(), dict[str | int, Array](), list[str]()
+        for key in keys:
+            present, time = ~self.holes(key), stamps
+            own = self.clock(key) if clock in self.clocks.values() else None
+            if own not in (None, clock):
+                time = self.column(own)
+                self.check_order(time, own)
+            if present.size != time.size:
+                problem = f"has {present.size} values, column '{first}' has {time.size}"
+                raise BadInput(self.label(key), problem, "give columns of one length")
+            if time is stamps and not present.all():
+                lacking.append(repr(key))
+            steps = np.diff(time[present])
+            by_row = time is stamps and present[base].mean() >= 1.0 - most
+            if by_row or not steps.size or not np.all(steps > 0.0):
+                used &= present
+                continue
+            values = self.values(key)[present]
+            before = np.searchsorted(time[present], stamps, "right") - 1
+            inside = (before >= 0) & (stamps <= time[present][-1])
+            used &= inside & (np.append(steps, 0.0)[before] <= gap * np.median(steps))
+            interpolated = np.interp(stamps, time[present], values)
+            columns[key] = values[before] if key == flag else interpolated
+        rows, notes = np.flatnonzero(used), list(self.notes)
+        if not rows.size:
+            hint = "check their time stamps" if columns else "check the export"
+            raise BadInput(self.where, "in no row have all columns a value", hint)
+        if rows.size == used.size and not columns:
+            return self, rows
         if columns:
-            note += f"; {', '.join(map(repr, columns))} interpolated at the rows of {first!r}"
-        table = replace(self.at(rows, used.size), notes=(*self.notes, note))
+            clocks = ", ".join(sorted({repr(own) for key in columns if (own := self.clock(key))}))
+            note = f"time: columns {', '.join(map(repr, columns))} have time stamps of their own "
+            notes.append(note + f"({clocks or 'other rows'}), interpolated at those of {first!r}")
+        if rows.size < used.size:
+            why = f": cells of columns {', '.join(lacking)} are empty" if lacking else ""
+            notes.append(f"holes: {used.size - rows.size} of {used.size} rows left out{why}")
+        table = replace(self.at(rows, used.size), notes=tuple(notes))
         table._columns.update({key: values[rows] for key, values in columns.items()})
         return table, rows
-
-    def paired(self, keys: Sequence[str | int], clock: str | int, flag: str | int | None) -> Table:
-        """Bring columns with other time stamps than the column ``clock`` to those by time.
-
-        Linearly; of a ``flag`` the last value before counts. Rows beyond the common span go.
-        """
-        clocks = {key: own for key in keys if (own := self.clock(key)) not in (None, clock)}
-        if not clocks:
-            return self
-        stamps = self.column(clock)
-        columns, common = dict[str | int, Array](), np.ones(stamps.size, dtype=np.bool_)
-        for key, column in clocks.items():
-            assert column is not None
-            time = self.column(column)
-            self.check_order(time, column)
-            columns[key], before = _at(stamps, time, self.column(key), key == flag)
-            common &= before >= 0
-        rows, others = np.flatnonzero(common), ", ".join(map(repr, dict.fromkeys(clocks.values())))
-        if not rows.size:
-            problem = f"have no time in common with those of '{clock}'"
-            raise BadInput(f"{self.where}, stamps of {others}", problem, "check both")
-        note = f"time: columns {', '.join(map(repr, clocks))} have time stamps of their own "
-        note += f"({others}), and are interpolated at those of '{clock}'; "
-        note += f"{stamps.size - rows.size} rows without a partner left out"
-        table = replace(self.at(rows, stamps.size), notes=(*self.notes, note))
-        table._columns.update({key: values[rows] for key, values in columns.items()})
-        return table
-
-
-def _at(stamps: Array, time: Array, values: Array, is_flag: bool) -> tuple[Array, Index]:
-    """Interpolate a column at other stamps; returns its row before each, too, -1 outside."""
-    before = np.searchsorted(time, stamps, "right") - 1
-    before[~(stamps <= time[-1])] = -1
-    return values[before] if is_flag else np.interp(stamps, time, values), before
 
 
 def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:

@@ -4,7 +4,7 @@ import pytest
 
 from bayesfric.base.errors import BadInput
 from bayesfric.recordings.readers import read_table
-from bayesfric.recordings.source import Position, Processing, Torque
+from bayesfric.recordings.source import Position, Processing
 
 from .samples import has, lines, numbered, refused, source, write
 
@@ -44,7 +44,7 @@ def test_ragged_row(tmp_path, row, cells, used):
 
 
 def test_missing_column_names_the_nearest(tmp_path):
-    write(tmp_path, "\n".join(lines(header="time,Position,tau")))
+    write(tmp_path, "\n".join(lines(header="t,Position,tau")))
     message = refused(tmp_path, source(position=Position(column="position", unit="rad")))
     has(message, "'position'", "'Position'", "line 1")
 
@@ -67,7 +67,7 @@ VELOCITY = {"column": 9, "unit": "rad/s"}
     ("text", "used", "parts"),
     [
         (PLAIN, numbered(velocity=VELOCITY), ["column 9", "1 to 3"]),
-        ("\n".join(lines(header=None)), source(), ["'q'", "1 to 3"]),
+        ("\n".join(lines(header=None)), source(), ["'t'", "1 to 3"]),
         ("\n".join(lines(header="t,q,q")), source(), ["line 1", "2 and 3", "'q'"]),
         ("t,q,tau\n", source(), []),
         (PROSE, source(), []),
@@ -119,16 +119,11 @@ def test_hand_edited_recorder_file(real_data, name):
 # -- time stamps, signals and units that make no sense
 
 
-def torque(unit="N m", **keys):
-    return source(torque=Torque(column="tau", unit=unit, **keys))
-
-
 @pytest.mark.parametrize(
     ("used", "more", "parts"),
     [
         (source(start=50), {}, ["run.csv", "start = 50 s"]),
         (source(), {"ratio": 101.0}, ["run.csv", "'q'", "101", "side"]),
-        (torque(twos_complement=16), {}, ["'tau'", "row 1 (line 2)"]),
         (source(), {"processing": Processing(dead_zone="1 mm/s")}, ["dead_zone"]),
     ],
 )
