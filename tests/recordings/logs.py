@@ -4,7 +4,6 @@ import json
 
 import h5py
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from rosbags.rosbag1 import Writer as Writer1
@@ -77,24 +76,15 @@ def write_ros1(path, messages, topic="/joint_states"):
 
 def write_lerobot(path, t, q, v, tau, episode=3):
     """Write a file as LeRobot v3: several episodes in one, lists of 32-bit floats."""
-    parts = []
-    for number in range(episode + 2):
-        turn = 1.0 if number == episode else -1.0
-        state = np.concatenate([q, v, tau], axis=1) * turn
-        parts.append(
-            pa.table(
-                {
-                    "observation.state": pa.FixedSizeListArray.from_arrays(
-                        pa.array(state.ravel().astype(np.float32)), state.shape[1]
-                    ),
-                    "timestamp": pa.array(t.astype(np.float32)),
-                    "frame_index": pa.array(np.arange(len(t))),
-                    "episode_index": pa.array(np.full(len(t), number)),
-                }
-            )
-        )
-    pq.write_table(pa.concat_tables(parts), path)
-    return path
+    state = np.concatenate([q, v, tau], axis=1).astype(np.float32)
+    states = np.concatenate([state if k == episode else -state for k in range(episode + 2)])
+    columns = {
+        "observation.state": pa.FixedSizeListArray.from_arrays(states.ravel(), state.shape[1]),
+        "timestamp": np.tile(t.astype(np.float32), episode + 2),
+        "frame_index": np.tile(np.arange(len(t)), episode + 2),
+        "episode_index": np.repeat(np.arange(episode + 2), len(t)),
+    }
+    pq.write_table(pa.table(columns), path)
 
 
 def write_hdf5(path, t, q, v, tau):
@@ -115,11 +105,6 @@ def write_json_lines(path, t, q, v, tau):
     return path
 
 
-def write_csv(path, t, q, v, tau):
-    pd.DataFrame({"t": t, "q": q[:, 1], "v": v[:, 1], "tau": tau[:, 1]}).to_csv(path, index=False)
-    return path
-
-
 def write_matlab_73(path, t, q, v, tau):
     """Write what MATLAB writes: a header of its own, arrays transposed, a struct as a group."""
     with h5py.File(path, "w", userblock_size=512) as file:
@@ -135,44 +120,31 @@ def write_matlab_73(path, t, q, v, tau):
     return path
 
 
-KNEE = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
-
-
 def channels(time, position, velocity, torque, **keys):
     """Write the channels of a source as a configuration does."""
-    columns = {"position": position, "velocity": velocity, "torque": torque}
-    found = {key: {"column": column, "unit": KNEE[key]} for key, column in columns.items()}
-    return {"time": {"column": time, "unit": "s"}, **found, **keys}
-
-
-_ROS = ("header.stamp", "position[knee]", "velocity[knee]", "effort[knee]")
+    columns = {"time": time, "position": position, "velocity": velocity, "torque": torque}
+    return {key: {"column": column, "unit": "SI"} for key, column in columns.items()} | keys
 
 
 def all_logs(folder):
-    """Write every log; file and keys of the source that reads its knee, by format."""
-    found = numbers()
-    write_ros2(folder / "db3", joint_states(*found), StoragePlugin.SQLITE3)
-    write_ros2(folder / "mcap", joint_states(*found, shuffled=True))
+    """Write every log; returns files and keys of the sources that read its knee."""
+    signals = numbers()
+    write_ros2(folder / "db3", joint_states(*signals), StoragePlugin.SQLITE3)
+    write_ros2(folder / "mcap", joint_states(*signals, shuffled=True))
     (folder / "one.mcap").write_bytes(next((folder / "mcap").glob("*.mcap")).read_bytes())
-    write_ros1(folder / "one.bag", joint_states(*found, store=ROS1))
-    write_lerobot(folder / "lerobot.parquet", *found)
-    write_hdf5(folder / "run.h5", *found)
-    write_json_lines(folder / "run.jsonl", *found)
-    write_matlab_73(folder / "run.mat", *found)
-    write_csv(folder / "run.csv", *found)
+    write_ros1(folder / "one.bag", joint_states(*signals, store=ROS1))
+    write_lerobot(folder / "lerobot.parquet", *signals)
+    write_hdf5(folder / "run.h5", *signals)
+    write_json_lines(folder / "run.jsonl", *signals)
+    write_matlab_73(folder / "run.mat", *signals)
+    ros = channels("header.stamp", "position[knee]", "velocity[knee]", "effort[knee]")
     state = (f"observation.state[{k}]" for k in (1, 3, 5))
-    inside = ("observations/qpos[1]", "observations/qvel[1]", "observations/effort[1]")
-    return {
-        "CSV": ("run.csv", channels("t", "q", "v", "tau")),
-        "ROS 2, sqlite3": ("db3", channels(*_ROS)),
-        "ROS 2, MCAP": ("mcap", channels(*_ROS)),
-        "MCAP": ("one.mcap", channels(*_ROS)),
-        "ROS 1": ("one.bag", channels(*_ROS)),
-        "LeRobot": (
-            "lerobot.parquet",
-            channels("timestamp", *state, where={"episode_index": 3}),
-        ),
-        "HDF5": ("run.h5", channels("t", *inside)),
-        "JSON lines": ("run.jsonl", channels("t", "q[1]", "v[1]", "tau[1]")),
-        "MATLAB 7.3": ("run.mat", channels("t", "q[1]", "v[1]", "tau[1]", table="log")),
-    }
+    hdf5 = (f"observations/{name}[1]" for name in ("qpos", "qvel", "effort"))
+    lists = channels("t", "q[1]", "v[1]", "tau[1]")
+    return [
+        *((file, ros) for file in ("db3", "mcap", "one.mcap", "one.bag")),
+        ("lerobot.parquet", channels("timestamp", *state, where={"episode_index": 3})),
+        ("run.h5", channels("t", *hdf5)),
+        ("run.jsonl", lists),
+        ("run.mat", lists | {"table": "log"}),
+    ]
