@@ -29,11 +29,10 @@ def wave(time, hertz=2.0):
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.1])
 def test_a_wave_is_later_by_fractions_of_a_sample(samples, share):
     w = 2 * np.pi * share
-    found = later(np.sin(w * np.arange(400)), samples)
+    delayed = later(np.sin(w * np.arange(400)), samples)
     exact = np.sin(w * (np.arange(400) - samples))
-    np.testing.assert_allclose(found[20:-20], exact[20:-20], atol=3e-5)
-    if samples == int(samples):
-        np.testing.assert_allclose(found[20:-20], exact[20:-20], atol=1e-12)
+    atol = 1e-12 if samples == int(samples) else 3e-5
+    np.testing.assert_allclose(delayed[20:-20], exact[20:-20], atol=atol)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0011, -0.004])
