@@ -117,11 +117,10 @@ class Table:
         finite = np.isfinite(values)
         if not finite.all():
             row = int(np.argmin(finite))
-            raise BadInput(
-                f"{self.label(key)}, {self.row(row)}",
-                _unlike_a_number(self.cells(key)[row]),
-                "correct the cell, or cut the row out of the file",
-            )
+            where, cell = f"{self.label(key)}, {self.row(row)}", self.cells(key)[row]
+            text = repr(cell.item() if isinstance(cell, np.generic) else cell)[:60]
+            problem = "is empty" if text in ("None", "''") else f"holds {text}, not a finite number"
+            raise BadInput(where, problem, "correct the cell, or cut the row out of the file")
         return values
 
     def holes(self, key: str | int) -> Flags:
@@ -175,11 +174,8 @@ class Table:
                 cells = table.column(key)
             rows = np.flatnonzero(cells == value)
             if not rows.size:
-                present = [
-                    repr(v) if isinstance(v, str) else f"{v:.10g}" for v in dict.fromkeys(cells)
-                ]
-                more = f" and {len(present) - 20} more" if len(present) > 20 else ""
-                hint = f"it has {', '.join(present[:20])}{more}"
+                present = [v if isinstance(v, str) else f"{v:.10g}" for v in dict.fromkeys(cells)]
+                hint = f"it has {', '.join(present[:20])}{', ...' * (len(present) > 20)}"
                 raise BadInput(f"{table.label(key)}, where", f"is {value!r} in no row", hint)
             table = table.at(rows, len(cells))
         return table
@@ -285,13 +281,3 @@ def _number(cell: Any, decimal: str) -> float:
         return np.nan if isinstance(cell, _LISTS) else float(cell)
     except (TypeError, ValueError, OverflowError):
         return np.nan
-
-
-def _unlike_a_number(cell: Any) -> str:
-    """Say what a cell holds in place of a number."""
-    if cell is None or (isinstance(cell, str) and not cell.strip()):
-        return "is empty"
-    text = repr(cell.item() if isinstance(cell, np.generic) else cell)
-    if isinstance(cell, _LISTS):
-        text = f"a list of {len(cell)}"
-    return f"holds {text[:60]}, not a finite number"

@@ -39,12 +39,11 @@ def test_segments_do_not_leak():
     np.testing.assert_allclose(derivative(x, pieces, 1 / FS), 0, atol=1e-12)
 
 
-@pytest.mark.parametrize("cutoff", [500.0, 600.0])
-def test_cutoff_at_nyquist_is_refused(cutoff):
-    with pytest.raises(BadInput, match="half the sampling rate"):
-        lowpass(np.zeros(100), [(0, 100)], FS, cutoff, 4)
-    with pytest.raises(BadInput, match="half the sampling rate"):
-        lay_windows(parallel_taps(1, cutoff, FS), [(0, 100)], 1, np.ones(100, dtype=bool))
+def test_cutoff_at_nyquist_is_refused():
+    for design in (lambda: lowpass(np.zeros(9), [(0, 9)], FS, 500.0, 4),
+                   lambda: parallel_taps(1, 500.0, FS)):  # fmt: skip
+        with pytest.raises(BadInput, match="half the sampling rate"):
+            design()
 
 
 @pytest.mark.parametrize("reach", [1, 2, 4, 7, 16])
@@ -62,20 +61,15 @@ def test_a_differentiator_is_exact_for_polynomials_of_its_degree(reach):
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.1, 0.2, 0.3])
 def test_differentiation_has_the_right_gain_in_the_pass_band(share):
     """A sine's second derivative is -w^2 sin; central differences lack 12 % of it at fs/10."""
-    cutoff = share * FS
-    t = np.arange(3000) / FS
-    reach = reach_of("exact", cutoff, FS)
-    for frequency in (0.1 * cutoff, 0.5 * cutoff, cutoff):
-        w = 2 * np.pi * frequency
-        wave = np.sin(w * t)
-        twice = wave
-        for _ in range(2):
-            twice = derivative(twice, [(0, 3000)], 1 / FS, reach)
-        middle = slice(50, -50)
-        assert np.abs(twice[middle] + w**2 * wave[middle]).max() / w**2 < 2.5e-4
+    reach, piece = reach_of("exact", share * FS, FS), [(0, 3000)]
+    for part in (0.1, 0.5, 1.0):
+        w = 2 * np.pi * part * share * FS
+        wave = np.sin(w * np.arange(3000) / FS)
+        twice = derivative(derivative(wave, piece, 1 / FS, reach), piece, 1 / FS, reach)
+        assert np.abs(twice + w**2 * wave)[50:-50].max() / w**2 < 2.5e-4
 
 
-def test_ends_are_differentiated_by_what_is_there():
+def test_ends_are_differentiated_by_the_samples_that_there_are():
     t = np.arange(40) / FS
     slope = derivative(3 * t**2 + t, [(0, 40)], 1 / FS, 8)
     np.testing.assert_allclose(slope, 6 * t + 1, atol=1e-9)
@@ -103,12 +97,9 @@ def test_parallel_filter(factor, band, edges, seed):
         assert any(a <= start and start + length <= b for a, b in pieces)
         share = np.abs(used.taps) @ ~usable[start : start + length] / np.abs(used.taps).sum()
         assert share <= 0.02
-    # linear, keeps constants, equals a convolution
+    # keeps constants, equals a convolution
     x, y = rng.normal(size=(2, 400))
     np.testing.assert_allclose(used.apply(np.ones(400)), 1)
-    np.testing.assert_allclose(
-        used.apply(2 * x - 3 * y), 2 * used.apply(x) - 3 * used.apply(y), atol=1e-12
-    )
     # some of its outputs, from the samples that they are made of
     some = np.flatnonzero(rng.random(used.n_outputs) < 0.5)
     if some.size:

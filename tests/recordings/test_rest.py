@@ -66,17 +66,14 @@ def observed(noise, **processing):
     return observe(made_recording(time, position, torque, 0.002), Processing(**processing))
 
 
-def test_rests_leave_the_outputs_in_motion():
+def test_standstills_are_outputs_of_their_own():
     assert observed(0.0).rest is None
-    seen = observed(0.0, rest=True)
-    assert seen.rest.q.size == seen.settings["rest_outputs"] > 50
-    assert (seen.rest.stamps % 2.0 > 1.0).all()
-    assert np.abs(seen.rest.torque).max() < 0.2
-    # with no dead zone, too, rests are no motion
+    o = observed(0.0, rest=True)
+    assert o.rest.q.size == o.settings["rest_outputs"] > 50
+    assert (o.rest.stamps % 2.0 > 1.0).all()
+    assert np.abs(o.rest.torque).max() < 0.2
+    # without a dead zone, too, standstill is no motion
     assert (np.abs(observed(0.0, rest=True, dead_zone=0).speed) > 0.0).all()
-
-
-def test_a_position_that_never_rests_is_warned_of():
-    seen = observed(1e-3, rest=True)
-    assert seen.rest is None
-    assert any(text.startswith("rest:") for text in seen.warnings)
+    noisy = observed(1e-3, rest=True)
+    assert noisy.rest is None
+    assert any(text.startswith("rest:") for text in noisy.warnings)

@@ -76,12 +76,8 @@ def test_divided_is_what_trajectory_makes():
         divided(whole, observation, 0.05)
 
 
-@pytest.mark.parametrize("length", [0.21, 0.25, 0.3, 1e-9])
-def test_short_segments_lose_no_samples_or_are_refused(length):
-    if length < 0.2:
-        with pytest.raises(BadInput, match="recording 'made-up', segment"):
-            cut(made(), length)
-        return
+@pytest.mark.parametrize("length", [0.21, 0.25, 0.3])
+def test_short_segments_lose_no_samples(length):
     t = cut(made(), length)
     assert np.diff(t.segments, axis=1).min() >= 20
     assert t.samples.size == 1000
