@@ -523,7 +523,7 @@ def _read_bag(path: Path, options: TableOptions) -> Table:
         if index == 0:
             return _since_first(received)
         name = names[index - 1]
-        values = [row.get(name) for row in rows]
+        values: list[Any] = [row.get(name) for row in rows]
         if not _is_time(first[name]):
             return _cells(values)
         stamps = [int(v.sec) * 10**9 + int(v.nanosec) for v in values]

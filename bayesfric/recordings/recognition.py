@@ -88,10 +88,10 @@ def recognise(table: Table, joint: str | None = None) -> Log:
     for _, values, name in signals:
         if name.channel == "position":
             ranges.setdefault(name.joint, float(np.nanmax(values) - np.nanmin(values)))
-    # a constant column is no torque
-    signals = [
-        s for s in signals if s[2].channel not in _DRIVES or np.nanmax(s[1]) > np.nanmin(s[1])
-    ]
+    if joint is None:  # a constant column is no torque; a joint that is named may stand still
+        signals = [
+            s for s in signals if s[2].channel not in _DRIVES or np.nanmax(s[1]) > np.nanmin(s[1])
+        ]
     joints, least = tuple(ranges), 0.01 * max(ranges.values(), default=0.0)
     # a joint that stands still says nothing; noise of its encoder is no motion
     moving = (j for j in joints if ranges[j] > least) if joint is None else joints

@@ -266,8 +266,8 @@ def as_dates(cells: NDArray[Any]) -> NDArray[np.datetime64] | None:
     if isinstance(text, str) and _ISO_8601.match(text.strip()):
         import pandas as pd
 
-        cells = pd.to_datetime(pd.Series(cells), utc=True, format="ISO8601", errors="coerce")
-        cells = cells.dt.tz_localize(None).to_numpy()
+        dates = pd.to_datetime(pd.Series(cells), utc=True, format="ISO8601", errors="coerce")
+        cells = dates.dt.tz_localize(None).to_numpy()
     if cells.dtype.kind != "M" or np.isnat(cells).all():
         return None
     return cells.astype("datetime64[ns]")
