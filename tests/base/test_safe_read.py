@@ -77,7 +77,7 @@ def test_memory_that_does_not_suffice(tmp_path, monkeypatch):
 
     written(tmp_path, "npz")
     monkeypatch.setattr(np, "squeeze", full)
-    has(refused(tmp_path, source("run.npz")), "run.npz", "'q'")
+    has(refused(tmp_path, source("run.npz")), "run.npz", "'t'")
 
 
 def test_patterns_leave_out_hidden_files_and_reach_other_folders(tmp_path):

@@ -24,7 +24,7 @@ def numbers(n=256):
     t = PERIOD * np.arange(n)
     phase = 2 * np.pi * 0.7 * t[:, None] + np.array([1.0, 0.0])
     signals = (np.sin(phase), 4.4 * np.cos(phase), 0.3 * np.cos(phase) + 0.01 * t[:, None])
-    return t, *(one.astype(np.float32).astype(np.float64) for one in signals)
+    return t, *(signal.astype(np.float32).astype(np.float64) for signal in signals)
 
 
 def joint_states(t, q, v, tau, store=ROS2, joints=JOINTS, shuffled=False):
@@ -42,7 +42,7 @@ def joint_states(t, q, v, tau, store=ROS2, joints=JOINTS, shuffled=False):
             types["sensor_msgs/msg/JointState"](
                 types["std_msgs/msg/Header"](**header),
                 [joints[i] for i in order],
-                *(one[k, order] for one in (q, v, tau)),
+                *(signal[k, order] for signal in (q, v, tau)),
             ),
         )
 

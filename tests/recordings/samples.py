@@ -29,14 +29,14 @@ def write(folder, text, name="run.csv", encoding="utf-8"):
 
 
 def source(file="run.csv", **changes):
-    given = {
+    keys = {
         "file": file,
         "time": Channel(column="t", unit="s"),
         "position": Position(column="q", unit="rad"),
         "torque": Torque(column="tau", unit="N m"),
     }
-    given.update(changes)
-    return Source(**given)
+    keys.update(changes)
+    return Source(**keys)
 
 
 def numbered(file="run.csv", **changes):
@@ -61,7 +61,7 @@ def read(folder, used=None, *, ratio=1.0, motion="rotary", processing=None, **mo
 
 def measured(recording, *, ratio=1.0, motion="rotary", number=1, **processing):
     """Read the one recording of a file or table; a load that slides has a motor that slides."""
-    (found,) = read_recordings(
+    (measurement,) = read_recordings(
         recording,
         ratio=ratio,
         motion=motion,
@@ -69,7 +69,7 @@ def measured(recording, *, ratio=1.0, motion="rotary", number=1, **processing):
         processing=Processing(**processing),
         number=number,
     )
-    return found
+    return measurement
 
 
 def refused(folder, used=None, **more):

@@ -110,9 +110,9 @@ def test_parallel_filter(factor, band, edges, seed):
     np.testing.assert_allclose(used.reached(sums) @ x, sums @ used.apply(x), atol=1e-11)
     if length <= 400:
         # what cannot be used counts for nothing, the rest for that much more
-        whole = np.convolve(x * usable, used.taps, mode="valid")[used.starts]
-        there = np.convolve(usable, used.taps, mode="valid")[used.starts]
-        np.testing.assert_allclose(used.apply(x), whole / there, atol=1e-12)
+        convolved = np.convolve(x * usable, used.taps, mode="valid")[used.starts]
+        share = np.convolve(usable, used.taps, mode="valid")[used.starts]
+        np.testing.assert_allclose(used.apply(x), convolved / share, atol=1e-12)
         poisoned = np.where(usable, x, 1e6)
         np.testing.assert_allclose(used.apply(poisoned), used.apply(x), atol=1e-12)
         both = used.apply(np.stack([x, y]).reshape(2, 1, 400))
@@ -125,5 +125,5 @@ def test_white_noise_comes_out_of_the_default_parallel_filter_white(factor):
     # the autocorrelation of outputs is that of the weights at multiples of the factor
     taps = parallel_taps(factor, None, 1.0)
     of_samples = np.correlate(taps, taps, "full")
-    found = of_samples[len(taps) - 1 :: factor]
-    assert np.abs(found[1:]).max() < 0.003 * found[0]
+    correlation = of_samples[len(taps) - 1 :: factor]
+    assert np.abs(correlation[1:]).max() < 0.003 * correlation[0]

@@ -56,9 +56,7 @@ def test_encodings(tmp_path, encoding):
     same(read(tmp_path, source(position=Position(column="winkel°", unit="rad")))[0])
 
 
-@pytest.mark.parametrize(
-    ("mark", "delimiter"), [(";", None), (";", ";"), ("\t", None)], ids=["found", "given", "tabs"]
-)
+@pytest.mark.parametrize(("mark", "delimiter"), [(";", None), (";", ";"), ("\t", None)])
 def test_decimal_comma(tmp_path, mark, delimiter):
     text = [line.replace(",", mark).replace(".", ",") for line in lines()]
     write(tmp_path, "\n".join(text))
@@ -139,8 +137,8 @@ def test_patterns_and_names(tmp_path):
     for name in ("a/run.csv", "b/run.csv", "b/other.csv"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         write(tmp_path, "\n".join(lines()), name)
-    found = read(tmp_path, source(["**/run.csv", "b/*.csv"]))
-    assert [r.name for r in found] == ["a-run", "b-run", "other"]
+    recordings = read(tmp_path, source(["**/run.csv", "b/*.csv"]))
+    assert [r.name for r in recordings] == ["a-run", "b-run", "other"]
     assert read(tmp_path, source("b/other.csv", name="mine"))[0].name == "mine"
     for name in ("b/other.txt", "b/run[1].csv"):
         write(tmp_path, "\n".join(lines()), name)

@@ -47,9 +47,9 @@ def test_the_end_is_the_share_asked_for_and_a_window_away(share):
 
 
 def test_the_torque_that_is_held_out_changes_nothing_that_is_fitted():
-    one = recording()
-    changed = replace(one, torque=one.torque + 5.0 * (one.time >= PERIOD * N * 0.8))
-    before, after = (divide([r], PROCESSING, Validation(hold_out=0.2)) for r in (one, changed))
+    run = recording()
+    changed = replace(run, torque=run.torque + 5.0 * (run.time >= PERIOD * N * 0.8))
+    before, after = (divide([r], PROCESSING, Validation(hold_out=0.2)) for r in (run, changed))
     np.testing.assert_array_equal(before[0].observation.measured, after[0].observation.measured)
     np.testing.assert_array_equal(before[0].recording.torque, after[0].recording.torque)
     assert np.all(after[1].observation.measured - before[1].observation.measured > 4)
@@ -59,12 +59,12 @@ def test_gaps_in_time_stay_and_stumps_go():
     # the cut at 80 % lies 20 samples into the third segment: too few to fit
     end = 3200 - 37
     segments = ((0, 1000), (1000, end - 65), (end - 65, 3600), (3600, N))
-    one = recording(segments=segments)
-    first, last = divide([one], PROCESSING, Validation(hold_out=0.2))
+    run = recording(segments=segments)
+    first, last = divide([run], PROCESSING, Validation(hold_out=0.2))
     assert first.recording.segments == ((0, 1000), (1000, end - 65))
     held = last.recording
     assert held.segments == ((0, 400), (400, 800))
-    np.testing.assert_array_equal(held.time, one.time[3200:])
+    np.testing.assert_array_equal(held.time, run.time[3200:])
 
 
 def refused(runs, processing=PROCESSING, **options):
@@ -77,7 +77,7 @@ LAST = "validation.hold_out: the last {} % of recording 'run'"
 
 
 @pytest.mark.parametrize(
-    ("runs", "options", "says"),
+    ("runs", "options", "problem"),
     [
         ([recording("a")], {"recordings": ("a",)}, "every recording"),
         ([recording()], {"hold_out": 0.995}, "leaves nothing of recording 'run'"),
@@ -91,8 +91,8 @@ LAST = "validation.hold_out: the last {} % of recording 'run'"
         ),
     ],
 )
-def test_too_much_or_too_little(runs, options, says):
-    assert says in refused(runs, **options)
+def test_too_much_or_too_little(runs, options, problem):
+    assert problem in refused(runs, **options)
 
 
 @pytest.mark.parametrize(

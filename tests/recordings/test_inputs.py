@@ -86,9 +86,9 @@ def warmed(unit="degC", **more):
 @pytest.mark.parametrize("unit", ["degC", "K"])
 def test_losses_per_kelvin_are_found_again(unit):
     model = bf.Model(JOINT, warmed(unit))
-    (found,) = model.estimates(["input-error"])
+    (estimate,) = model.estimates(["input-error"])
     for name, value in VALUES.items():
-        assert abs(found[name].value - value) < 4.0 * found[name].sd, name
+        assert abs(estimate[name].value - value) < 4.0 * estimate[name].sd, name
     assert model.identification().directions == ()
 
 

@@ -20,8 +20,8 @@ def recipes():
     """Recordings of the reference's section on logs, by their files."""
     text = (REPOSITORY / "studies/reference/recordings.md").read_text(encoding="utf-8")
     section = text.partition("## Log formats\n")[2].partition("\n## ")[0]
-    found = [tomllib.loads(one) for one in re.findall(r"```toml\n(.*?)```", section, re.DOTALL)]
-    return {one["recordings"][0]["file"]: one["recordings"][0] for one in found}
+    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", section, re.DOTALL)]
+    return {table["recordings"][0]["file"]: table["recordings"][0] for table in tables}
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +75,9 @@ def test_every_recipe_is_tried():
 def test_a_recipe_gives_back_what_was_simulated(tmp_path, simulated, file):
     LOGS[file](tmp_path / file, simulated)
     source = Source.model_validate(recipes()[file])
-    found = measured(Recording(source, tmp_path))
+    recording = measured(Recording(source, tmp_path))
     # stamps of a controller that is up for a while lose digits
-    np.testing.assert_allclose(found.time, simulated.time, atol=1e-9)
+    np.testing.assert_allclose(recording.time, simulated.time, atol=1e-9)
     for name in ("position", "velocity", "torque"):
-        one, two = getattr(found, name), getattr(simulated, name)
-        np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * np.abs(two).max())
+        read, expected = getattr(recording, name), getattr(simulated, name)
+        np.testing.assert_allclose(read, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())

@@ -16,10 +16,10 @@ FINE = Processing(lowpass="off", decimate=1, trim=0.0)
 ARRAYS = ("time", "position", "torque", "excluded")
 
 
-def same(one, other):
-    assert all(getattr(one, k).tobytes() == getattr(other, k).tobytes() for k in ARRAYS)
-    assert (one.steps, one.warnings, one.segments) == (other.steps, other.warnings, other.segments)
-    assert one.inputs == other.inputs
+def same(first, second):
+    assert all(getattr(first, k).tobytes() == getattr(second, k).tobytes() for k in ARRAYS)
+    for name in ("steps", "warnings", "segments", "inputs"):
+        assert getattr(first, name) == getattr(second, name)
 
 
 def test_quantities_with_units():
@@ -36,9 +36,9 @@ def test_quantities_with_units():
 def test_spans_that_are_left_out_are_told():
     keys = {"start": 0.1, "stop": 1.9, "exclude": [[0.3, 0.4], [0.35, 0.5]]}
     valid = (T < 0.695) | (T > 0.705)
-    for given, expected in ((keys | {"valid": valid}, [(0.3, 0.5), (0.7, 0.7)]), ({}, [])):
-        found = observe(measured(Recording.from_arrays(T, Q, TAU, **given)), FINE).left_out
-        assert [*found] == [pytest.approx(span, abs=0.011) for span in expected]
+    for options, expected in ((keys | {"valid": valid}, [(0.3, 0.5), (0.7, 0.7)]), ({}, [])):
+        spans = observe(measured(Recording.from_arrays(T, Q, TAU, **options)), FINE).left_out
+        assert [*spans] == [pytest.approx(span, abs=0.011) for span in expected]
 
 
 def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
@@ -53,8 +53,8 @@ def test_arrays_a_dataframe_and_its_file_are_the_same_bytes(tmp_path):
     configured = source(
         position={"column": "q", "unit": "deg"}, torque=Torque(column="tau", unit="mN m"), **keys
     )
-    for other in (table, file, measured(Recording(configured, tmp_path))):
-        same(arrays, other)
+    for second in (table, file, measured(Recording(configured, tmp_path))):
+        same(arrays, second)
     assert (arrays.inputs.added_mass, arrays.excluded.sum()) == (2.0, 11)
     assert (arrays.path, file.path) == (None, tmp_path / "run.csv")
     assert (arrays.name, file.name) == ("recording-1", "run")
@@ -74,9 +74,9 @@ def test_a_table_in_memory_is_kept_as_a_file(tmp_path):
         name="knee",
     )
     saved = recording.saved(tmp_path / "knee [1].csv")
-    one, other = measured(recording), measured(saved)
-    same(one, other)
-    assert other.name == "knee"
+    first, second = measured(recording), measured(saved)
+    same(first, second)
+    assert second.name == "knee"
     assert isinstance(saved.source, Source)
 
 

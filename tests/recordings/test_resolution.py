@@ -37,7 +37,7 @@ def test_a_step_is_found_though_no_two_positions_are_one_apart(counts, ratio):
 def test_the_ratio_is_that_of_motion_and_noise_in_the_band():
     """White noise of sd s has a second derivative of s^2 (2/fs) (2 pi)^4 B^5/5 in a band B."""
     noise, band, w = 1e-3, 10.0, 2 * np.pi * 0.8
-    found = resolve(swing(noise=noise), band)
+    resolution = resolve(swing(noise=noise), band)
     # some two thousand independent periodogram values above 0.3 fs, averaged by half dozens
     for sd in (noise, 1e-5):
         assert resolve(swing(noise=sd)).noise == pytest.approx(sd, rel=0.1)
@@ -45,15 +45,15 @@ def test_the_ratio_is_that_of_motion_and_noise_in_the_band():
     acceleration = np.sqrt(w**4 / 2 / (density * (2 * np.pi) ** 4 * band**5 / 5))
     # the band ends between two averaged frequencies, 15 % apart, to the power 2.5; the noise
     # is known to a tenth
-    assert found.acceleration_ratio == pytest.approx(acceleration, rel=0.5)
+    assert resolution.acceleration_ratio == pytest.approx(acceleration, rel=0.5)
 
 
 def test_the_band_ends_where_the_position_resolves_no_acceleration():
-    found = resolve(swing(noise=1e-3))
-    assert found.reason == "position"
-    assert 0.8 < found.band < 6.0
+    resolution = resolve(swing(noise=1e-3))
+    assert resolution.reason == "position"
+    assert 0.8 < resolution.band < 6.0
     # ten times less noise, more band; none, all that the sampling rate allows
-    assert found.band < resolve(swing(noise=1e-4)).band
+    assert resolution.band < resolve(swing(noise=1e-4)).band
     free = resolve(swing())
     assert (free.band, free.reason) == (WIDEST * FS, "sampling")
 
@@ -61,9 +61,9 @@ def test_the_band_ends_where_the_position_resolves_no_acceleration():
 def test_the_band_ends_where_the_torque_has_no_power():
     t = np.arange(N) / FS
     torque = np.sin(2 * np.pi * 0.8 * t) + 0.2 * np.sin(2 * np.pi * 2.0 * t)
-    found = resolve(swing(torque=torque, noise=2e-4))
-    assert found.reason == "torque"
-    assert 2.0 <= found.band < 2.6
+    resolution = resolve(swing(torque=torque, noise=2e-4))
+    assert resolution.reason == "torque"
+    assert 2.0 <= resolution.band < 2.6
     # where the position is clean, what balances beyond tells something too
     assert resolve(swing(torque=torque)).reason == "sampling"
 
@@ -79,9 +79,9 @@ def test_a_short_recording_keeps_enough_outputs():
 def test_an_acceleration_that_is_noise_is_warned_of():
     noisy, fine = swing(noise=3e-3), swing(noise=1e-5)
     wide = Processing(lowpass=50.0)
-    (said,) = observe(noisy, wide).warnings
-    assert "noise" in said
-    assert "acceleration" in said
+    (warning,) = observe(noisy, wide).warnings
+    assert "noise" in warning
+    assert "acceleration" in warning
     assert observe(fine, wide).warnings == ()
     # the band that is chosen needs none
     assert observe(noisy, Processing()).warnings == ()
