@@ -114,7 +114,8 @@ def recognise(table: Table, joint: str | None = None) -> Log:
             column, name = min(of, key=lambda s: (s[1].joint != label, s[1].joint != ""))
             chosen[channel] = column, name.unit
     columns = tuple(name or number for number, name in enumerate(table.names, start=1))
-    return Log(chosen, columns, label or "", joints if len(joints) > 1 else (), where)
+    # a column that names no joint is none to choose
+    return Log(chosen, columns, label or "", tuple(filter(None, joints)) * (len(joints) > 1), where)
 
 
 def _one_episode(table: Table) -> tuple[Table, dict[str, float]]:

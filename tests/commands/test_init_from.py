@@ -115,6 +115,8 @@ def test_what_stands_still_is_not_chosen():
     assert log.chosen["position"][0] == "drive2 position"
     assert log.chosen["current"][0] == "drive2 current"
     assert len(log.joints) == 4
+    left = recognise(table(t=T, position_left=Q, position_right=Q, angle=Q, voltage_left=TAU))
+    assert (left.joint, left.joints) == ("left", ("left", "right"))
     assert "torque" not in found(t=T, position=Q, load=0 * T)
     assert found(t=T, position=Q, load=0 * T, current=TAU)["current"][0] == "current"
 
