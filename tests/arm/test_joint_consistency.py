@@ -5,7 +5,7 @@ import pytest
 
 from bayesfric.arm.arm import Arm
 from bayesfric.arm.arm_options import Payload, Uncertainty
-from bayesfric.arm.base_parameters import base_parameters, combinations
+from bayesfric.arm.inertial_prior import base_parameters, combinations
 from bayesfric.arm.excitation import next_motion
 from bayesfric.arm.exports import files_of
 from bayesfric.arm.inertial_prior import (
