@@ -119,12 +119,13 @@ def written_urdf(path: Path, arm: Identified) -> str:
     builder = ElementTree.TreeBuilder(insert_comments=True, insert_pis=True)
     root = fromstring(text, ElementTree.XMLParser(target=builder))
     for joint in root.findall("joint"):
-        numbers, linear = arm.joints.get(joint.get("name", ""), {}), joint.get("type") == "prismatic"
+        numbers = arm.joints.get(joint.get("name", ""), {})
         for key, attribute in _DYNAMICS.items():
             if key in numbers:
                 _child(joint, "dynamics").set(attribute, _number(numbers[key]))
+        slides = joint.get("type") == "prismatic"
         others = [
-            f"{number.word} {_number(numbers[key])} {number.units[linear]}".rstrip()
+            f"{number.word} {_number(numbers[key])} {number.units[slides]}".rstrip()
             for key, number in NUMBERS.items()
             if key in numbers and key not in _DYNAMICS
         ]

@@ -174,9 +174,10 @@ class FittedJoint:
             k, reported = posterior.names.index(name), row.reported
             was, now = spread(before[name].ravel()), spread(after[:, k])
             # corrections of the joint's own fit stay
+            changes = np.subtract(now["interval"], was["interval"]).tolist()
             low, high = (
-                max(end + b - a, bounds[name][0])
-                for end, a, b in zip(reported.interval, was["interval"], now["interval"], strict=True)
+                max(end + change, bounds[name][0])
+                for end, change in zip(reported.interval, changes, strict=True)
             )
             value = min(max(reported.value + now["median"] - was["median"], low), high)
             update = leaning(after[:, k], priors[name].limits, bounds[name])

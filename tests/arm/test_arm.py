@@ -15,7 +15,7 @@ from tests.conftest import DATA, made_recording
 from . import bench
 from .bench import ELBOW, SHOULDER
 
-pytestmark = pytest.mark.usefixtures("unexplained")
+pytestmark = pytest.mark.usefixtures("unexplained", "here")
 
 QUICK = {"terms": "as written", "fit": {"self_check": {"recordings": 0}}}
 KEYS = ("motor.inertia", "motor.coulomb", "motor.viscous", "motor.load")
@@ -40,7 +40,7 @@ def record(change=lambda frame: frame, name="log", factors=None, **options):
     frame.to_csv(f"{name}.csv", index=False)
 
 
-def test_a_body_that_is_far_off_contradicts_the_urdf(here):
+def test_a_body_that_is_far_off_contradicts_the_urdf():
     record(factors={"lower": 2.0})
     options = {**QUICK, "joints": {SHOULDER: {"fit": False}}, "payload": {"mass_sd": "0.1 kg"}}
     estimate = Arm("arm.urdf", options).fit("log.csv", seed=1).inertial_estimate
@@ -48,7 +48,7 @@ def test_a_body_that_is_far_off_contradicts_the_urdf(here):
     assert max(estimate["causes"][:3], key=lambda cause: cause["value"])["value"] > 0.0
 
 
-def test_a_payload_in_one_of_two_logs_is_weighed(here):
+def test_a_payload_in_one_of_two_logs_is_weighed():
     """Two kilograms in addition to a tool of one; the mass within three of its sds."""
     for name, factor in (("bare", 1.0), ("loaded", 3.0)):
         record(name=name, factors={"tool": factor}, seconds=10.0)
@@ -91,7 +91,7 @@ def test_a_joint_without_effort_does_not_spoil_another(here):
     assert here.run("report", f"out/{ELBOW}").code == 0
 
 
-def test_a_constant_position_is_the_reason_why_a_joint_is_not_fitted(here):
+def test_a_constant_position_is_the_reason_why_a_joint_is_not_fitted():
     record(lambda frame: frame.assign(**{f"position[{SHOULDER}] [rad]": 0.5}), seconds=5.0)
     options = {**QUICK, "joints": {ELBOW: {"fit": False}}}
     with pytest.raises(BadInput, match=r"position is 0\.5 in every sample"):
@@ -185,7 +185,7 @@ def test_segments_of_a_long_log_are_fitted(here, timed, span):
         ({"recording": {"position": {"column": "q"}}}, "recording"),
     ],
 )
-def test_wrong_options_are_refused(here, options, message):
+def test_wrong_options_are_refused(options, message):
     record(seconds=3.0)
     with pytest.raises(BadInput, match=message):
         Arm("arm.urdf", options).fit("log.csv")

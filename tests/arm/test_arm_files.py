@@ -223,7 +223,9 @@ def test_feedforward_has_other_bodies_for_a_joint_of_a_separate_fit(tmp_path):
     path, motion = made(tmp_path, FULL), random_motion(3)
     separate = {ELBOW: np.concatenate([*other(path).values()])}
     expected = rigid(path, motion)
-    expected[1] = rigid(made(tmp_path, written_urdf(path, Identified({}, other(path), []))), motion)[1]
+    expected[1] = rigid(
+        made(tmp_path, written_urdf(path, Identified({}, other(path), []))), motion
+    )[1]
     path = made(tmp_path, FULL)
     feedforward = module(tmp_path, path, Identified({}, {}, [], separate))
     computed = [feedforward.torque(*x) for x in np.moveaxis(motion, 2, 0)]

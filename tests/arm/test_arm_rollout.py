@@ -77,7 +77,11 @@ def test_impulses_of_friction_minimise_their_convex_function():
     rng = np.random.default_rng(1)
     for _ in range(20):
         root = rng.normal(size=(4, 4))
-        mass, free, loss = root @ root.T + 0.1 * np.eye(4), rng.normal(size=4), rng.uniform(size=(2, 4))
+        mass, free, loss = (
+            root @ root.T + 0.1 * np.eye(4),
+            rng.normal(size=4),
+            rng.uniform(size=(2, 4)),
+        )
         v = arm_rollout._with_friction(mass, free, loss, np.zeros(4))
         push = mass @ (free - v)
         assert np.all(push <= loss[0] + 1e-7)

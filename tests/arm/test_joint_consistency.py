@@ -146,7 +146,9 @@ def test_two_agreeing_joints_are_combined_and_hold_the_truth(arm):
     for name, truth in TRUTH.items():
         joint = arm.joints[name]
         separate = joint.result.summary.parameters
-        widths = [np.ptp(rows["motor.inertia"].reported.interval) for rows in (joint.rows, separate)]
+        widths = [
+            np.ptp(rows["motor.inertia"].reported.interval) for rows in (joint.rows, separate)
+        ]
         assert widths[0] <= 1.05 * widths[1]
         for parameter, value in truth.items():
             reported = joint.rows[parameter].reported
