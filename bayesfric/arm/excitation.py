@@ -12,7 +12,6 @@ References
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -28,6 +27,7 @@ from bayesfric.arm.fitted_arm import FittedArm, FittedJoint
 from bayesfric.arm.inertial_prior import Bodies, InertialPrior
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
+from bayesfric.base.templates import environment
 from bayesfric.estimates.information import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
@@ -114,16 +114,11 @@ class ExcitingTrajectory:
 
         The arm has to be moved to the first point before.
         """
-        lines = [f"joint_names: {json.dumps(self.joints)}", "points:"]
         step = _RATE // _POINT_RATE
-        for at, point in zip(self.time[::step], self.motion.T[::step], strict=True):
-            kinds = zip(("positions", "velocities", "accelerations"), point.T, strict=True)
-            # in fixed point, as YAML 1.1 reads 1e-05 as a text
-            rows = [f"{kind}: [{', '.join(f'{x:.9f}' for x in row)}]" for kind, row in kinds]
-            sec, nanosec = divmod(round(float(at) * 1e9), 10**9)
-            rows.append(f"time_from_start: {{sec: {sec}, nanosec: {nanosec}}}")
-            lines.append("- " + "\n  ".join(rows))
-        return "\n".join(lines) + "\n"
+        stamps = [divmod(round(t * 1e9), 10**9) for t in self.time[::step].tolist()]
+        points = zip(stamps, self.motion.T[::step].transpose(0, 2, 1), strict=True)
+        template = environment("bayesfric.arm").get_template("exciting.yaml.j2")
+        return f"{template.render(joints=self.joints, points=points)}\n"
 
 
 def limits_of(bodies: Bodies, *, visited: Array | None = None) -> Limits:
@@ -164,19 +159,26 @@ def next_motion(
         nominal=prior.nominal + prior.spread @ z.mean(axis=0),
         spread=prior.spread @ np.linalg.cholesky(np.cov(z.T)),
     )
-    fitted = arm.fitted
     return exciting_trajectory(
         arm.bodies,
         present,
-        {name: joint.numbers for name, joint in fitted.items()},
-        {name: _noise_density(joint) for name, joint in fitted.items()},
+        {name: (_numbers(joint), _noise_density(joint)) for name, joint in arm.fitted.items()},
         limits_of(arm.bodies, visited=arm.visited),
         wanted=wanted,
-        known={name: _precision(joint) for name, joint in fitted.items()},
         seconds=seconds,
         seed=seed,
         progress=progress,
     )
+
+
+def _numbers(joint: FittedJoint) -> Array:
+    """Values and sds ``(2, 5)`` of a joint's numbers; 0 and infinite of those that it lacks."""
+    numbers = np.stack([np.zeros(len(_KEYS)), np.full(len(_KEYS), np.inf)])
+    for k, key in enumerate(_KEYS):
+        rows = [(x.value, x.reported.sd) for x in joint.number_rows(key) if x.reported is not None]
+        if rows:
+            numbers[:, k] = np.mean(rows, axis=0)
+    return numbers
 
 
 def _noise_density(joint: FittedJoint) -> float:
@@ -189,24 +191,12 @@ def _noise_density(joint: FittedJoint) -> float:
     return float(variance / residual.size * o.period)
 
 
-def _precision(joint: FittedJoint) -> Array:
-    """Precision ``(5, 5)`` of a joint's friction, zero of numbers that it does not have."""
-    sd = np.full(len(NUMBERS), np.inf)
-    for k, key in enumerate(NUMBERS):
-        sds = [row.reported.sd for row in joint.number_rows(key) if row.reported is not None]
-        if sds:
-            sd[k] = np.mean(sds)
-    return np.diag(sd**-2.0)
-
-
 def exciting_trajectory(
     bodies: Bodies,
     prior: InertialPrior,
-    friction: Mapping[str, Mapping[str, float]],
-    noise: Mapping[str, float],
+    joints: Mapping[str, tuple[Array, float]],
     limits: Limits,
     *,
-    known: Mapping[str, Array] | None = None,
     wanted: Sequence[str] | None = None,
     seconds: float = 20.0,
     seed: int | None = None,
@@ -214,12 +204,11 @@ def exciting_trajectory(
 ) -> ExcitingTrajectory:
     """Find a motion of all joints that minimises the mean log sd of the wanted numbers.
 
-    ``friction`` holds the present estimates by joint, ``known`` their precision ``(5, 5)``, flat
-    where left out, ``noise`` the density of the effort's residual at low frequency, (N m)² s: of
-    white noise its variance times the sampling period. A joint without noise, or that is held, has
-    no information.
+    ``joints`` holds the present values and sds ``(2, 5)`` of joints with information, and the
+    density of their effort's residual at low frequency, (N m)² s: of white noise its variance times
+    the sampling period.
     """
-    search = _Search(bodies, prior, friction, noise, limits, known or {}, seconds)
+    search = _Search(bodies, prior, joints, limits, seconds)
     for name in wanted or ():
         if name not in search.numbers:
             problem = "a recording of this arm within these limits does not identify it"
@@ -268,10 +257,8 @@ class _Search:
         self,
         bodies: Bodies,
         prior: InertialPrior,
-        friction: Mapping[str, Mapping[str, float]],
-        noise: Mapping[str, float],
+        joints: Mapping[str, tuple[Array, float]],
         limits: Limits,
-        known: Mapping[str, Array],
         seconds: float,
     ) -> None:
         order = list(bodies.joints)
@@ -286,22 +273,23 @@ class _Search:
             problem = "is no time for a motion from rest to rest"
             raise BadInput(f"{seconds:g} s", problem, f"give at least {shortest:g} s")
         self._moving = np.flatnonzero(limits.high > limits.low)
-        # joints with information, and their noise
-        self._joints = [(j, noise[order[j]]) for j in self._moving.tolist() if order[j] in noise]
-        if not self._joints:
+        # noise of the joints with information
+        self._noise = {j: joints[order[j]][1] for j in self._moving if order[j] in joints}
+        if not self._noise:
             problem = "do not allow a motion of any joint whose noise is known"
             raise BadInput("limits", problem, "give wider ones")
         self._bodies, self._limits, self._seconds = bodies, limits, seconds
         self._parameters = np.repeat(prior.columns(loaded=True)[None], len(order), axis=0)
-        self._values = np.array([[friction.get(n, {}).get(k, 0.0) for k in _KEYS] for n in order])
+        unknown = np.stack([np.zeros(len(_KEYS)), np.full(len(_KEYS), np.inf)])
+        numbers = np.array([joints.get(name, (unknown,))[0] for name in order])
+        self._values = numbers[:, 0]
         # of all unknowns: deviations of the inertial parameters, then each joint's numbers
-        flat = np.zeros((len(_KEYS), len(_KEYS)))
-        blocks = [known.get(order[j], flat) for j, _ in self._joints]
         first = self._deviations = prior.spread.shape[1]
-        self._precision = np.asarray(block_diag(np.eye(first), *blocks))
+        sds = [numbers[j, 1] for j in self._noise]
+        self._precision = np.diag(np.concatenate([np.ones(first), *sds]) ** -2.0)
         self.numbers = {
             f"{order[j]}.{term}": first + k * len(_KEYS) + i
-            for k, (j, _) in enumerate(self._joints)
+            for k, j in enumerate(self._noise)
             for i, term in enumerate(TERMS)
         }
         # zero speed at both ends constrains the cosines, zero acceleration the sines
@@ -347,7 +335,7 @@ class _Search:
     def sds(self, recorded: _Effort | None) -> Array:
         """Give the sds of all unknowns with a recording added; infinite where nothing is known."""
         information, count = self._precision.copy(), len(_KEYS)
-        for k, (j, noise) in enumerate(self._joints if recorded else ()):
+        for k, (j, noise) in enumerate(self._noise.items() if recorded else ()):
             x, first = recorded[2][j], self._deviations + k * count
             at = np.r_[: self._deviations, first : first + count]
             information[np.ix_(at, at)] += x @ x.T * (self._seconds / x.shape[1] / noise)

@@ -144,7 +144,7 @@ def coupled(folder):
     links = [bench.link(name) for name in ("base", "upper", "lower")]
     joints = (
         bench.joint(SHOULDER, "base", "upper"),
-        bench.joint(ELBOW, "upper", "lower", more=mimic),
+        bench.joint(ELBOW, "upper", "lower", extra=mimic),
     )
     return made(folder, bench.robot(*links, *joints))
 

@@ -11,7 +11,7 @@ from scipy.signal import resample
 
 from bayesfric.arm import excitation
 from bayesfric.arm.arm_log import layout_of
-from bayesfric.arm.arm_options import NUMBERS, Payload, Uncertainty
+from bayesfric.arm.arm_options import Payload, Uncertainty
 from bayesfric.arm.excitation import Limits, exciting_trajectory, limits_of
 from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
@@ -19,7 +19,7 @@ from bayesfric.base.errors import BadInput
 from . import bench
 
 VALUES = np.array([[0.3, 4.0, 2.0, 0.1, 0.5], [0.1, 2.0, 1.0, 0.05, 0.1]])
-KNOWN = [np.diag(1.0 / (10.0 * x) ** 2) for x in VALUES]
+SDS = 10.0 * VALUES
 NOISE = np.array([0.02, 0.005])
 JOINTS = (bench.SHOULDER, bench.ELBOW)
 SECONDS, HARMONICS = 8.0, 5
@@ -40,16 +40,13 @@ def arm(tmp_path_factory):
     )
 
 
-def trajectory(arm, limits=None, tries=60, known=KNOWN, **options):
-    friction, noise, known = (
-        dict(zip(JOINTS, rows, strict=True))
-        for rows in ([dict(zip(NUMBERS, x, strict=True)) for x in VALUES], NOISE.tolist(), known)
-    )
-    options = {"seconds": SECONDS, "seed": 1, "known": known, **options}
+def trajectory(arm, limits=None, tries=60, **options):
+    numbers = zip(np.stack([VALUES, SDS], axis=1), NOISE.tolist(), strict=True)
+    joints = dict(zip(JOINTS, numbers, strict=True))
+    options = {"seconds": SECONDS, "seed": 1, **options}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(excitation, "_TRIES", tries)
-        limits = limits or arm.limits
-        return exciting_trajectory(arm.bodies, arm.prior, friction, noise, limits, **options)
+        return exciting_trajectory(arm.bodies, arm.prior, joints, limits or arm.limits, **options)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +73,7 @@ def effort(arm, motion, z, values, torque=None):
     return rigid + armature * qdd + friction + offset, torque
 
 
-def posterior_sds(arm, motion, step, known=KNOWN):
+def posterior_sds(arm, motion, step):
     """Posterior sds of the friction, ``(2, 4)``, by differences of the effort."""
     count = arm.prior.spread.shape[1]
     _, torque = effort(arm, motion, np.zeros(count), VALUES)
@@ -87,11 +84,9 @@ def posterior_sds(arm, motion, step, known=KNOWN):
 
     shifts = 1e-6 * np.eye(point.size)
     slopes = np.array([(at(point + shift) - at(point - shift)) / 2e-6 for shift in shifts])
-    precision = np.diag(np.r_[np.ones(count), np.zeros(10)])
+    precision = np.diag(np.r_[np.ones(count), SDS.ravel() ** -2.0])
     for j, noise in enumerate(NOISE):
         precision += slopes[:, j] @ slopes[:, j].T * step / noise
-        rows = slice(count + 5 * j, count + 5 * j + 5)
-        precision[rows, rows] += known[j]
     return np.sqrt(np.diag(np.linalg.inv(precision))[count:]).reshape(2, 5)[:, :4]
 
 
@@ -137,20 +132,13 @@ def test_motion_keeps_every_limit_and_uses_one(arm, which, request):
         assert 0.9 < np.max(np.abs(torque).max(axis=1) / [22.0, 9.0]) <= 1.001
 
 
-@pytest.mark.parametrize("correlated", [False, True])
-def test_effort_and_sds_are_those_of_the_posterior(arm, free, correlated):
-    known, motion = KNOWN, free
-    if correlated:  # a sum of two numbers is known, and one by itself
-        direction = np.array([1.0, 0.0, 1.0, 0.0, 0.0])
-        known = [KNOWN[0], KNOWN[1] + 400.0 * np.outer(direction, direction)]
-        motion = trajectory(arm, known=known)
-    expected, _ = effort(arm, motion.motion, np.zeros(arm.prior.spread.shape[1]), VALUES)
-    assert motion.torque == pytest.approx(expected, abs=1e-9)
-    sds = posterior_sds(arm, motion.motion[:, :, :-1], motion.time[1], known)
+def test_effort_and_sds_are_those_of_the_posterior(arm, free):
+    expected, _ = effort(arm, free.motion, np.zeros(arm.prior.spread.shape[1]), VALUES)
+    assert free.torque == pytest.approx(expected, abs=1e-9)
+    sds = posterior_sds(arm, free.motion[:, :, :-1], free.time[1])
     # both ends are one moment of 800
-    assert sds_of(motion.sd_after) == pytest.approx(sds, rel=2e-3)
-    before = [np.sqrt(np.diag(np.linalg.inv(x)))[:4] for x in known]
-    assert sds_of(motion.sd_before) == pytest.approx(np.array(before))
+    assert sds_of(free.sd_after) == pytest.approx(sds, rel=2e-3)
+    assert sds_of(free.sd_before) == pytest.approx(SDS[:, :4])
 
 
 def test_json_has_no_number_where_nothing_is_known(free):
@@ -244,8 +232,9 @@ def test_limits_are_those_of_the_urdf_within_visited_positions(tmp_path):
 def test_a_sliding_joint_is_in_metres_and_newtons(tmp_path, monkeypatch):
     monkeypatch.setattr(excitation, "_TRIES", 60)
     bodies = bodies_of(tmp_path, bench.urdf(slides=True))
-    prior, noise = bodies.prior(Uncertainty(), Payload()), {bench.SLIDE: 0.01}
-    motion = exciting_trajectory(bodies, prior, {}, noise, limits_of(bodies), seed=1, seconds=6.0)
+    prior = bodies.prior(Uncertainty(), Payload())
+    joints = {bench.SLIDE: (np.stack([np.zeros(5), np.full(5, np.inf)]), 0.01)}
+    motion = exciting_trajectory(bodies, prior, joints, limits_of(bodies), seed=1, seconds=6.0)
     assert f"effort[{bench.SLIDE}] [N]" in motion.as_csv().partition("\n")[0]
     assert np.isinf([*motion.sd_before.values()]).all()
     assert np.isfinite([*motion.sd_after.values()]).all()
