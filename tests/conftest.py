@@ -56,7 +56,7 @@ LONG = {
     "identifiability": """
         advise""",
     "inference": """
-        discrepancy fast_moments likelihood_dense moves sampling
+        discrepancy fast_moments likelihood_dense proposals sampling
         static_friction stiction_violations""",
     "mechanism": """
         closed_loop quantities""",

@@ -40,7 +40,7 @@ SIMULATION = {
 
 @pytest.fixture(scope="module")
 def recording():
-    made = JOINT.with_term(COGGING).simulate(TRUE, **SIMULATION, seed=3)
+    made = bf.simulate(JOINT.with_term(COGGING), TRUE, **SIMULATION, seed=3)
     return recording_of(made, name="bench")
 
 
@@ -109,7 +109,7 @@ def test_a_term_of_time_at_the_load():
     """The model's torque is the one that the term is simulated with."""
     drift = bf.Term("load.drift", lambda m: np.exp(-0.3 * m.time), unit="N m")
     true = {name: value for name, value in TRUE.items() if name != "motor.cogging"}
-    made = JOINT.with_term(drift).simulate(true | {"load.drift": 0.3}, **SIMULATION, seed=4)
+    made = bf.simulate(JOINT.with_term(drift), true | {"load.drift": 0.3}, **SIMULATION, seed=4)
     model = bf.Model(JOINT.with_term(drift), recording_of(made))
     row = model.estimate("input-error").loc["load.drift"]
     assert abs(row["value"] - 0.3) < 5.0 * row["sd_robust"]

@@ -28,7 +28,7 @@ from bayesfric.arm.inertial_prior import Bodies, InertialPrior
 from bayesfric.base.errors import BadInput, nearest
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
 from bayesfric.base.templates import environment
-from bayesfric.estimates.information import long_run_variance
+from bayesfric.estimates.autoregression import long_run_variance
 from bayesfric.estimates.torque import places
 from bayesfric.recordings.arrays import Array
 
@@ -175,7 +175,7 @@ def _numbers(joint: FittedJoint) -> Array:
     """Values and sds ``(2, 5)`` of a joint's numbers; 0 and infinite of those that it lacks."""
     numbers = np.stack([np.zeros(len(_KEYS)), np.full(len(_KEYS), np.inf)])
     for k, key in enumerate(_KEYS):
-        rows = [(x.value, x.reported.sd) for x in joint.number_rows(key) if x.reported is not None]
+        rows = [(x.value, x.reported.sd) for x in joint.number_rows(key)]
         if rows:
             numbers[:, k] = np.mean(rows, axis=0)
     return numbers

@@ -36,14 +36,11 @@ from bayesfric.inference.predictive import predict_held_out
 from bayesfric.recordings.arrays import Array
 from bayesfric.report.numbers import TEXT
 from bayesfric.report.page.rendering import render
-from bayesfric.report.summary.conclusions import told_by_data
 from bayesfric.report.summary.derived_quantities import leaning, spread
 from bayesfric.report.summary.parts import validation_record
-from bayesfric.report.summary.record import Validation
-from bayesfric.report.summary.rows import PosteriorRow
+from bayesfric.report.summary.record import PosteriorRow, Validation
 from bayesfric.report.terminal import printed_row
 from bayesfric.report.words import filled
-from bayesfric.results.reported import Spread, concluded
 
 COLUMNS = [number.title for number in NUMBERS.values() if number.title]  # of the table
 # Draws by which a joint's numbers follow the others.
@@ -104,8 +101,8 @@ class FittedJoint:
         """Take the coefficients ``(n, k)`` of the directions, corrected as reported."""
         wide, columns = self.fitted.fit.wide.posterior, []
         for name in (f"load.{signal}" for signal in signals(self.directions.shape[1])):
-            k, reported = wide.names.index(name), self.fitted.summary.parameters[name].printed.value
-            columns.append(flat[:, k] + reported - np.median(wide[name]))
+            k, reported = wide.names.index(name), self.fitted.summary.parameters[name].reported
+            columns.append(flat[:, k] + reported.value - np.median(wide[name]))
         return np.stack(columns, axis=1) if columns else np.zeros((len(flat), 0))
 
     @property
@@ -159,8 +156,8 @@ class FittedJoint:
         if not model.held_out:
             return joint
         held_out = predict_held_out(fit.target, posterior, model.held_out)
-        record = validation_record(replace(fit, held_out=held_out))
-        return replace(joint, validation=Validation.model_validate(record))
+        validation = validation_record(replace(fit, held_out=held_out))
+        return replace(joint, validation=validation)
 
     def _updated_rows(self, posterior: Posterior) -> dict[str, PosteriorRow]:
         """Change the reported numbers as the draws of the joint change."""
@@ -168,7 +165,7 @@ class FittedJoint:
         priors = dict(zip(posterior.names, posterior.priors, strict=True))
         bounds = {p.name: (p.lower, p.upper) for p in fit.chain.parameters}
         for name, row in self.fitted.summary.parameters.items():
-            if name not in bounds or row.reported is None:
+            if name not in bounds:
                 rows[name] = row
                 continue
             k, reported = posterior.names.index(name), row.reported
@@ -185,15 +182,7 @@ class FittedJoint:
             if row.verdict == "weak" and sd < WIDE * (row.prior_sd or math.inf):
                 update["verdict"] = "data"  # of all joints, and the URDF
             updated = row.model_copy(update=update)
-            identified = updated.verdict == "data" or told_by_data(updated)
-            conclusion = concluded(
-                Spread(value, low, high, sd),
-                verdict=updated.verdict,
-                own_prior=reported.status == "prior",
-                converged=reported.how.converged,
-                limit=updated.at_bound if updated.at_bound is not None and identified else None,
-                findings=reported.how.findings,
-            )
+            conclusion = updated.conclude(value, (low, high), sd)
             rows[name] = updated.model_copy(update={"reported": conclusion})
         return rows
 
@@ -210,9 +199,9 @@ class FittedJoint:
             "sampler": summary.sampler.status,
             "fit": summary.fit.model_dump(include={"residual_rms", "explained", "unit"}),
             "parameters": {
-                name: {"unit": row.unit, **row.reported.model_dump(exclude={"how"})}
+                name: {"unit": row.unit, **row.reported.model_dump()}
                 for name, row in self.rows.items()
-                if row.reported and not name.startswith("noise.")
+                if not name.startswith("noise.")
             },
             "added": [term.kind for term in summary.taken],
             "findings": [finding.kind for finding in summary.findings],
@@ -371,7 +360,7 @@ class FittedArm:
 
 def _cell(row: PosteriorRow | None) -> tuple[str, str]:
     """Format a number with its status, and its interval with the unit."""
-    if row is None or row.reported is None:
+    if row is None:
         return TEXT.none, ""
     printed = printed_row("", row.reported, row.unit, row.level)
     value, interval = (printed.value, printed.status), (printed.interval, printed.unit)

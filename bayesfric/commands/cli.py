@@ -21,7 +21,7 @@ from typer import Argument, Option
 from bayesfric.base import LINEAR_ALGEBRA_THREADS, __version__
 from bayesfric.base.errors import BadInput, Interrupted
 from bayesfric.base.progress import Timer, progress_shown
-from bayesfric.estimates.point_estimate import METHODS
+from bayesfric.estimates import METHODS
 
 if TYPE_CHECKING:
     from bayesfric.fit.model import Model
@@ -261,13 +261,14 @@ def rollout(
     as_json: AsJson = False,
 ) -> None:
     """Play recordings to the joint: how far its simulated motion is from the measured one."""
+    from bayesfric.base.atomic_write import jsonable
     from bayesfric.commands.rollout import rollout as play
     from bayesfric.commands.rollout import rollout_text
 
     with _progress() as progress:
         result = play(run, config, draws=draws, seed=seed, every=every, progress=progress)
     written = f"Added to {run}: report.html, figures/rollout.pdf, summary.json"
-    _print(result.as_dict(), as_json, [*rollout_text(result), written])
+    _print(jsonable(result), as_json, [*rollout_text(result), written])
 
 
 @app.command()

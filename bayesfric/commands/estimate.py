@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from bayesfric.base.progress import ProgressCallback, no_progress
+from bayesfric.estimates import METHODS
 from bayesfric.estimates.methods import TITLES
-from bayesfric.estimates.point_estimate import METHODS
 from bayesfric.fit.model import Model
-from bayesfric.report.summary.summary import estimate_summary
+from bayesfric.report.summary.summary import estimate_table
 
 # Ratio of robust to plain standard deviation from which the plain one is marked.
 _TOO_SMALL = 2.0
@@ -26,7 +26,9 @@ def estimate(
     references = model.references()
     record = {
         "config": str(model.config.path),
-        "estimates": {estimate.method: estimate_summary(estimate) for estimate in estimates},
+        "estimates": {
+            estimate.method: estimate_table(estimate).as_dict() for estimate in estimates
+        },
         "references": references,
     }
     lines = []

@@ -45,13 +45,14 @@ def _for_paper(
     run: Path, name: str, texts: dict[str, str], progress: ProgressCallback
 ) -> list[str]:
     """Add LaTeX texts, and draw figures; return their files."""
-    from bayesfric.fit.finished_run import fit_of
+    from bayesfric.fit.result import Result
     from bayesfric.report.figures.registry import FinishedRun
     from bayesfric.report.figures.style import IN_PAPER
     from bayesfric.report.run_directory import draw
 
     progress(Progress("recordings"))
-    fit, summary = fit_of(run)
+    result = Result.read(run)
+    fit, summary = result.fit, result.summary
     texts |= latex_texts(summary, name)
     with add_files(run / "figures") as folder:
         draw(folder, FinishedRun(fit, summary), IN_PAPER, progress)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bayesfric.base.atomic_write import add_files, write_files
+from bayesfric.base.atomic_write import add_files, jsonable, write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import ProgressCallback
 from bayesfric.base.safe_read import read_text
@@ -17,8 +17,8 @@ from bayesfric.report.figures.registry import ROLL_OUT, read_captions
 from bayesfric.report.figures.style import save
 from bayesfric.report.messages import roll_out_messages
 from bayesfric.report.summary.record import read_summary_file
-from bayesfric.report.summary.rows import RollOutPart, rollout_part
 from bayesfric.report.words import filled, line_of
+from bayesfric.results.roll_out import RollOutPart
 from bayesfric.rollouts.rollout import rollout as played
 
 
@@ -44,7 +44,7 @@ def rollout(
         # made first: what cannot be written is not simulated
         with add_files(run / "figures") as beside:
             found = played(run, config, every=every, draws=draws, seed=seed, progress=progress)
-            told = rollout_part(found)
+            told = found.summary
             captions[ROLL_OUT.stem] = ROLL_OUT.caption_of(found)
             save(rollout_figure(found), beside, ROLL_OUT.stem)
     except OSError as error:
@@ -52,7 +52,7 @@ def rollout(
             str(run), f"cannot be written ({error.strerror})", "copy the run to a folder of yours"
         ) from None
     text = json.dumps(
-        {**summary, "rollout": told.as_dict()}, indent=1, ensure_ascii=False, allow_nan=False
+        {**summary, "rollout": jsonable(told)}, indent=1, ensure_ascii=False, allow_nan=False
     )
     lines = "\n".join(f"**{stem}**: {caption}\n" for stem, caption in captions.items())
     write_files({run / "summary.json": f"{text}\n", caption_file: lines}, replace=True)

@@ -15,13 +15,11 @@ from typing import Any
 import numpy as np
 
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
-from bayesfric.estimates.information import CORRELATED, lag_one
+from bayesfric.estimates.autoregression import CORRELATED, lag_one
 from bayesfric.estimates.least_squares import TotalsProjection
 from bayesfric.estimates.point_estimate import Estimate
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import effort_words, quantity_of
-from bayesfric.mechanism.presets import PRESETS
-from bayesfric.mechanism.quantities import QUANTITIES
+from bayesfric.mechanism.joint import PRESETS, Joint
+from bayesfric.mechanism.quantities import QUANTITIES, effort_words, quantity_of
 from bayesfric.recordings import units
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation

@@ -17,9 +17,8 @@ from bayesfric.base.options import Options
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Replicate
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import units_of
 from bayesfric.inference.posterior import Posterior
-from bayesfric.inference.target import Target
+from bayesfric.inference.target import Target, units_of
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 

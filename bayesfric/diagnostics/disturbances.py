@@ -16,8 +16,7 @@ from bayesfric.diagnostics.autocorrelation import Layout
 from bayesfric.diagnostics.motion import MotionSignals
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.filters import later
-from bayesfric.recordings.observation import target_torque
-from bayesfric.recordings.timing import FAR_DELAYS, command_rate
+from bayesfric.recordings.observation import FAR_DELAYS, command_rate, target_torque
 
 SINUSOID, TRANSIENT, DELAY, TARGET_DELAY = "tone", "push", "delay", "target_delay"
 # Delay of the position, or of a target that the torque is computed from.
@@ -126,7 +125,7 @@ def delay_columns(m: MotionSignals) -> Mapping[float, tuple[Array, Array]]:
     """Return the change of the torque over each far delay, and its rate then, ``(N,)`` each.
 
     A position that is late by d belongs to the torque ``y(t - d)``, see
-    :mod:`bayesfric.recordings.timing`.
+    :mod:`bayesfric.recordings.observation`.
     """
     if m.chain.delay:
         return {}

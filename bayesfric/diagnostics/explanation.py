@@ -13,7 +13,7 @@ from bayesfric.diagnostics.policy import LEAST_OUTPUTS, LONGEST, MOVES
 from bayesfric.diagnostics.regression import Effect, Replicate, regression_of
 from bayesfric.diagnostics.replicates import ReplicateError, subsample
 from bayesfric.estimates.input_error import few_threads
-from bayesfric.inference.missing import Missing
+from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.quantities import CHOICES, CYCLES, LOAD_CHOICES
 from bayesfric.recordings.measurement import Measurement

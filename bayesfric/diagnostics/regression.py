@@ -62,7 +62,7 @@ from bayesfric.diagnostics.statistics import (
     unit_scores,
 )
 from bayesfric.estimates.torque import filtered_torque, torque_jacobian, typical_load
-from bayesfric.inference.missing import Missing
+from bayesfric.inference.discrepancy import Missing
 from bayesfric.mechanism.derived import derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array

@@ -21,12 +21,10 @@ from bayesfric.estimates.processing import fine_motion
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
-from bayesfric.recordings.filters import delayed_command, later
+from bayesfric.recordings.filters import Resolution, delayed_command, finest_step, later
 from bayesfric.recordings.measurement import Measurement
-from bayesfric.recordings.observation import Observation, observe
-from bayesfric.recordings.resolution import Resolution, finest_step
+from bayesfric.recordings.observation import Observation, observe, timed
 from bayesfric.recordings.source import Processing
-from bayesfric.recordings.timing import timed
 
 
 class ReplicateError(Exception):
@@ -118,7 +116,7 @@ def _measure(
     position = _quantise(recording.position, q, noise if noisy_position else 0.0, rng)
     velocity = None if recording.velocity is None else _quantise(recording.velocity, qd, noise, rng)
     # the replicate's torque passes no filter of the drive
-    raw: dict[str, Any] = {"held": None, "torque_lag": None, "velocity_lag": None}
+    raw: dict[str, Any] = {"held": False, "torque_lag": None, "velocity_lag": None}
     return replace(recording, position=position, velocity=velocity, torque=torque, **raw)
 
 

@@ -108,7 +108,7 @@ def _lines(
             outcome=FAILED if summary is None else summary.verdict.outcome,
             error=errors.get(unit.name, ""),
             findings=[] if summary is None else [finding.kind for finding in summary.findings],
-            rows={name: row.reported for name, row in rows.items() if row.reported is not None},
+            rows={name: row.reported for name, row in rows.items()},
             link=link.as_posix(),
             probability=p,
             where=where,
@@ -145,7 +145,7 @@ def _distribution(quantities: Sequence[FleetQuantity]) -> Figure:
 def _panel(ax: Axes, quantity: FleetQuantity) -> list[Artist]:
     names = sorted(quantity.units, key=lambda name: quantity.units[name].value)
     x = np.arange(1.0, len(names) + 1.0)
-    ends = np.array([(x.low, x.high) for x in (quantity.units[name].printed for name in names)])
+    ends = np.array([(x.low, x.high) for x in (quantity.units[name].reported for name in names)])
     exponent = style.power_of_ten(float(ends.min()), float(ends.max()))
     scale = 10.0**exponent
     y = np.array([quantity.units[name].value for name in names]) / scale

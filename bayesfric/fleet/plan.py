@@ -21,7 +21,6 @@ from bayesfric.base.options import Options
 from bayesfric.base.safe_read import check_file, read_text
 from bayesfric.problem.config import checked_toml, parse_config, read_document, read_toml
 from bayesfric.problem.config_text import document_text
-from bayesfric.recordings.tables.table import check_names
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -229,7 +228,6 @@ def read_units(path: Path, pattern: str | None) -> list[Unit]:
         _check_count(text.count("\n") - 1, str(path))
         header = text.partition("\n")[0]
         delimiter = max(",;\t", key=header.count)
-        check_names(str(path), [""] * (header.count(delimiter) + 1), "header")
         # with a header pandas would rename the second of two columns with the same name
         cells = pd.read_csv(
             io.StringIO(text), sep=delimiter, header=None, dtype=str, keep_default_na=False
@@ -298,9 +296,11 @@ def units_of(
 ) -> list[Unit]:
     """Make units of the rows of a table, whose name in messages is ``source``."""
     columns = [str(name).strip() for name in frame.columns]
-    check_names(source, columns, "header")
     if not all(columns):
         raise BadInput(source, "a column has no name", "name each column")
+    if repeated := [name for name in columns if columns.count(name) > 1]:
+        problem = f"several columns are named '{repeated[0]}'"
+        raise BadInput(f"{source}, header", problem, "rename one of them")
     _check_count(len(frame), source)
     if pattern is None:
         named = next((name for name in ("unit", "name") if name in columns), None)

@@ -43,11 +43,10 @@ from bayesfric.identifiability.simulated_recording import (
     square_with_sines,
     torque_noise,
 )
-from bayesfric.inference.local_units import units_of
-from bayesfric.inference.prior.priors import KNOWN
-from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
-from bayesfric.mechanism.parameter import Parameter
+from bayesfric.inference.priors import KNOWN
+from bayesfric.inference.target import Target, units_of
+from bayesfric.mechanism import experiment
+from bayesfric.mechanism.quantities import Parameter
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs, Measurement
 from bayesfric.results.reported import KNOWN_BY, Determined, Status
@@ -87,7 +86,7 @@ class OpenDirection:
     # for a factor of e
     exponents: dict[str, float]
     in_units: dict[str, str]  # units of parameters next to zero, which have no logarithm
-    log_sd: float  # sd of the factor's logarithm; infinite for a null direction
+    log_sd: float | None  # sd of the factor's logarithm; None for a null direction
     meaning: str
     reasons: tuple[str, ...]
     remedies: tuple[Remedy, ...]
@@ -283,10 +282,12 @@ def open_directions(
             else float(round(row[j], 9 if null else 3))
             for j in named
         }
-        log_sd = np.inf if null else left_along(local.information, row)
+        log_sd = None if null else left_along(local.information, row)
         rest = bool(np.any(np.abs(row[row != 0.0]) <= _NAMED))
-        meaning = meaning_of(exponents, in_units) if null else ""
-        meaning = meaning or _weak(exponents, in_units, log_sd, rest)
+        if log_sd is None:
+            meaning = meaning_of(exponents, in_units)
+        else:
+            meaning = _weak(exponents, in_units, log_sd, rest)
         theory = number < local.from_theory
         reasons = _scaling(coverage) if theory else _reasons(free, row, null, coverage, back)
         cures = remedies(local, row, simulated, known)
@@ -422,11 +423,11 @@ def trials(
         )
     }
     if rare:
-        wave = excitation.square(time, 1.0, hertz)
+        wave = experiment.square(time, 1.0, hertz)
         signals = {"in which the load drives the motor, such as a square wave": wave} | signals
     for form, shape in signals.items():
         text = f"an excitation {form} of {peak:.2g} {unit} at {hertz:.2g} Hz"
-        torque = excitation.current_loop(peak * shape, period, LAG)
+        torque = experiment.current_loop(peak * shape, period, LAG)
         experiments.append(("excitation", text, torque, base.inputs))
     simulated = []
     for kind, text, torque, bolted in experiments:

@@ -13,14 +13,13 @@ import numpy as np
 
 from bayesfric.base.errors import BadInput
 from bayesfric.estimates.assemble import open_directions
+from bayesfric.estimates.autoregression import burg
 from bayesfric.estimates.information import NULL, Directions, directions
 from bayesfric.estimates.point_estimate import Knowledge
 from bayesfric.estimates.torque import torque_jacobian, typical_load
-from bayesfric.inference.likelihood.autoregression import burg
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import LocalUnits, units_of
-from bayesfric.inference.prior.priors import Prior
-from bayesfric.inference.target import Target
+from bayesfric.inference.priors import Prior
+from bayesfric.inference.target import LocalUnits, Target, units_of
 from bayesfric.mechanism.derived import Derived, derive
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array

@@ -47,11 +47,11 @@ from bayesfric.identifiability.simulated_recording import (
     torque_noise,
 )
 from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import RunsAway
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.parameter import TURN
+from bayesfric.mechanism.quantities import TURN
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.measurement import Inputs, steady
 from bayesfric.recordings.observation import Observation
@@ -232,11 +232,11 @@ def _shapes(time: Array, hertz: float) -> Iterator[tuple[str, Array]]:
     """Make signals of peak one."""
     for pace in (0.5, 1.0, 2.0):
         f = pace * hertz
-        yield f"square wave at {f:.3g} Hz", excitation.square(time, 1.0, f)
-        yield f"sine at {f:.3g} Hz", excitation.sine(time, 1.0, f)
+        yield f"square wave at {f:.3g} Hz", experiment.square(time, 1.0, f)
+        yield f"sine at {f:.3g} Hz", experiment.sine(time, 1.0, f)
     for first, last in ((0.25 * hertz, 2.0 * hertz), (0.5 * hertz, 5.0 * hertz)):
         form = f"chirp from {first:.3g} to {last:.3g} Hz"
-        yield form, excitation.chirp(time, 1.0, first, last)
+        yield form, experiment.chirp(time, 1.0, first, last)
     for name, multiples in _LINES.items():
         lines = hertz * multiples
         span = f"of {lines.size} sines from {lines[0]:.2g} to {lines[-1]:.2g} Hz"
@@ -258,7 +258,7 @@ def try_out(
     violated = None
     for lowered in (0.85 ** np.arange(12)).tolist():
         amplitude, command = candidate.amplitude * lowered, candidate.command * lowered
-        torque = excitation.current_loop(command, candidate.period, candidate.lag)
+        torque = experiment.current_loop(command, candidate.period, candidate.lag)
         initial = candidate.q0, candidate.qd0
         tried = replace(candidate, amplitude=amplitude, command=command, lowered=lowered)
         tried = replace(tried, because_of=violated)

@@ -10,22 +10,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from bayesfric.estimates.autoregression import follows
 from bayesfric.identifiability.local import torque_changes
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
-from bayesfric.inference.local_units import LocalUnits
-from bayesfric.inference.moments.residual_moments import follows
-from bayesfric.inference.noise.autoregressive import Autoregressive
-from bayesfric.inference.target import Target
-from bayesfric.mechanism import excitation
+from bayesfric.inference.noise import Autoregressive
+from bayesfric.inference.target import LocalUnits, Target
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
 from bayesfric.mechanism.joint import Joint
 from bayesfric.recordings.arrays import Array
+from bayesfric.recordings.checks import moving_samples
 from bayesfric.recordings.filters import derivative, lay_windows, lowpass
 from bayesfric.recordings.measurement import AT_ROOM, Inputs
-from bayesfric.recordings.moving import moving_samples
-from bayesfric.recordings.observation import Observation, as_position
-from bayesfric.recordings.timing import retimed
+from bayesfric.recordings.observation import Observation, as_position, retimed
 
 # Time constant of a current loop, as in the paper's bench.
 LAG = 0.005
@@ -72,12 +70,12 @@ def known_mass(chain: Joint, values: Array) -> Inputs:
 
 def square_with_sines(time: Array, hertz: float, lines: Array) -> Array:
     """Make a signal of peak one, a square wave with a multisine of ``lines`` Hz on it, ``(N,)``."""
-    return excitation.square(time, 0.6, hertz) + 0.4 * sines(time, lines)
+    return experiment.square(time, 0.6, hertz) + 0.4 * sines(time, lines)
 
 
 def sines(time: Array, lines: Array) -> Array:
     """Make a multisine of peak one and ``lines`` Hz, ``(N,)``."""
-    signal = excitation.multisine(time, 1.0, lines)
+    signal = experiment.multisine(time, 1.0, lines)
     return np.asarray(signal / max(float(np.abs(signal).max()), 1e-12))
 
 

@@ -14,20 +14,19 @@ from scipy.stats import chi2
 
 from bayesfric.base.errors import BadInput
 from bayesfric.base.progress import Progress, ProgressCallback, no_progress
-from bayesfric.fit.finished_run import Finished, finished
+from bayesfric.fit.result import Result, result_of
 from bayesfric.inference.likelihood.torque_likelihood import TorqueLikelihood
 from bayesfric.inference.sampling.convergence import autocorrelation
-from bayesfric.mechanism.closed_loop import follow
+from bayesfric.mechanism.forward import follow
 from bayesfric.mechanism.joint import Joint
 from bayesfric.problem.config import parse_config, read_document, read_toml
 from bayesfric.problem.config_text import document_text, recording_table
 from bayesfric.problem.problem import Problem
-from bayesfric.recordings.arrays import Array, Flags
+from bayesfric.recordings.arrays import Array, Flags, without_excluded
 from bayesfric.recordings.filters import later
 from bayesfric.recordings.measurement import Law, Measurement
-from bayesfric.recordings.moving import without_excluded
 from bayesfric.recordings.observation import Observation
-from bayesfric.recordings.recording import Recording
+from bayesfric.recordings.source import Recording
 from bayesfric.report.summary.derived_quantities import rms_of
 from bayesfric.results.roll_out import LEVEL, MOST_OVER, Error, Input, Part, Rolled, RollOut
 
@@ -96,7 +95,7 @@ def rollout(
     BadInput
         If there is no such run, a recording has no segment to simulate, or no draw has a motion.
     """
-    run = finished(posterior)
+    run = result_of(posterior)
     if recordings is None:
         prepared = recordings_of_run(run, every=every)
     elif isinstance(recordings, str | Path):
@@ -142,7 +141,7 @@ def rollout(
 
 
 def _simulate(
-    run: Finished,
+    run: Result,
     recording: PreparedRecording,
     values: Array,
     disturbance: Array | None,
@@ -222,7 +221,7 @@ def _pendulum(joint: Joint) -> bool:
 
 
 def _compare(
-    run: Finished, recording: PreparedRecording, without: _Simulated, disturbed: _Simulated
+    run: Result, recording: PreparedRecording, without: _Simulated, disturbed: _Simulated
 ) -> Rolled:
     """Compare simulated motions, without and with residual torque, with the measured one."""
     m, o, chain = recording.measurement, recording.observation, run.joint
@@ -291,7 +290,7 @@ def _bands(
     return band, narrow, middle, Error(mean, rms, inside, inside_alone, width)
 
 
-def recordings_of_run(run: Finished, *, every: bool = False) -> list[PreparedRecording]:
+def recordings_of_run(run: Result, *, every: bool = False) -> list[PreparedRecording]:
     """List the held-out recordings of a run; the fitted ones if there is none, or ``every``."""
     model = run.model
     held_out = [PreparedRecording(x.recording, x.observation, "held out") for x in model.held_out]
@@ -302,7 +301,7 @@ def recordings_of_run(run: Finished, *, every: bool = False) -> list[PreparedRec
 
 
 def recordings_of_config(
-    run: Finished, source: Path | Sequence[Recording]
+    run: Result, source: Path | Sequence[Recording]
 ) -> list[PreparedRecording]:
     """Prepare other recordings, or those of a configuration, as the run's.
 
@@ -333,14 +332,14 @@ def recordings_of_config(
     return [PreparedRecording(m, o, _part(run, m)) for m, o in parts]
 
 
-def _part(run: Finished, m: Measurement) -> Part:
+def _part(run: Result, m: Measurement) -> Part:
     """Whether any part of a recording was fitted, also under another name."""
     same = (fitted for fitted in run.model.recordings if fitted.sha256 == m.sha256)
     overlap = any(x.time[0] <= m.time[-1] and m.time[0] <= x.time[-1] for x in same)
     return "fitted" if overlap else "new"
 
 
-def torque_residuals(run: Finished, *, draws: int = 100) -> list[Residuals]:
+def torque_residuals(run: Result, *, draws: int = 100) -> list[Residuals]:
     """Compute the residuals of every fitted recording from the mean prediction of draws."""
     likelihood = TorqueLikelihood(run.joint, run.model.observations)
     predicted = likelihood.predict(run.values(run.picked(draws)))

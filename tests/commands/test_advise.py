@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bayesfric.recordings.read import read_recordings
-from bayesfric.recordings.recording import Recording
-from bayesfric.recordings.source import Processing, Source
+from bayesfric.recordings.source import Processing, Recording, Source
 
 from .bench import cases, has
 from .test_identify import AXIS

@@ -9,8 +9,7 @@ import bayesfric as bf
 from bayesfric.diagnostics.before_a_fit import doubts_before
 from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
 from bayesfric.fit.model import Model
-from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.quantities import QUANTITIES
 from bayesfric.report.summary.doubts import _accelerates, find_doubts
 from bayesfric.report.summary.record import FindingRow, Summary
@@ -149,7 +148,7 @@ def test_intervals_have_room_for_a_delay_that_nobody_put_in(fitted):
     joint = Joint.preset("servo-pendulum")
     late = replace(joint, delay=True)
     options = {"rate": 500, "excitation": "multisine", "amplitude": 1.0, "torque_noise": 0.01}
-    made = late.simulate({"drive.delay": 0.004}, encoder_side="joint", **options)
+    made = bf.simulate(late, {"drive.delay": 0.004}, encoder_side="joint", **options)
     columns = (made[name].to_numpy() for name in ("time", "position", "torque"))
     summary = fitted(*columns, preset="servo-pendulum")
     (finding,) = summary["findings"]

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import read_config
 from bayesfric.recordings.recognition import named, recognise
 from bayesfric.recordings.tables import Table

@@ -11,14 +11,11 @@ import jsonschema
 import pytest
 from pydantic import BaseModel
 
-from bayesfric.base.errors import BadInput
 from bayesfric.commands.init import FLEET, configuration
 from bayesfric.fleet.plan import FleetTables, read_plan
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import Tables, parse_config
 from tests.conftest import REPOSITORY
-
-from .bench import CONFIG
 
 CONFIGURATIONS = sorted(
     [
@@ -80,25 +77,6 @@ def test_what_init_writes_suits_the_schema(bench, validators, preset):
     validators["configuration"].validate(tomllib.loads(bench.run("init", preset).out))
 
 
-REFUSED = {
-    "unknown table": ("[noise]", "[nois]"),
-    "unknown key of a channel": ('column = "q"', 'colum = "q"'),
-    "beyond its bound": ("order = 4", "order = 13"),
-    "true for a number with a unit": ("order = 4", "lowpass = true"),
-    "unknown word": ('"shared"', '"sharde"'),
-    "half a span": ('file = "run.csv"', 'file = "run.csv"\nexclude = [[1.0]]'),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_is_refused_the_schema_refuses(case, validators, tmp_path):
-    text = CONFIG.replace(*REFUSED[case])
-    assert validators["configuration"].is_valid(tomllib.loads(CONFIG))
-    assert not validators["configuration"].is_valid(tomllib.loads(text))
-    with pytest.raises(BadInput):
-        parse_config(text, tmp_path / "c.toml")
-
-
 def test_the_schema_is_written_with_the_line_that_makes_editors_use_it(bench, validators):
     ended = bench.run("init", "--schema", "-o", "mine.json")
     assert ended.code == 0
@@ -107,16 +85,6 @@ def test_the_schema_is_written_with_the_line_that_makes_editors_use_it(bench, va
         json.loads((bench.folder / "mine.json").read_text()) == validators["configuration"].schema
     )
     assert json.loads(bench.run("init", "fleet", "--schema").out) == validators["fleet"].schema
-
-
-def test_names_of_priors_and_references_may_be_dotted_or_quoted(validators):
-    text = CONFIG + 'motor.inertia = { distribution = "gamma", a = 2.0, scale = 0.1 }\n'
-    text += 'motor.viscous = 0.1\n[references]\nmotor.inertia = { value = 1.0, source = "CAD" }\n'
-    text += '"motor.viscous" = 0.1\n'
-    validators["configuration"].validate(tomllib.loads(text))
-    assert set(parse_config(text, REPOSITORY / "c.toml").priors) == {
-        "motor.coulomb", "motor.inertia", "motor.viscous",
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

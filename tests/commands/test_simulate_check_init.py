@@ -14,7 +14,7 @@ from bayesfric.base.errors import BadInput
 from bayesfric.commands import cli
 from bayesfric.commands.simulate import simulate
 from bayesfric.fit.fit import may_be_simulated
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from bayesfric.problem.config import parse_config, read_config
 
 from .bench import CONFIG, has

@@ -18,7 +18,7 @@ from bayesfric.diagnostics.before_a_fit import (
 )
 from bayesfric.diagnostics.policy import LEAST_OUTPUTS
 from bayesfric.estimates.point_estimate import EstimatedValue
-from bayesfric.mechanism.presets import PRESETS
+from bayesfric.mechanism.joint import PRESETS
 from tests.axis import AXIS, VALUES
 
 PENDULUM = bf.Joint([bf.Element("motor", inertia=True, viscous=True)], bf.Load(first_moment=True))

@@ -12,7 +12,7 @@ from bayesfric.diagnostics.calibration_check import calibration_check
 from bayesfric.diagnostics.explanation import Explanation
 from bayesfric.diagnostics.regression import Replicate
 from bayesfric.fit.model import Model
-from bayesfric.inference.local_units import units_of
+from bayesfric.inference.target import units_of
 from bayesfric.mechanism.inverse import inverse_torque
 from tests.axis import AXIS, VALUES, swing
 from tests.diagnostics.bench import dense_covariance, laid_out

@@ -41,7 +41,7 @@ def test_exact_derivatives_have_next_to_no_bias(exact):
     for name, row in check.rows.items():
         assert abs(row.bias) < 0.5, name
         summary_row = exact.summary.rows[name]
-        reach = norm.ppf(0.95) * summary_row.printed.sd / summary_row.sd
+        reach = norm.ppf(0.95) * summary_row.reported.sd / summary_row.sd
         assert row.coverage == pytest.approx(2.0 * norm.cdf(reach) - 1.0, abs=0.03), name
 
 

@@ -84,7 +84,7 @@ def test_how_late_a_target_acts_is_unknown_by_default():
     stiff = Model(SERVO, servo(250.0, 400.0, 1.25), sampling=QUICK)
     assert stiff.chain.delay_name == "target.delay"
     row = stiff.fit(seed=1).summary.joint["motor.viscous"]
-    right = abs(row.value - PENDULUM["motor.viscous"]) < 3.0 * row.printed.sd
+    right = abs(row.value - PENDULUM["motor.viscous"]) < 3.0 * row.reported.sd
     assert right or row.reported.status != "identified"
 
 
@@ -139,9 +139,9 @@ def test_a_known_mass_tells_a_torque_that_is_off_by_a_factor(times):
     recordings = []
     for seed, kg in enumerate((0.0, 0.3)):
         more = {"added_mass": kg, "radius": 0.1} if kg else {}
-        made = replace(full, gain=False).simulate(
-            {}, rate=250, duration=8.0, excitation="multisine", torque_noise=0.01, amplitude=1.0,
-            seed=seed + 1, **more,
+        made = bf.simulate(
+            replace(full, gain=False), {}, rate=250, duration=8.0, excitation="multisine",
+            torque_noise=0.01, amplitude=1.0, seed=seed + 1, **more,
         )  # fmt: skip
         made["torque"] *= times
         recordings.append(recording_of(made, name=f"{seed}", **more))

@@ -8,10 +8,9 @@ import pytest
 import bayesfric as bf
 from bayesfric.diagnostics.replicates import fixed_processing, replicate_motion, replicates
 from bayesfric.mechanism.inverse import inverse_torque
-from bayesfric.recordings.filters import lay_windows
+from bayesfric.recordings.filters import finest_step, lay_windows
 from bayesfric.recordings.measurement import Inputs, Signal
 from bayesfric.recordings.observation import observe
-from bayesfric.recordings.resolution import finest_step
 from bayesfric.recordings.source import Processing
 from tests.axis import swing
 from tests.conftest import made_observation, made_recording

@@ -68,7 +68,7 @@ def test_a_glob_names_parts(tmp_path):
         ("unit,x\n.a,1\n", ("row 2", "cannot be the name of a folder")),
         ("unit,x\na,1,2\n", ("Expected 2 fields in line 2, saw 3",)),
         ("serial,x\na,1\n", ("has no names of units",)),
-        ("unit,unit\na,1\n", ("columns 1 and 2 are both named 'unit'",)),
+        ("unit,unit\na,1\n", ("several columns are named 'unit'",)),
         ("unit,x\n", ("has no rows",)),
         ("", ("is empty",)),
     ],

@@ -19,7 +19,7 @@ from bayesfric.identifiability.next_recording import (
     try_out,
 )
 from bayesfric.identifiability.simulated_recording import HEAVIEST, known_mass, simulate_recording
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.element import Load
 from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.inverse import inverse_torque
@@ -44,7 +44,7 @@ def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
 
 def lagged(amplitude=0.8, hertz=1.0):
     time = PERIOD * np.arange(N)
-    return excitation.current_loop(excitation.square(time, amplitude, hertz), PERIOD, 0.005)
+    return experiment.current_loop(experiment.square(time, amplitude, hertz), PERIOD, 0.005)
 
 
 def ranked(name, *observations, options=None, **more):

@@ -14,7 +14,7 @@ from bayesfric.identifiability.local import (
     local_information,
 )
 from bayesfric.identifiability.simulated_recording import simulate_recording
-from bayesfric.mechanism import excitation
+from bayesfric.mechanism import experiment
 from bayesfric.mechanism.forward import simulate
 from bayesfric.recordings.filters import lay_windows, parallel_taps
 from bayesfric.recordings.measurement import Inputs, Law
@@ -32,9 +32,9 @@ SCALED = (
 )
 N, PEAK = 4000, 0.8
 TIME = PERIOD * np.arange(N)
-SQUARE = excitation.square(TIME, PEAK, 1.0)
-LAGGED = excitation.current_loop(SQUARE, PERIOD, 0.005)
-SINE = excitation.sine(TIME, PEAK, 1.0)
+SQUARE = experiment.square(TIME, PEAK, 1.0)
+LAGGED = experiment.current_loop(SQUARE, PERIOD, 0.005)
+SINE = experiment.sine(TIME, PEAK, 1.0)
 
 
 def recorded(torque, *, added_mass=0.0, radius=0.0, name="made-up"):
@@ -242,7 +242,7 @@ def test_a_limit_is_not_called_determined():
     """Without a load loss in the recording its alphas are at one: what fit calls the bounds'."""
     pendulum = bf.Joint.preset("servo-pendulum")
     values = {"gearbox.load": 0.0, "motor.coulomb": 0.1}
-    made = pendulum.simulate(values, rate=200, duration=10.0, excitation="multisine",
+    made = bf.simulate(pendulum, values, rate=200, duration=10.0, excitation="multisine",
                              amplitude=1.0, torque_noise=0.05, seed=3)  # fmt: skip
     t, q, torque = (made[name].to_numpy() for name in ("time", "position", "torque"))
     # an efficiency above one is what fits: the loss is held at zero

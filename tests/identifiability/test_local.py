@@ -8,7 +8,7 @@ from scipy import stats
 
 from bayesfric.estimates.information import directions
 from bayesfric.identifiability.local import given_by, local_information, meaning_of, verdict
-from bayesfric.inference.prior.priors import Prior
+from bayesfric.inference.priors import Prior
 from bayesfric.mechanism.own_term import Term
 from tests.identifiability.bench import AXIS, KNEE, problem
 
