@@ -29,13 +29,6 @@ from bayesfric.recordings.measurement import Measurement
 from bayesfric.recordings.units import OPEN
 
 _FRICTION = {"inertia": True, "coulomb": "symmetric", "viscous": True, "load_loss": "one"}
-# Samples from which the directions of the inertial prior are computed.
-_DIRECTION_SAMPLES = 2000
-# Effective draws: the ends of a 90 % interval are then right to a tenth of a standard deviation,
-# and six joints take a minute.
-_MIN_ESS = 400
-# Relative standard deviation of a rotor's inertia that is specified.
-_ROTOR_SD = 0.2
 
 
 class Arm:
@@ -175,16 +168,19 @@ class Arm:
         parameters: Sequence[Array],
         logs: Sequence[ArmLog],
         efforts: Mapping[str, Measurement | BadInput],
+        *,
+        compared: int = 2000,
     ) -> dict[str, tuple[Array, list[Array]]]:
         """Project the inertial prior on the torque of each joint.
 
-        ``parameters`` are the prior's columns in each log. Returns by joint directions
+        ``parameters`` are the prior's columns in each log; ``compared`` samples in all give the
+        directions. Returns by joint directions
         ``(n_deviations, k)``, and the torques ``(1 + k, n)`` in each log: nominal, and one sd along
         each direction.
         """
         bodies, order = self.bodies, list(self.bodies.joints)
         counts = [log.motion.shape[2] for log in logs]
-        sizes = [max(_DIRECTION_SAMPLES * n // sum(counts), 1) for n in counts]
+        sizes = [max(compared * n // sum(counts), 1) for n in counts]
         samples = [
             np.unique(np.linspace(0, n - 1, size).astype(int))
             for n, size in zip(counts, sizes, strict=True)
@@ -232,7 +228,7 @@ class Arm:
         priors: dict[str, Any] = {f"load.{column}": normal for column in columns}
         if joint_options.rotor_inertia and joint_options.gear_ratio:
             inertia = joint_options.rotor_inertia * joint_options.gear_ratio**2
-            priors["motor.inertia"] = {**normal, "loc": inertia, "scale": _ROTOR_SD * inertia}
+            priors["motor.inertia"] = {**normal, "loc": inertia, "scale": 0.2 * inertia}
         document = {
             "mechanism": {
                 "terms": options.terms,
@@ -247,7 +243,8 @@ class Arm:
             **({"validation": {"recordings": [*held_out]}} if held_out else {}),
             **options.fit,
         }
-        document["sampling"] = {"min_ess": _MIN_ESS, **options.fit.get("sampling", {})}
+        # ends of a 90 % interval are then right to a tenth of an sd; six joints take a minute
+        document["sampling"] = {"min_ess": 400, **options.fit.get("sampling", {})}
         path = Path(joint.name)
         config = parse_config(document_text(document, path), path)
         return Model.from_config(config, recordings=recordings)

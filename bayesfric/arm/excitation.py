@@ -335,7 +335,9 @@ class _Search:
     def sds(self, recorded: _Effort | None) -> Array:
         """Give the sds of all unknowns with a recording added; infinite where nothing is known."""
         information, count = self._precision.copy(), len(_KEYS)
-        for k, (j, noise) in enumerate(self._noise.items() if recorded else ()):
+        for k, (j, noise) in enumerate(self._noise.items()):
+            if recorded is None:
+                break
             x, first = recorded[2][j], self._deviations + k * count
             at = np.r_[: self._deviations, first : first + count]
             information[np.ix_(at, at)] += x @ x.T * (self._seconds / x.shape[1] / noise)

@@ -1,6 +1,5 @@
 """Exported files of an arm, read back by iDynTree, MuJoCo, YAML and Python."""
 
-import importlib.util
 import sys
 
 import mujoco
@@ -11,7 +10,7 @@ from bayesfric.arm.arm_options import NUMBERS, Payload, Uncertainty
 from bayesfric.arm.exports import Identified, rendered, written_mjcf, written_urdf
 from bayesfric.arm.inertial_prior import Bodies
 from bayesfric.base.errors import BadInput
-from tests.conftest import DATA
+from tests.conftest import DATA, imported
 
 from . import bench
 from .bench import ELBOW, SHOULDER, SLIDE
@@ -198,10 +197,7 @@ def module(folder, path, identified):
     file = folder / "feedforward.py"
     text = rendered("feedforward.py", identified, urdf="arm.urdf", gravity=GRAVITY)
     file.write_text(text, encoding="utf-8")
-    spec = importlib.util.spec_from_file_location("feedforward", file)
-    feedforward = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(feedforward)
-    return feedforward
+    return imported(file)
 
 
 @pytest.mark.parametrize("smooth", [0.0, 0.5])

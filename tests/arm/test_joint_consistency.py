@@ -1,7 +1,5 @@
 """Combination of an arm's joints: exact Gaussians, physical bodies, base parameters."""
 
-import importlib.util
-
 import numpy as np
 import pytest
 
@@ -19,6 +17,7 @@ from bayesfric.arm.inertial_prior import (
     with_second_order,
 )
 from bayesfric.arm.joint_consistency import InertialLikelihood
+from tests.conftest import imported
 
 from . import bench
 from .bench import ELBOW
@@ -171,12 +170,9 @@ def test_a_wrong_drive_gain_excludes_both_of_two_joints(tmp_path):
     assert not arm.consistency.agreed
     assert max(arm.consistency.p_values.values()) < 0.01
     assert sum("contradicts the others" in line for line in arm.messages) == 2
-    files = files_of(arm)
-    for name, text in files.items():
+    for name, text in files_of(arm).items():
         (tmp_path / name).write_text(text)
-    spec = importlib.util.spec_from_file_location("feedforward", tmp_path / "feedforward.py")
-    feedforward = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(feedforward)
+    feedforward = imported(tmp_path / "feedforward.py")
     for j, joint in enumerate(arm.joints.values()):
         assert joint.rows == joint.result.summary.parameters
         fit, o = joint.result.fit, joint.result.model.observations[0]
