@@ -117,10 +117,10 @@ def test_a_right_model_moves_as_measured(made):
     assert two.at_speed.mae < 0.02
     # two cycles of a motion are a few independent positions
     assert two.at_position.inside > 0.6
-    # the same seed gives the same numbers
-    first, repeated, other = (rollout(found, draws=20, seed=seed) for seed in (3, 3, 9))
+    # the same seed gives the same numbers, any seed the same median
+    first, repeated, other = (rollout(found, draws=20, seed=seed) for seed in (None, None, 9))
     assert first.rolled[0].band[0].tobytes() == repeated.rolled[0].band[0].tobytes()
-    assert first.rolled[0].middle.tobytes() != other.rolled[0].middle.tobytes()
+    assert first.rolled[0].middle.tobytes() == other.rolled[0].middle.tobytes()
     # noise of the torque sensor moves no joint
     assert rolled.unexplained["one"] < 0.5
     assert rolled.left == pytest.approx(0.02 * np.sqrt(2.0 * 0.5 * 0.1), rel=1.0)
