@@ -47,8 +47,6 @@ from bayesfric.recordings.filters import (
 from bayesfric.recordings.measurement import Inputs, Measurement, Signal
 from bayesfric.recordings.source import Processing
 
-# Least number of samples off the ends of a segment, and of a standstill and those next to it.
-_TRIM = 10
 # Delays in s, in both directions, between which a torque is about linear.
 FAR_DELAYS = (0.03, 0.045, 0.07, 0.1, 0.15, 0.2)
 # Every number actually used, in SI units.
@@ -274,8 +272,13 @@ def _prepare(
 
 
 def _choose_filters(
-    recording: Measurement, processing: Processing, resolution: Resolution | None = None
+    recording: Measurement,
+    processing: Processing,
+    resolution: Resolution | None = None,
+    *,
+    least: int = 10,
 ) -> _Filters:
+    """Resolve the settings; ``least`` samples go at the ends of a segment and of a standstill."""
     fs = 1 / recording.period
     where = f"recording '{recording.name}'"
     cutoff, factor, band = processing.lowpass, processing.decimate, processing.band
@@ -306,12 +309,12 @@ def _choose_filters(
     reach = reach_of(processing.differentiation, cutoff, fs)
     one_period = int(np.ceil(fs / cutoff - 1e-9)) if cutoff else 0
     if processing.trim is None:
-        trim = max(_TRIM, 2 * reach, one_period)
+        trim = max(least, 2 * reach, one_period)
     else:
         # more than there are would only cost memory
         trim = int(np.ceil(min(processing.trim * fs, len(recording.time)) - 1e-9))
     trim = max(trim, int(np.ceil(abs(recording.late) * fs - 1e-9)))
-    return _Filters(fs, cutoff, factor, band, trim, reach, max(_TRIM, one_period), resolution)
+    return _Filters(fs, cutoff, factor, band, trim, reach, max(least, one_period), resolution)
 
 
 def _lower_lowpass(recording: Measurement, processing: Processing, filters: _Filters) -> _Filters:
