@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from itertools import cycle, islice
-from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
+from scipy.optimize import OptimizeResult
 from threadpoolctl import threadpool_limits
 
 from bayesfric.base.errors import BadInput
@@ -46,7 +46,7 @@ from bayesfric.estimates.torque import (
     torque_jacobian,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.scaling import Scaling, scalings
+from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
@@ -151,13 +151,6 @@ def contradicted(
     return far
 
 
-class Minimum(NamedTuple):
-    """Where a search ended."""
-
-    x: Array  # (d,) free parameters
-    cost: float  # half the sum of squares there
-
-
 class TorqueProblem:
     """Weighted residuals of the torque, and of priors, as a function of the free parameters."""
 
@@ -242,7 +235,7 @@ class TorqueProblem:
             return jacobian
         return np.concatenate([jacobian, -self.prior_weight * self.knowledge.rows(self.chain)[0]])
 
-    def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> Minimum:
+    def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> OptimizeResult:
         """Minimise the sum of squares from a start ``(d,)`` within the limits.
 
         SciPy's trust region reflects steps off the limits and ends a little inside them: what ends
@@ -262,7 +255,10 @@ class TorqueProblem:
         def jacobian(part: Array) -> Array:
             return self.jacobian(point(part))[:, moving]
 
-        start = Minimum(x, 0.5 * float(np.sum(self.residual(x) ** 2)))
+        def minimum(x: Array) -> OptimizeResult:
+            return OptimizeResult(x=x, cost=0.5 * float(np.sum(self.residual(x) ** 2)))
+
+        start = minimum(x)
         if not moving.size or not np.isfinite(start.cost):
             return start
         result = optimize.least_squares(
@@ -276,13 +272,12 @@ class TorqueProblem:
             gtol=1e-12,
             max_nfev=steps + 1,
         )
-        minimum = Minimum(point(result.x), float(result.cost))
-        met = self.bounds_met(minimum.x)
+        x, cost = point(result.x), float(result.cost)
+        met = self.bounds_met(x)
         met[list(held)] = 0
-        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, minimum.x))
-        limited = Minimum(on_limits, 0.5 * float(np.sum(self.residual(on_limits) ** 2)))
-        rise = 1e-9 * minimum.cost + 0.5 * self.rounding
-        return limited if limited.cost <= minimum.cost + rise else minimum
+        limited = minimum(np.where(met < 0, self.lower, np.where(met > 0, self.upper, x)))
+        rise = 1e-9 * cost + 0.5 * self.rounding
+        return limited if limited.cost <= cost + rise else OptimizeResult(x=x, cost=cost)
 
     def bounds_met(self, x: Array) -> NDArray[np.int_]:
         """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""
@@ -308,7 +303,7 @@ def few_threads(observations: Sequence[Observation], long: int = 200_000) -> Ite
 
 def _minima(
     problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
-) -> tuple[list[Minimum], str]:
+) -> tuple[list[OptimizeResult], str]:
     """Search from all starts without weights and priors: distinct minima, and a note on them."""
     subsample = problem.excerpt() if start is None else problem
     if start is None:
@@ -334,9 +329,11 @@ def _minima(
     return minima, note
 
 
-def _distinct(minima: Sequence[Minimum], limit: Callable[[float], float]) -> list[Minimum]:
+def _distinct(
+    minima: Sequence[OptimizeResult], limit: Callable[[float], float]
+) -> list[OptimizeResult]:
     """List minima, lowest first, whose costs are above the ``limit`` of the next lower one."""
-    distinct: list[Minimum] = []
+    distinct: list[OptimizeResult] = []
     for minimum in sorted(minima, key=lambda minimum: minimum.cost):
         if not distinct or minimum.cost > limit(distinct[-1].cost):
             distinct.append(minimum)
@@ -422,7 +419,7 @@ def _single_pass(problem: TorqueProblem) -> bool:
 
 
 def _refined(
-    problem: TorqueProblem, minima: Sequence[Minimum], *, rounds: int = 8
+    problem: TorqueProblem, minima: Sequence[OptimizeResult], *, rounds: int = 8
 ) -> tuple[TorqueProblem, Array]:
     """Second pass, if needed: recordings weighted by their own sd, and priors.
 
@@ -433,9 +430,7 @@ def _refined(
     n, best = problem.measured.size, minima[0]
     several = len(problem.observations) > 1
     knows = bool(problem.knowledge.rows(problem.chain)[0].size)
-    # another minimum of the first pass may be lower now
-    vectors = [_toward_priors(problem, problem.vector(minimum.x)) for minimum in minima]
-    starts = [problem.inside(vector) for vector in vectors]
+    starts = [minimum.x for minimum in minima]  # another of the first pass may be lower now
     # sds from a fit that a noisy recording dominates are estimated again
     for _ in range(rounds if several else 1):
         error = problem.torque_error(best.x)
@@ -471,37 +466,6 @@ def _recording_weights(problem: TorqueProblem, x: Array, error: Array) -> Array:
     # residuals of a recording without noise are rounding, and must not dominate
     sds = np.maximum(sds, max(1e-3 * sds.max(), _ROUNDING * _rms(problem.measured)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
-
-
-def _toward_priors(problem: TorqueProblem, values: Array) -> Array:
-    """Move along the scalings, where these are free, to where the priors fit best."""
-    if any(o.inputs.known_load for o in problem.observations):
-        return values
-    priors, fixed = problem.knowledge.priors, problem.knowledge.fixed
-    for scaling in scalings(problem.chain):
-        names = set(scaling.names)
-        if names & set(priors) and not names & set(fixed):
-            values = scaling.scaled(values, _prior_factor(scaling, values, priors))
-    return values
-
-
-def _prior_factor(
-    scaling: Scaling, values: Array, priors: Mapping[str, tuple[float, float]]
-) -> float:
-    """Factor that a passive gearbox allows at which the priors fit best."""
-    names = [name for name in scaling.names if name in priors]
-    columns = [scaling.chain.names.index(name) for name in names]
-    means, sds = np.array([priors[name] for name in names]).T
-
-    def misfit(log_k: float) -> float:
-        return float(np.sum(((scaling.scaled(values, np.exp(log_k))[columns] - means) / sds) ** 2))
-
-    low, high = scaling.bounds(values)
-    low = max(low, 1e-3 * high)
-    if not low < high:
-        return 1.0
-    ends = (float(np.log(low)), float(np.log(high)))
-    return float(np.exp(optimize.minimize_scalar(misfit, bounds=ends, method="bounded").x))
 
 
 def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:

@@ -5,9 +5,9 @@ With them, starts of a search and the typical sizes that default priors are scal
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from bayesfric.estimates.torque import (
 )
 from bayesfric.mechanism.joint import Joint
 from bayesfric.mechanism.own_term import CarriedTerm, along
-from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, Sizes, effort_words
+from bayesfric.mechanism.quantities import SHAPES, TOTALS, Parameter, TypicalSizes, effort_words
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
@@ -116,7 +116,7 @@ class TotalsProjection:
     """The linear map from torques to the totals of eq. (11)."""
 
     def __init__(self, chain: Joint, observations: Sequence[Observation]) -> None:
-        self._chain, self._observations = chain, observations
+        self._chain = chain
         # of the k totals, such as inertia; (n_outputs, k), filtered like the measured torque
         self.names, self.regressors = totals_regressors(chain, observations)
         # in results: total.inertia, or motor.inertia where that is all of it
@@ -127,13 +127,6 @@ class TotalsProjection:
     def solve(self, torque: Array) -> Array:
         """Give the totals ``(k,)`` of filtered torques ``(n_outputs,)``, or of columns of them."""
         return np.asarray(self._solution @ torque)
-
-    def of_samples(self) -> list[Array]:
-        """Give the same map for unfiltered torque, ``(k, N)`` of each recording."""
-        ends = np.cumsum([o.filter.n_outputs for o in self._observations])[:-1]
-        parts = np.split(self._solution, ends, axis=1)
-        pairs = zip(self._observations, parts, strict=True)
-        return [o.filter.reached(part) for o, part in pairs]
 
     def aliases(self) -> dict[str, str]:
         """Give other names of labels: ``total.<name>``, and the owner's where it is the only one.
@@ -276,22 +269,6 @@ def totals_regressors(chain: Joint, observations: Sequence[Observation]) -> tupl
     return names, np.concatenate(blocks) if blocks else np.empty((0, 0))
 
 
-@dataclass(frozen=True)
-class TypicalSizes:
-    """Sizes of what was measured."""
-
-    torque: float  # Largest measured of the motor (99.9th percentile), N m or N
-    speed: float  # Root mean square at the joint, rad or m and s
-    acceleration: float
-    lean: float = 1.0  # Largest sine of the joint's angle that gravity was seen at
-    exchanged: float = 0.0  # Torque that one term surely takes, from another maybe, N m or N
-    position: float = 1.0  # Range of the joint's, rad or m
-    duration: float = 1.0  # Of the longest recording, s
-    position_step: float = 0.0  # Finest that one was read in, rad or m; 0 where it is not known
-    # rms torque of each custom or signal term, for a value of one
-    columns: Mapping[str, float] = field(default_factory=dict)
-
-
 def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalSizes:
     """Take the scales from all recordings together."""
     torque = np.concatenate([o.measured for o in observations])
@@ -315,16 +292,15 @@ def typical_sizes(chain: Joint, observations: Sequence[Observation]) -> TypicalS
     )
 
 
-def sizes_at(chain: Joint, owner: str, scales: TypicalSizes) -> Sizes:
+def sizes_at(chain: Joint, owner: str, scales: TypicalSizes) -> TypicalSizes:
     """Give the sizes at the input of an element, or of ``load``; losses on the way are left out."""
     to_joint = chain.reaches[owner]
-    return Sizes(
-        scales.torque * (chain.ratio / to_joint),
-        scales.speed * to_joint,
-        scales.acceleration * to_joint,
-        chain.load.gravity,
-        scales.lean,
-        scales.duration,
+    return replace(
+        scales,
+        torque=scales.torque * (chain.ratio / to_joint),
+        speed=scales.speed * to_joint,
+        acceleration=scales.acceleration * to_joint,
+        gravity=chain.load.gravity,
     )
 
 

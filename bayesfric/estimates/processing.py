@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,21 +61,10 @@ from bayesfric.recordings.source import Processing
 _LEAST_GROWTH = 0.01
 
 
-@dataclass(frozen=True)
-class Attenuated:
-    """A recording's band that attenuates the inertia, and a narrower one that does not."""
-
-    recording: str  # its name
-    band: float  # upper ends of the two bands, Hz
-    narrower: float
-    inertia: float  # inertia seen by the motor, by least squares in either, kg m² or kg
-    larger: float
-
-
-class _BandFit(NamedTuple):
+class BandFit(NamedTuple):
     """Least squares of the totals in one band."""
 
-    band: float  # Hz
+    band: float  # its upper end, Hz
     inertia: float  # total inertia seen by the motor and its standard deviation
     sd: float
     unexplained: float  # variance of the torque per hertz of the band
@@ -89,12 +78,12 @@ def attenuations(
     processing: Processing,
     *,
     misses: int = 2,
-) -> list[Attenuated]:
-    """List the recordings whose band is contradicted by a narrower one.
+) -> dict[str, tuple[BandFit, BandFit]]:
+    """List the recordings whose band is contradicted by a narrower one, by name, with both.
 
     Bands narrow by a factor of 1.4 until two in a row contradict the best so far no more.
     """
-    attenuated = []
+    attenuated = {}
     for recording, observation in zip(recordings, observations, strict=True):
         first = _fit_band(chain, recording, observation)
         # noise that takes a share of the inertia leaves at least that share of its torque
@@ -106,14 +95,13 @@ def attenuations(
             if missed == misses:
                 break
         if best is not first:
-            bands = first.band, best.band
-            attenuated.append(Attenuated(recording.name, *bands, first.inertia, best.inertia))
+            attenuated[recording.name] = first, best
     return attenuated
 
 
 def _narrower_bands(
     chain: Joint, recording: Measurement, observation: Observation, processing: Processing
-) -> Iterator[_BandFit]:
+) -> Iterator[BandFit]:
     """Fit the totals in ever narrower bands, low-pass and decimation going with them."""
     fs, share = 1.0 / recording.period, 1.0
     factor = int(observation.settings["decimate"])
@@ -135,7 +123,7 @@ def _narrower_bands(
 
 def _fit_band(
     chain: Joint, recording: Measurement, o: Observation, *, least_freedom: int = 20
-) -> _BandFit | None:
+) -> BandFit | None:
     """Fit the totals in a band; ``None`` where the inertia is not identified.
 
     The torque's rate is one more regressor: a delay leaves torque as well, and is another matter.
@@ -154,10 +142,10 @@ def _fit_band(
     residual = o.measured - regressors @ values
     variance, band = float(residual @ residual) / freedom, 0.5 / o.period
     sd = float(np.sqrt(variance * (solution[i] @ solution[i])))
-    return _BandFit(band, float(values[i]), sd, variance / band, freedom)
+    return BandFit(band, float(values[i]), sd, variance / band, freedom)
 
 
-def _contradicts(narrow: _BandFit, wide: _BandFit) -> bool:
+def _contradicts(narrow: BandFit, wide: BandFit) -> bool:
     """Whether a narrower band contradicts a wider one, as noise of the acceleration makes it.
 
     An inertia of more than 4 sds grows by more than 1 %, less variance is left per hertz, and the

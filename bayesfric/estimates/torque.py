@@ -8,7 +8,7 @@ has no loss, while eq. (13) leaves ``lambda_1``. Eqs. (14) to (19) minimise its 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,37 +30,20 @@ Term = tuple[int, float]  # a parameter's index, and its torque at the motor for
 OPEN = 1e-9
 # What is positive in any mechanism that loses energy; gravity's sign is that of Theta1.
 POSITIVE = tuple(total.name for total in TOTALS.values() if total.lower == 0.0)
-# Numbers of unfiltered torque held at once.
-_ROWS_AT_ONCE = 2_000_000
+_NUMBERS_AT_ONCE = 2_000_000
 
 
 def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Array:
     """Model the motor torque ``(n, n_outputs)`` of vectors ``(n, n_parameters)``, filtered."""
-    out = np.empty((values.shape[0], observation.filter.n_outputs))
-    for part, torque in _torques(chain, observation, values):
-        out[part] = observation.filter.apply(torque)
-    return out
-
-
-def weighted_torque(chain: Joint, observation: Observation, weights: Array, values: Array) -> Array:
-    """Apply weights ``(k, n_samples)`` to the modelled torque before any filter: ``(k, n)``."""
-    out = np.empty((len(weights), values.shape[0]))
-    for part, torque in _torques(chain, observation, values):
-        # einsum has no threads: for products this small those of @ cost up to fifty times as much
-        out[:, part] = np.einsum("ks,ns->kn", weights, torque)
-    return out
-
-
-def _torques(
-    chain: Joint, observation: Observation, values: Array
-) -> Iterator[tuple[slice, Array]]:
-    """Yield unfiltered torque of a few vectors at a time: that of a long recording is large."""
     o = observation
     samples = chain.samples(o.q, o.qd, o.qdd, o.inputs, o.stamps)
-    rows = max(1, _ROWS_AT_ONCE // max(o.q.size, 1))
+    out = np.empty((values.shape[0], o.filter.n_outputs))
+    # a few vectors at a time: unfiltered torque of a long recording is large
+    rows = max(1, _NUMBERS_AT_ONCE // max(o.q.size, 1))
     for first in range(0, values.shape[0], rows):
         part = slice(first, first + rows)
-        yield part, torque_at(chain, values[part], samples, o.inputs)
+        out[part] = o.filter.apply(torque_at(chain, values[part], samples, o.inputs))
+    return out
 
 
 def torque_jacobian(

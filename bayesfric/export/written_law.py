@@ -167,7 +167,7 @@ class Statements:
         q, a = Traced("q"), Traced("a")
         self.all.append(("", "load"))
         at = self._at(1.0)
-        weight = run["gravity_torque"](load, 0.0, np.sin(q), np.cos(q))
+        weight = run["gravity_torque"](load, np.sin(q), np.cos(q))
         torque = load[kernels.LOAD_INERTIA] * a + weight
         torque = self.put("torque", torque + self._carried(len(elements), at))
         for k in range(len(elements) - 1, -1, -1):

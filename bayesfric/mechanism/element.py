@@ -52,7 +52,7 @@ class _Bearer:
     subscript: str
     choices: Mapping[str, Any]  # of the options that are set
     quantities: tuple[Quantity, ...]  # rows of the table that these bring, in its order
-    _options: ClassVar[Mapping[str, Mapping[str | bool, str]]]  # options and their choices
+    _options: ClassVar[Mapping[str, tuple[tuple[str | bool, ...], str]]]
 
     def _set(self, choices: Mapping[str, Any], **fields: Any) -> None:
         rows = _brought(self._options, choices)
@@ -179,7 +179,7 @@ class Load(_Bearer):
 
 
 def _brought(
-    options: Mapping[str, Mapping[str | bool, str]], choices: Mapping[str, Any]
+    options: Mapping[str, tuple[tuple[str | bool, ...], str]], choices: Mapping[str, Any]
 ) -> tuple[Quantity, ...]:
     """Rows that choices bring: those of the table, and behind them those of cycles."""
     listed: list[Quantity] = []
@@ -190,8 +190,8 @@ def _brought(
                 listed += LISTED[option](entry)
         elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
-        elif choice not in (*options[option], False, "none"):
-            known = ", ".join(map(repr, options[option]))
+        elif choice not in (*options[option][0], False, "none"):
+            known = ", ".join(map(repr, options[option][0]))
             raise ValueError(f"{option} = {choice!r} is not a choice; there is {known}")
     rows = (q for q in QUANTITIES.values() if q.option in choices)
     chosen = (q for q in rows if q.brought_by(choices[q.option]))

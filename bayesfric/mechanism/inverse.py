@@ -70,11 +70,10 @@ def load_torque(
     chain: Joint, values: Array, q: Array, qdd: Array, inputs: Inputs, time: Array
 ) -> Array:
     """Compute the torque ``(N,)`` on the load, ``Gamma`` of eq. (3), less the measured one."""
-    load = chain.tables(np.atleast_2d(values)).load[0]
-    inertia, moment = inputs.load(chain.load.motion)
-    weight = load[kernels.GRAVITY] * (load[kernels.FIRST_MOMENT] + moment)
+    load = chain.tables(np.atleast_2d(values), inputs).load[0]
+    weight = load[kernels.GRAVITY] * load[kernels.FIRST_MOMENT]
     swing = weight * np.sin(q + load[kernels.GRAVITY_ANGLE])
-    torque: Array = (load[kernels.LOAD_INERTIA] + inertia) * qdd + swing
+    torque: Array = load[kernels.LOAD_INERTIA] * qdd + swing
     return torque if inputs.load_torque is None else torque - inputs.load_torque.at(time)
 
 

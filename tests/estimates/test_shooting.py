@@ -11,10 +11,10 @@ from bayesfric.estimates.output_error import (
     Shooting,
     choose_substeps,
     eliminate_states,
-    output_error,
     resolution,
+    segment_length,
 )
-from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
+from bayesfric.estimates.point_estimate import Estimation, Knowledge
 from bayesfric.mechanism.element import Element, Load
 from bayesfric.mechanism.joint import PRESETS, Joint
 from tests.estimates.simulated import PERIOD, excite, move, prepare
@@ -58,29 +58,28 @@ def recorded(seconds, sigma, seed, name="made-up"):
 
 
 PARTS = recorded(0.5, 1e-4, 1, "one"), recorded(0.3, 1e-3, 2, "two")
-START = Estimate("input-error", (), 0.0, 1, "", point=tuple(zip(NAMES, 1.1 * AT, strict=True)))
 
 
 def test_positions_and_derivatives_are_those_of_scipy_s_integrator():
     trajectories = [t for t, _ in PARTS]
     shooting = Shooting(SMOOTH, trajectories, 4)
     states = np.array([[0.02, 0.1], [-0.3, 0.4]])
-    derivatives = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
+    positions, by_parameter, by_state = shooting.sensitivities(AT, states, 1e-5 * AT, (1e-5, 1e-4))
     steps = 1e-4 * AT
     for k, t in enumerate(trajectories):
         rows = shooting.segment_of == k
         exact = moves(t.torque, AT, states[k])
-        np.testing.assert_allclose(derivatives.positions[rows], exact, atol=1e-8)
+        np.testing.assert_allclose(positions[rows], exact, atol=1e-8)
         for j in range(3):
             sides = [moves(t.torque, AT + s * steps * np.eye(3)[j], states[k]) for s in (1, -1)]
             slope = (sides[0] - sides[1]) / (2.0 * steps[j])
             np.testing.assert_allclose(
-                derivatives.parameters[rows, j], slope, atol=2e-4 * np.abs(slope).max()
+                by_parameter[rows, j], slope, atol=2e-4 * np.abs(slope).max()
             )
         for i in range(2):
             sides = [moves(t.torque, AT, states[k] + s * 1e-3 * np.eye(2)[i]) for s in (1, -1)]
             np.testing.assert_allclose(
-                derivatives.states[rows, i], (sides[0] - sides[1]) / 2e-3, rtol=1e-4, atol=1e-6
+                by_state[rows, i], (sides[0] - sides[1]) / 2e-3, rtol=1e-4, atol=1e-6
             )
 
 
@@ -98,9 +97,9 @@ def test_the_nearest_motion_is_scipy_s(case):
     """One recording, cut into segments of 0.1 s, each from a state of its own."""
     knowledge = CASES[case]
     options = Estimation(substeps=1, segment=0.1)
-    problem = OutputError(SMOOTH, *zip(PARTS[0], strict=True), knowledge, options)
+    fit = OutputError(SMOOTH, *zip(PARTS[0], strict=True), knowledge, options)
     begin = dict(zip(NAMES, 1.2 * AT, strict=True)) | knowledge.fixed
-    fit = problem.fit(SMOOTH.vector(begin), 0.1)
+    assert fit.fit(SMOOTH.vector(begin))
     shooting = fit.shooting
     free = [NAMES.index(n) for n in knowledge.free(SMOOTH)]
     assert fit.converged
@@ -153,54 +152,18 @@ def test_the_nearest_motion_is_scipy_s(case):
 def test_recordings_are_weighed_by_what_each_leaves():
     """Repeated until it settles: one over the root mean square of each recording's residuals."""
     options = Estimation(substeps=1, segment=0.1)
-    fit = OutputError(SMOOTH, *zip(*PARTS, strict=True), Knowledge(), options).fit(AT, 0.1)
+    fit = OutputError(SMOOTH, *zip(*PARTS, strict=True), Knowledge(), options)
+    assert fit.fit(AT)
     recording = fit.shooting.recording_of
     sizes = np.array([np.sqrt(np.mean(fit.residual[recording == k] ** 2)) for k in (0, 1)])
     weights = fit.weights * sizes[recording]
     np.testing.assert_allclose(weights / weights[0], 1.0, rtol=1e-2)
 
 
-def test_segments_are_long_enough_to_say_something_and_many_enough_for_their_sums():
-    options = Estimation(substeps=1)
-    trajectories, observations = zip(*PARTS, strict=True)
-    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
-    total = sum(t.samples.size for t in trajectories) * PERIOD
-    for length in problem.lengths():
-        assert length >= 40 * PERIOD
-        assert total / length >= 2 * 3 or problem.lengths() == (length,)
-    fixed = OutputError(
-        SMOOTH, trajectories, observations, Knowledge(), Estimation(substeps=1, segment=0.17)
-    )
-    assert fixed.lengths() == (0.17,)
-
-
-@pytest.mark.parametrize(("of_torque", "of_position"), [(0.0, 1e-4), (0.3, 1e-6)])
-def test_a_longer_segment_is_taken_where_that_clearly_tells_more(of_torque, of_position):
-    """Fits of all lengths, one after the other; 0.2 in the mean logarithm of the robust sds."""
-    torque = excite(4.0, 0.6, seed=6)
-    rng = np.random.default_rng(7)
-    q = move(SMOOTH, SMOOTH_VALUES, torque).q + of_position * rng.standard_normal(torque.size)
-    # slow, so that what it makes of a motion grows with the square of time
-    slow = of_torque * np.sin(4.0 * PERIOD * np.arange(torque.size))
-    parts = [prepare(q, torque + slow)]
-    trajectories, observations = zip(*parts, strict=True)
-    options = Estimation(substeps=1)
-    problem = OutputError(SMOOTH, trajectories, observations, Knowledge(), options)
-    assert problem.lengths() == (0.2, 0.5)
-    estimate = output_error(SMOOTH, trajectories, observations, Knowledge(), options, START)
-    fits = [problem.fit(AT, length) for length in problem.lengths()]
-    sds = [[fit.information.sds(row)[1] for row in np.eye(3)] for fit in fits]
-    # of directions that are orthogonal in the Jacobian; their product is the determinant's
-    spreads = []
-    for fit in fits:
-        d = fit.information.directions
-        spreads.append(np.mean([np.log(fit.information.sds(r / d.units)[1]) for r in d.rows]))
-    best = int(spreads[1] < spreads[0] - 0.2)
-    assert best == int(of_torque == 0.0)
-    for j, name in enumerate(NAMES):
-        assert estimate[name].sd_robust == pytest.approx(sds[best][j], rel=0.02)
-        assert abs(estimate[name].value - fits[best].values[j]) < 0.1 * sds[best][j]
-    assert estimate.n_outputs == fits[best].shooting.measured.size
+@pytest.mark.parametrize(("n_parameters", "length"), [(1, 0.4), (3, 0.8 / 6.0), (20, 40 * PERIOD)])
+def test_segments_are_two_a_parameter_and_of_forty_samples(n_parameters, length):
+    assert segment_length([t for t, _ in PARTS], n_parameters) == pytest.approx(length)
+    assert segment_length([t for t, _ in [*PARTS, *PARTS]], 1) == 0.5
 
 
 @pytest.fixture(scope="module")
@@ -230,17 +193,16 @@ def test_one_sided_differences_stay_within_the_limits(knee):
     at[name] = 0.0
     steps = np.zeros(at.size)
     steps[name] = 1e-5
-    inside = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
-    assert np.isfinite(inside.parameters).all()
+    _, inside, _ = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
+    assert np.isfinite(inside).all()
     steps[name] = 1e-6
-    finer = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
-    size = np.abs(finer.parameters).max()
-    assert np.max(np.abs(inside.parameters - finer.parameters)) < 1e-4 * size
+    _, finer, _ = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
+    assert np.max(np.abs(inside - finer)) < 1e-4 * np.abs(finer).max()
 
 
 def test_states_act_on_their_own_segment_only(knee):
     shooting, states = knee
-    derivatives = shooting.sensitivities(VALUES, states, np.zeros(VALUES.size), (1e-6, 1e-5))
+    _, _, by_state = shooting.sensitivities(VALUES, states, 0.0 * VALUES, (1e-6, 1e-5))
     for k in range(4):
         for i, step in enumerate((1e-6, 1e-5)):
             sides = np.stack([states, states])
@@ -249,25 +211,21 @@ def test_states_act_on_their_own_segment_only(knee):
             change = (there - back) / (2.0 * step)
             inside = shooting.segment_of == k
             assert not change[~inside].any()
-            assert np.allclose(change[inside], derivatives.states[inside, i], atol=1e-9)
+            assert np.allclose(change[inside], by_state[inside, i], atol=1e-9)
         first = np.flatnonzero(shooting.segment_of == k)[0]
-        assert derivatives.states[first] == pytest.approx([1.0, 0.0], abs=1e-8)
+        assert by_state[first] == pytest.approx([1.0, 0.0], abs=1e-8)
 
 
 def test_eliminating_states_is_fitting_them(knee):
     """Projected columns are the residuals of the states' own least squares, segment by segment."""
     shooting, states = knee
-    derivatives = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    projected, onto, eliminated = eliminate_states(
-        shooting, derivatives.states, derivatives.parameters
-    )
+    _, by_parameter, by_state = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
+    projected, onto, eliminated = eliminate_states(shooting, by_state, by_parameter)
     for k in range(4):
         rows = shooting.segment_of == k
-        fitted, *_ = np.linalg.lstsq(
-            derivatives.states[rows], derivatives.parameters[rows], rcond=None
-        )
-        left = derivatives.parameters[rows] - derivatives.states[rows] @ fitted
-        size = np.abs(derivatives.parameters[rows]).max()
+        fitted, *_ = np.linalg.lstsq(by_state[rows], by_parameter[rows], rcond=None)
+        left = by_parameter[rows] - by_state[rows] @ fitted
+        size = np.abs(by_parameter[rows]).max()
         assert np.max(np.abs(projected[rows] - left)) < 1e-9 * size
         assert np.allclose(onto[k], fitted, rtol=1e-6, atol=1e-9 * np.abs(fitted).max())
     assert eliminated == 8
@@ -280,11 +238,11 @@ def test_a_joint_that_sticks_has_no_initial_speed_to_fit():
     trajectory, _ = prepare(np.full(200, 0.1), torque, dead_zone=0)
     shooting = Shooting(CHAIN, [trajectory], 1)
     states = np.array([[0.1, 0.0]])
-    derivatives = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    assert np.allclose(derivatives.states[:, 0], 1.0, atol=1e-9)
+    _, _, by_state = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
+    assert np.allclose(by_state[:, 0], 1.0, atol=1e-9)
     # a speed v carries the joint no farther than v²/2a, a = 9 rad/s² and more
-    assert np.abs(derivatives.states[:, 1]).max() < 1e-5 / 18.0
-    projected, _, eliminated = eliminate_states(shooting, derivatives.states, np.ones((200, 1)))
+    assert np.abs(by_state[:, 1]).max() < 1e-5 / 18.0
+    projected, _, eliminated = eliminate_states(shooting, by_state, np.ones((200, 1)))
     assert eliminated == 1
     assert np.abs(projected).max() < 1e-12
 

@@ -16,8 +16,8 @@ from bayesfric.mechanism.quantities import (
     CYCLES,
     QUANTITIES,
     TOTALS,
-    Sizes,
     State,
+    TypicalSizes,
     scales_with_torque,
     turned,
 )
@@ -113,16 +113,16 @@ def test_a_unit_times_its_column_is_a_torque(name, motion):
 
 
 def sizes(motion, force, metre, second):
-    """Sizes in units of which one is so many of the SI's, all else alike."""
+    """TypicalSizes in units of which one is so many of the SI's, all else alike."""
     angle = metre if motion == "linear" else 1.0
     effort = force if motion == "linear" else force * metre
-    return Sizes(
+    return TypicalSizes(
         3.0 * effort,
         2.0 * angle / second,
         7.0 * angle / second**2,
         9.8 * metre / second**2,
-        0.6,
-        20.0 * second,
+        lean=0.6,
+        duration=20.0 * second,
     )
 
 
