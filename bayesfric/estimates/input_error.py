@@ -46,7 +46,7 @@ from bayesfric.estimates.torque import (
     torque_jacobian,
 )
 from bayesfric.mechanism.joint import Joint
-from bayesfric.mechanism.scaling import scalings
+from bayesfric.mechanism.scaling import Scaling, scalings
 from bayesfric.recordings.arrays import Array
 from bayesfric.recordings.observation import Observation
 
@@ -430,7 +430,9 @@ def _refined(
     n, best = problem.measured.size, minima[0]
     several = len(problem.observations) > 1
     knows = bool(problem.knowledge.rows(problem.chain)[0].size)
-    starts = [minimum.x for minimum in minima]  # another of the first pass may be lower now
+    # another minimum of the first pass may be lower now
+    vectors = [_toward_priors(problem, problem.vector(minimum.x)) for minimum in minima]
+    starts = [problem.inside(vector) for vector in vectors]
     # sds from a fit that a noisy recording dominates are estimated again
     for _ in range(rounds if several else 1):
         error = problem.torque_error(best.x)
@@ -466,6 +468,37 @@ def _recording_weights(problem: TorqueProblem, x: Array, error: Array) -> Array:
     # residuals of a recording without noise are rounding, and must not dominate
     sds = np.maximum(sds, max(1e-3 * sds.max(), _ROUNDING * _rms(problem.measured)))
     return np.repeat(np.exp(np.mean(np.log(sds))) / sds, counts)
+
+
+def _toward_priors(problem: TorqueProblem, values: Array) -> Array:
+    """Move along the scalings, where these are free, to where the priors fit best."""
+    if any(o.inputs.known_load for o in problem.observations):
+        return values
+    priors, fixed = problem.knowledge.priors, problem.knowledge.fixed
+    for scaling in scalings(problem.chain):
+        names = set(scaling.names)
+        if names & set(priors) and not names & set(fixed):
+            values = scaling.scaled(values, _prior_factor(scaling, values, priors))
+    return values
+
+
+def _prior_factor(
+    scaling: Scaling, values: Array, priors: Mapping[str, tuple[float, float]]
+) -> float:
+    """Factor that a passive gearbox allows at which the priors fit best."""
+    names = [name for name in scaling.names if name in priors]
+    columns = [scaling.chain.names.index(name) for name in names]
+    means, sds = np.array([priors[name] for name in names]).T
+
+    def misfit(log_k: float) -> float:
+        return float(np.sum(((scaling.scaled(values, np.exp(log_k))[columns] - means) / sds) ** 2))
+
+    low, high = scaling.bounds(values)
+    low = max(low, 1e-3 * high)
+    if not low < high:
+        return 1.0
+    ends = (float(np.log(low)), float(np.log(high)))
+    return float(np.exp(optimize.minimize_scalar(misfit, bounds=ends, method="bounded").x))
 
 
 def _estimate(problem: TorqueProblem, x: Array, note: str) -> Estimate:

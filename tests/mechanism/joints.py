@@ -10,56 +10,31 @@ from bayesfric.mechanism.joint import PRESETS, Joint
 KNEE = PRESETS["rabbit-knee"]
 
 
-def everything() -> Joint:
-    """Build a chain with every term there is, two of them load-dependent."""
-    return Joint(
-        elements=(
-            Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
-            Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
-            Element(
-                "gearbox",
-                ratio=30.0,
-                inertia=True,
-                coulomb="symmetric",
-                viscous=True,
-                stribeck=True,
-                load_loss="two",
-            ),
-            Element("joint", coulomb="by-direction", viscous=True, quadratic=True, stribeck=True),
+# every term there is, two of them load-dependent
+EVERYTHING = Joint(
+    (
+        Element("motor", inertia=True, coulomb="by-direction", viscous=True, quadratic=True),
+        Element("belt", ratio=2.5, coulomb="symmetric", load_loss="one"),
+        Element(
+            "gearbox", ratio=30.0, inertia=True, coulomb="symmetric", viscous=True, stribeck=True,
+            load_loss="two",
         ),
-        load=Load(inertia=True, first_moment=True, gravity_angle=True),
-        offset=True,
-        gain=True,
-    )
-
-
-EVERYTHING = {
-    "motor.inertia": 2e-4,
-    "motor.viscous": 1e-3,
-    "motor.coulomb_positive": 0.03,
-    "motor.coulomb_negative": 0.04,
-    "motor.quadratic": 1e-6,
-    "belt.coulomb": 0.01,
-    "belt.load": 0.05,
-    "gearbox.inertia": 3e-4,
-    "gearbox.viscous": 2e-3,
-    "gearbox.coulomb": 0.05,
-    "gearbox.stribeck_ratio": 0.4,
-    "gearbox.stribeck_velocity": 3.0,
-    "gearbox.load_drive": 0.25,
-    "gearbox.load_back": 0.35,
-    "joint.viscous": 1.0,
-    "joint.coulomb_positive": 1.5,
-    "joint.coulomb_negative": 1.2,
-    "joint.quadratic": 0.3,
-    "joint.stribeck_ratio": 0.5,
-    "joint.stribeck_velocity": 0.2,
-    "load.inertia": 0.5,
-    "load.first_moment": 1.0,
-    "load.gravity_angle": 0.3,
-    "offset": 0.02,
-    "drive.gain": 1.1,
-}
+        Element("joint", coulomb="by-direction", viscous=True, quadratic=True, stribeck=True),
+    ),
+    Load(inertia=True, first_moment=True, gravity_angle=True),
+    offset=True,
+    gain=True,
+)  # fmt: skip
+EVERYTHING_VALUES = {
+    "motor.inertia": 0.0002, "motor.viscous": 0.001, "motor.coulomb_positive": 0.03,
+    "motor.coulomb_negative": 0.04, "motor.quadratic": 1e-06, "belt.coulomb": 0.01,
+    "belt.load": 0.05, "gearbox.inertia": 0.0003, "gearbox.viscous": 0.002,
+    "gearbox.coulomb": 0.05, "gearbox.stribeck_ratio": 0.4, "gearbox.stribeck_velocity": 3.0,
+    "gearbox.load_drive": 0.25, "gearbox.load_back": 0.35, "joint.viscous": 1.0,
+    "joint.coulomb_positive": 1.5, "joint.coulomb_negative": 1.2, "joint.quadratic": 0.3,
+    "joint.stribeck_ratio": 0.5, "joint.stribeck_velocity": 0.2, "load.inertia": 0.5,
+    "load.first_moment": 1.0, "load.gravity_angle": 0.3, "offset": 0.02, "drive.gain": 1.1,
+}  # fmt: skip
 
 
 def carried_to_motor(elements, torque, sign, speed, acceleration) -> float:
