@@ -256,7 +256,9 @@ class TorqueProblem:
             return self.jacobian(point(part))[:, moving]
 
         def minimum(x: Array) -> OptimizeResult:
-            return OptimizeResult(x=x, cost=0.5 * float(np.sum(self.residual(x) ** 2)))
+            end = OptimizeResult()
+            end.x, end.cost = x, 0.5 * float(np.sum(self.residual(x) ** 2))
+            return end
 
         start = minimum(x)
         if not moving.size or not np.isfinite(start.cost):
@@ -272,12 +274,12 @@ class TorqueProblem:
             gtol=1e-12,
             max_nfev=steps + 1,
         )
-        x, cost = point(result.x), float(result.cost)
-        met = self.bounds_met(x)
+        result.x = point(result.x)
+        met = self.bounds_met(result.x)
         met[list(held)] = 0
-        limited = minimum(np.where(met < 0, self.lower, np.where(met > 0, self.upper, x)))
-        rise = 1e-9 * cost + 0.5 * self.rounding
-        return limited if limited.cost <= cost + rise else OptimizeResult(x=x, cost=cost)
+        limited = minimum(np.where(met < 0, self.lower, np.where(met > 0, self.upper, result.x)))
+        rise = 1e-9 * result.cost + 0.5 * self.rounding
+        return limited if limited.cost <= result.cost + rise else result
 
     def bounds_met(self, x: Array) -> NDArray[np.int_]:
         """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from bayesfric.mechanism.inverse import load_torque, torque_at
+from bayesfric.mechanism.inverse import load_torque
 from bayesfric.mechanism.joint import Joint
+from bayesfric.mechanism.kernels import inverse_many
 from bayesfric.mechanism.own_term import along
 from bayesfric.mechanism.quantities import TOTALS, Parameter, State
 from bayesfric.mechanism.scaling import scalings
@@ -42,7 +43,7 @@ def filtered_torque(chain: Joint, observation: Observation, values: Array) -> Ar
     rows = max(1, _NUMBERS_AT_ONCE // max(o.q.size, 1))
     for first in range(0, values.shape[0], rows):
         part = slice(first, first + rows)
-        out[part] = o.filter.apply(torque_at(chain, values[part], samples, o.inputs))
+        out[part] = o.filter.apply(inverse_many(*chain.tables(values[part], o.inputs), samples))
     return out
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, Field, ValidationInfo, create_model, field_validator
 
@@ -49,7 +49,8 @@ def _fields(options: Mapping[str, tuple[tuple[str | bool, ...], str]]) -> dict[s
 
 
 if TYPE_CHECKING:
-    ElementOptions = LoadOptions = Options
+    ElementOptions: TypeAlias = Options
+    LoadOptions: TypeAlias = Options
 else:  # the options are those of the table of quantities; what is left out keeps the preset's
     ElementOptions = create_model(
         "ElementOptions",

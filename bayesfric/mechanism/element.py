@@ -25,8 +25,15 @@ from bayesfric.mechanism.quantities import (
 STANDARD_GRAVITY = 9.80665  # m/s²
 
 
-def _by_signal(name: str) -> tuple[Quantity]:
+def _unit_torque(state: State) -> Any:
+    return 1.0 + 0.0 * state.speed
+
+
+def _by_signal(name: Any) -> tuple[Quantity, ...]:
     """Describe a torque by a further column of the recording, known up to its coefficient."""
+    if not (isinstance(name, str) and name.isidentifier() and name not in QUANTITIES):
+        problem = "is not a name of a column that a parameter can have"
+        raise ValueError(f"signals = {name!r} {problem}; write letters, digits and _")
     label = name.replace("_", r"\_")
     row = Quantity(
         name, QUANTITIES["offset"].units, rf"k_{{{{\mathrm{{{{{label}}}}}}}}}",
@@ -35,10 +42,6 @@ def _by_signal(name: str) -> tuple[Quantity]:
         lower=-math.inf, stores=True, measurand="constant",
     )  # fmt: skip
     return (row,)
-
-
-def _unit_torque(state: State) -> Any:
-    return 1.0 + 0.0 * state.speed
 
 
 # Options that list something, and the quantities that each entry brings.
@@ -186,7 +189,6 @@ def _brought(
     for option, choice in choices.items():
         if option in LISTED:
             for entry in choice:
-                _refuse(option, entry)
                 listed += LISTED[option](entry)
         elif option not in options:
             raise ValueError(f"there is no option {option!r}; {nearest(option, options)}")
@@ -196,14 +198,3 @@ def _brought(
     rows = (q for q in QUANTITIES.values() if q.option in choices)
     chosen = (q for q in rows if q.brought_by(choices[q.option]))
     return tuple(dict.fromkeys((*chosen, *listed)))
-
-
-def _refuse(option: str, entry: Any) -> None:
-    """Refuse a bad entry of an option that lists column names or numbers of cycles."""
-    if option in CYCLES:
-        if isinstance(entry, bool) or not isinstance(entry, int) or entry < 1:
-            problem = "is not a number of cycles a turn; write 1, 2, ..."
-            raise ValueError(f"{option} = {entry!r} {problem}")
-    elif not (isinstance(entry, str) and entry.isidentifier() and entry not in QUANTITIES):
-        problem = "is not a name of a column that a parameter can have"
-        raise ValueError(f"{option} = {entry!r} {problem}; write letters, digits and _")

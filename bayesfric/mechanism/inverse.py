@@ -56,14 +56,9 @@ def inverse_torque(
     d dtorque/dt``, to first order. For the Rabbit knee this is eq. (13).
     """
     vectors = np.atleast_2d(np.asarray(values, dtype=np.float64))
-    torque = torque_at(chain, vectors, chain.samples(q, qd, qdd, inputs, time), inputs)
+    samples = chain.samples(q, qd, qdd, inputs, time)
+    torque: Array = kernels.inverse_many(*chain.tables(vectors, inputs), samples)
     return torque[0] if np.ndim(values) == 1 else torque
-
-
-def torque_at(chain: Joint, values: Array, samples: kernels.Samples, inputs: Inputs) -> Array:
-    """Evaluate :func:`inverse_torque` ``(n, N)`` at samples made with the same inputs."""
-    torque: Array = kernels.inverse_many(*chain.tables(values, inputs), samples)
-    return torque
 
 
 def load_torque(

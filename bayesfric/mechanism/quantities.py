@@ -427,9 +427,12 @@ LATE_TARGET = replace(
 SHAPES = frozenset(row.shape for row in QUANTITIES.values() if row.shape)
 
 
-@lru_cache(maxsize=512)
-def _waves(option: str, cycles: int) -> tuple[Quantity, ...]:
+@lru_cache(maxsize=512, typed=True)
+def _waves(option: str, cycles: Any) -> tuple[Quantity, ...]:
     """Sine and cosine over the angle: torque, or friction that goes by the direction."""
+    if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
+        problem = "is not a number of cycles a turn; write 1, 2, ..."
+        raise ValueError(f"{option} = {cycles!r} {problem}")
     rest: dict[str, Any] = {"option": option, "choice": cycles, "lower": -_INF, "slots": ()}
     if option == "cogging":  # of magnets and teeth (Hsu et al. 2015)
         letter, effect, rest["measurand"] = "a", "torque", "constant"

@@ -97,27 +97,22 @@ def repeat(noise_of_position, noise_of_torque, segment, repeats):
 
 
 @pytest.mark.slow
-def test_both_sds_are_right_for_noise_of_the_encoder():
+@pytest.mark.parametrize(("of_position", "of_torque"), [(1e-4, 0.0), (0.0, 0.005)])
+def test_the_robust_sd_is_right_for_noise_of_either(of_position, of_torque):
+    """Integrated noise of the torque makes the sd for white residuals several times too small."""
     repeats = 60
-    estimate, truth = repeat(1e-4, 0.0, 0.1, repeats)
+    estimate, truth = repeat(of_position, of_torque, 0.1, repeats)
     spread = estimate[:, :, 0].std(axis=0, ddof=1)
     # a spread from n repeats has the relative error 1/sqrt(2(n - 1))
     error = 5.0 / np.sqrt(2.0 * (repeats - 1))
-    assert np.all(np.abs(estimate[:, :, 1].mean(axis=0) / spread - 1.0) < error)
-    assert np.all(np.abs(estimate[:, :, 2].mean(axis=0) / spread - 1.0) < error)
-    assert np.all(np.abs(estimate[:, :, 0].mean(axis=0) - truth) < 5.0 * spread / np.sqrt(repeats))
-
-
-@pytest.mark.slow
-def test_only_the_robust_sd_is_right_for_noise_of_the_torque():
-    repeats = 60
-    estimate, _ = repeat(0.0, 0.005, 0.1, repeats)
-    spread = estimate[:, :, 0].std(axis=0, ddof=1)
-    # integrated noise: the sd for white residuals is too small several times over
-    assert np.all(estimate[:, :, 1].mean(axis=0) < 0.33 * spread)
-    error = 5.0 / np.sqrt(2.0 * (repeats - 1))
-    robust = np.sqrt((estimate[:, :, 2] ** 2).mean(axis=0))
-    assert np.all(np.abs(robust / spread - 1.0) < error), robust / spread
+    plain, robust = np.moveaxis(estimate[:, :, 1:], 2, 0)
+    assert np.all(np.abs(np.sqrt((robust**2).mean(axis=0)) / spread - 1.0) < error)
+    if of_torque:
+        assert np.all(plain.mean(axis=0) < 0.33 * spread)
+    else:
+        assert np.all(np.abs(plain.mean(axis=0) / spread - 1.0) < error)
+        off = np.abs(estimate[:, :, 0].mean(axis=0) - truth)
+        assert np.all(off < 5.0 * spread / np.sqrt(repeats))
 
 
 def test_a_prior_settles_what_the_scaling_leaves_open():

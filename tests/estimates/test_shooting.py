@@ -175,17 +175,6 @@ def knee():
     return Shooting(CHAIN, [trajectory], 1), np.stack([motion.q[starts], motion.qd[starts]], 1)
 
 
-def test_positions_are_those_measured_at_the_truth(knee):
-    shooting, states = knee
-    simulated = shooting.positions(VALUES[None], states)[0]
-    # restarts only change how steps fall between events: the error of the method is 1e-9 here
-    assert np.max(np.abs(simulated - shooting.measured)) < 1e-8
-    (trajectory,) = shooting.trajectories
-    assert len(trajectory.segments) == 4
-    lengths = np.diff(trajectory.segments, axis=1)[:, 0]
-    assert np.array_equal(shooting.segment_of, np.repeat(np.arange(4), lengths))
-
-
 def test_one_sided_differences_stay_within_the_limits(knee):
     shooting, states = knee
     at = VALUES.copy()
@@ -198,37 +187,6 @@ def test_one_sided_differences_stay_within_the_limits(knee):
     steps[name] = 1e-6
     _, finer, _ = shooting.sensitivities(at, states, steps, (1e-6, 1e-5))
     assert np.max(np.abs(inside - finer)) < 1e-4 * np.abs(finer).max()
-
-
-def test_states_act_on_their_own_segment_only(knee):
-    shooting, states = knee
-    _, _, by_state = shooting.sensitivities(VALUES, states, 0.0 * VALUES, (1e-6, 1e-5))
-    for k in range(4):
-        for i, step in enumerate((1e-6, 1e-5)):
-            sides = np.stack([states, states])
-            sides[:, k, i] += (step, -step)
-            there, back = shooting.positions(np.tile(VALUES, (2, 1)), sides)
-            change = (there - back) / (2.0 * step)
-            inside = shooting.segment_of == k
-            assert not change[~inside].any()
-            assert np.allclose(change[inside], by_state[inside, i], atol=1e-9)
-        first = np.flatnonzero(shooting.segment_of == k)[0]
-        assert by_state[first] == pytest.approx([1.0, 0.0], abs=1e-8)
-
-
-def test_eliminating_states_is_fitting_them(knee):
-    """Projected columns are the residuals of the states' own least squares, segment by segment."""
-    shooting, states = knee
-    _, by_parameter, by_state = shooting.sensitivities(VALUES, states, 1e-5 * VALUES, (1e-6, 1e-5))
-    projected, onto, eliminated = eliminate_states(shooting, by_state, by_parameter)
-    for k in range(4):
-        rows = shooting.segment_of == k
-        fitted, *_ = np.linalg.lstsq(by_state[rows], by_parameter[rows], rcond=None)
-        left = by_parameter[rows] - by_state[rows] @ fitted
-        size = np.abs(by_parameter[rows]).max()
-        assert np.max(np.abs(projected[rows] - left)) < 1e-9 * size
-        assert np.allclose(onto[k], fitted, rtol=1e-6, atol=1e-9 * np.abs(fitted).max())
-    assert eliminated == 8
 
 
 def test_a_joint_that_sticks_has_no_initial_speed_to_fit():

@@ -11,6 +11,7 @@ from bayesfric.mechanism.inverse import inverse_torque, load_torque
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
 from bayesfric.recordings.measurement import Inputs
+from tests.mechanism.joints import thetas
 
 positive = st.floats(1e-3, 10.0)
 
@@ -23,21 +24,6 @@ def motion(n=400, seed=0):
 def table_3():
     chain = PRESETS["rabbit-knee"].chain()
     return chain, chain.vector(PRESETS["rabbit-knee"].values)
-
-
-def thetas(chain, v):
-    """Theta1 and Theta2 exactly as listed under eq. (13), with g in theta5 and theta10."""
-    n, g = chain.ratio, chain.load.gravity
-    by_alpha = np.array([1.0 + v["gearbox.load_drive"], 1.0 - v["gearbox.load_back"]])
-    lambda_1, lambda_2 = by_alpha.mean(), (by_alpha[0] - by_alpha[1]) / 2
-    plus = (v["joint.coulomb_positive"] + v["joint.coulomb_negative"]) / (2 * n)
-    minus = (v["joint.coulomb_positive"] - v["joint.coulomb_negative"]) / (2 * n)
-    first, second = v["load.inertia"] / n**2, v["joint.viscous"] / n**2
-    leg = np.array([first, second, plus, minus, g * v["load.first_moment"] / n])
-    positive, negative = v["motor.coulomb_positive"], v["motor.coulomb_negative"]
-    constant = (positive + negative) / 2, (positive - negative) / 2
-    motor = np.array([v["motor.inertia"], v["motor.viscous"], *constant, 0.0])
-    return motor + lambda_1 * leg, lambda_2 * leg
 
 
 @settings(max_examples=50, deadline=None)
