@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import replace
 from itertools import cycle, islice
+from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
-from scipy.optimize import OptimizeResult
 from threadpoolctl import threadpool_limits
 
 from bayesfric.base.errors import BadInput
@@ -151,6 +151,13 @@ def contradicted(
     return far
 
 
+class Minimum(NamedTuple):
+    """Where a search ended."""
+
+    x: Array  # (d,) free parameters
+    cost: float  # half the sum of squares there
+
+
 class TorqueProblem:
     """Weighted residuals of the torque, and of priors, as a function of the free parameters."""
 
@@ -235,7 +242,7 @@ class TorqueProblem:
             return jacobian
         return np.concatenate([jacobian, -self.prior_weight * self.knowledge.rows(self.chain)[0]])
 
-    def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> OptimizeResult:
+    def minimise(self, x: Array, *, held: Sequence[int] = (), steps: int = 100) -> Minimum:
         """Minimise the sum of squares from a start ``(d,)`` within the limits.
 
         SciPy's trust region reflects steps off the limits and ends a little inside them: what ends
@@ -255,12 +262,7 @@ class TorqueProblem:
         def jacobian(part: Array) -> Array:
             return self.jacobian(point(part))[:, moving]
 
-        def minimum(x: Array) -> OptimizeResult:
-            end = OptimizeResult()
-            end.x, end.cost = x, 0.5 * float(np.sum(self.residual(x) ** 2))
-            return end
-
-        start = minimum(x)
+        start = Minimum(x, 0.5 * float(np.sum(self.residual(x) ** 2)))
         if not moving.size or not np.isfinite(start.cost):
             return start
         result = optimize.least_squares(
@@ -274,12 +276,13 @@ class TorqueProblem:
             gtol=1e-12,
             max_nfev=steps + 1,
         )
-        result.x = point(result.x)
-        met = self.bounds_met(result.x)
+        minimum = Minimum(point(result.x), float(result.cost))
+        met = self.bounds_met(minimum.x)
         met[list(held)] = 0
-        limited = minimum(np.where(met < 0, self.lower, np.where(met > 0, self.upper, result.x)))
-        rise = 1e-9 * result.cost + 0.5 * self.rounding
-        return limited if limited.cost <= result.cost + rise else result
+        on_limits = np.where(met < 0, self.lower, np.where(met > 0, self.upper, minimum.x))
+        limited = Minimum(on_limits, 0.5 * float(np.sum(self.residual(on_limits) ** 2)))
+        rise = 1e-9 * minimum.cost + 0.5 * self.rounding
+        return limited if limited.cost <= minimum.cost + rise else minimum
 
     def bounds_met(self, x: Array) -> NDArray[np.int_]:
         """Give -1 for each free parameter on its lower limit, 1 on its upper one, else 0."""
@@ -305,7 +308,7 @@ def few_threads(observations: Sequence[Observation], long: int = 200_000) -> Ite
 
 def _minima(
     problem: TorqueProblem, options: Estimation, start: Mapping[str, float] | None
-) -> tuple[list[OptimizeResult], str]:
+) -> tuple[list[Minimum], str]:
     """Search from all starts without weights and priors: distinct minima, and a note on them."""
     subsample = problem.excerpt() if start is None else problem
     if start is None:
@@ -331,11 +334,9 @@ def _minima(
     return minima, note
 
 
-def _distinct(
-    minima: Sequence[OptimizeResult], limit: Callable[[float], float]
-) -> list[OptimizeResult]:
+def _distinct(minima: Sequence[Minimum], limit: Callable[[float], float]) -> list[Minimum]:
     """List minima, lowest first, whose costs are above the ``limit`` of the next lower one."""
-    distinct: list[OptimizeResult] = []
+    distinct: list[Minimum] = []
     for minimum in sorted(minima, key=lambda minimum: minimum.cost):
         if not distinct or minimum.cost > limit(distinct[-1].cost):
             distinct.append(minimum)
@@ -421,7 +422,7 @@ def _single_pass(problem: TorqueProblem) -> bool:
 
 
 def _refined(
-    problem: TorqueProblem, minima: Sequence[OptimizeResult], *, rounds: int = 8
+    problem: TorqueProblem, minima: Sequence[Minimum], *, rounds: int = 8
 ) -> tuple[TorqueProblem, Array]:
     """Second pass, if needed: recordings weighted by their own sd, and priors.
 
