@@ -48,7 +48,7 @@ LONG = {
     "diagnostics": """
         calibration_check explanation regression""",
     "estimates": """
-        assemble input_error output_error processing shooting""",
+        assemble input_error output_error processing""",
     "export": """
         command mujoco""",
     "fleet": """
