@@ -26,7 +26,7 @@ speeds; torque that a wrong model leaves unexplained raises it. The acceleration
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -81,7 +81,8 @@ def attenuations(
 ) -> dict[str, tuple[BandFit, BandFit]]:
     """List the recordings whose band is contradicted by a narrower one, by name, with both.
 
-    Bands narrow by a factor of 1.4 until two in a row contradict the best so far no more.
+    Bands narrow by a factor of 1.4, low-pass and decimation going with them, until two in a row
+    contradict the best so far no more.
     """
     attenuated = {}
     for recording, observation in zip(recordings, observations, strict=True):
@@ -89,36 +90,25 @@ def attenuations(
         # noise that takes a share of the inertia leaves at least that share of its torque
         if first is None or first.freedom * first.sd**2 < _LEAST_GROWTH * first.inertia**2:
             continue
+        fs, share, factor = 1.0 / recording.period, 1.0, int(observation.settings["decimate"])
         best, missed = first, 0
-        for fit in _narrower_bands(chain, recording, observation, processing):
-            best, missed = (fit, 0) if _contradicts(fit, best) else (best, missed + 1)
-            if missed == misses:
+        while missed < misses:
+            share *= 1.4
+            decimation = round(share * factor)
+            if decimation <= factor:
+                continue
+            cutoff = lowpass_above(fs / (2 * decimation), fs)
+            settings = {"decimate": decimation, "lowpass": cutoff, "band": None}
+            try:
+                filtered = observe(recording, processing.model_copy(update=settings))
+            except BadInput:  # it leaves no output
                 break
+            if (fit := _fit_band(chain, recording, filtered)) is None:
+                break
+            best, missed = (fit, 0) if _contradicts(fit, best) else (best, missed + 1)
         if best is not first:
             attenuated[recording.name] = first, best
     return attenuated
-
-
-def _narrower_bands(
-    chain: Joint, recording: Measurement, observation: Observation, processing: Processing
-) -> Iterator[BandFit]:
-    """Fit the totals in ever narrower bands, low-pass and decimation going with them."""
-    fs, share = 1.0 / recording.period, 1.0
-    factor = int(observation.settings["decimate"])
-    while True:
-        share *= 1.4
-        decimation = round(share * factor)
-        if decimation <= factor:
-            continue
-        cutoff = lowpass_above(fs / (2 * decimation), fs)
-        settings = {"decimate": decimation, "lowpass": cutoff, "band": None}
-        try:
-            filtered = observe(recording, processing.model_copy(update=settings))
-        except BadInput:  # it leaves no output
-            return
-        if (fit := _fit_band(chain, recording, filtered)) is None:
-            return
-        yield fit
 
 
 def _fit_band(
@@ -207,16 +197,15 @@ def settled_delay(
     return delay
 
 
-def furthest_delay(observations: Sequence[Observation], longest: float = 0.25) -> float:
-    """Give the longest delay to look for, s: at most a tenth of the recording."""
-    trimmed = min(longest_delay(o, 1.0 / float(o.settings["sampling_rate"])) for o in observations)
-    return max(trimmed, min(longest, 0.1 * min(float(np.ptp(o.stamps)) for o in observations)))
-
-
-def _within(delay: float, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
-    longest = furthest_delay([o for _, o in pairs])
-    lowest = 0.0 if any(r.feedback is not None for r, _ in pairs) else -longest
-    return float(np.clip(delay, lowest, longest))
+def _within(
+    delay: float, pairs: Sequence[tuple[Measurement, Observation]], *, longest: float = 0.25
+) -> float:
+    """Limit a delay, s, to the ``longest`` to look for, at most a tenth of the recording."""
+    trimmed = min(longest_delay(o, r.period) for r, o in pairs)
+    duration = min(float(np.ptp(o.stamps)) for _, o in pairs)
+    furthest = max(trimmed, min(longest, 0.1 * duration))
+    lowest = 0.0 if any(r.feedback is not None for r, _ in pairs) else -furthest
+    return float(np.clip(delay, lowest, furthest))
 
 
 def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Observation]]) -> float:
@@ -309,17 +298,14 @@ def fine_motion(
         q, qd = o.q + position + dq, o.qd + speed + dqd
         qdd = o.qdd + above(acceleration, end)
     refined = with_motion(o, recording, q, qd, qdd)
-    return refined if _near(o, refined, recording) else observation
-
-
-def _near(o: Observation, refined: Observation, recording: Measurement) -> bool:
-    """Whether a refined motion is as close to the recorded one as noise explains."""
     if recording.velocity is None:
         recorded, before, after = recording.position, o.q, refined.q
     else:
         recorded, before, after = recording.velocity, o.qd, refined.qd
-    noise = float(o.settings["noise_seen"]) ** 2
-    return bool(np.mean((recorded - after) ** 2) <= np.mean((recorded - before) ** 2) + noise)
+    # as close to what was recorded as noise explains
+    noise = float(settings["noise_seen"]) ** 2
+    near = np.mean((recorded - after) ** 2) <= np.mean((recorded - before) ** 2) + noise
+    return refined if near else observation
 
 
 def _handover(o: Observation, recording: Measurement, residual: Array, inertia: float) -> float:

@@ -131,15 +131,11 @@ class MechanismOptions(Options):
         """Whether what else explains the torque is put in before a fit, ``terms = "auto"``."""
         return self.terms == "auto"
 
-    @property
-    def named_terms(self) -> tuple[str, ...]:
-        """Names of custom terms, which only Python can give; empty for a word."""
-        return () if isinstance(self.terms, str) else self.terms
-
     def joint(self, terms: Sequence[Term] = ()) -> Joint:
         """Build the joint."""
         known = {term.name for term in terms}
-        if missing := [name for name in self.named_terms if name not in known]:
+        names = () if isinstance(self.terms, str) else self.terms
+        if missing := [name for name in names if name not in known]:
             raise BadInput(
                 "mechanism.terms",
                 f"{missing[0]} is a custom term, a function that no file holds",

@@ -213,8 +213,7 @@ def _of_loss(
     if load_torque > 0.0:
         # of the torque at its input, as the loss itself
         grown = at.get(f"{name}.load_square", 0.0) * (load_torque / chain.reaches[name])
-        place = chain.elements.index(element)
-        before, behind = chain.elements[:place], chain.elements[place:]
+        behind = chain.elements[chain.elements.index(element) :]
         # Fr of eq. (4), at the joint; section 4.4 takes the bearing's, behind the gearbox, for it
         weights = {"coulomb": 1.0, "coulomb_positive": 0.5, "coulomb_negative": 0.5}
         constant = sum(
@@ -224,14 +223,8 @@ def _of_loss(
             if f"{e.name}.{key}" in at
         )
         drive, driven = efficiencies(mu_drive + grown, mu_back + grown, constant, load_torque)
-        lossy = any(e.has(*weights) for e in behind[1:])
-        counted = f"{name} {'with the constant loss behind it' if lossy else 'alone'}"
-        at_load = f"at {load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'}"
-        load = f"{at_load} of load{' and' * bool(slow)}{slow}"
-        names = ", ".join(e.name for e in before)
-        outside = f" and all in front of it ({names})" if names else ""
-        meaning = f"{counted}, eq. (4), {load}, viscous loss{outside} not counted"
-        yield row("efficiency_drive", r"\eta_m", f"driving efficiency of {meaning}", drive, False)
-        yield row(
-            "efficiency_back", r"\eta_r", f"back-driving efficiency of {meaning}", driven, False
-        )
+        at_load = f"{load_torque:.3g} {'N m' if chain.load.motion == 'rotary' else 'N'} of load"
+        meaning = f"efficiency of {name} with the constant loss behind it, eq. (4), at {at_load}"
+        meaning += f"{slow}; viscous loss and all before {name} are not counted"
+        yield row("efficiency_drive", r"\eta_m", f"driving {meaning}", drive, False)
+        yield row("efficiency_back", r"\eta_r", f"back-driving {meaning}", driven, False)

@@ -401,14 +401,6 @@ class Preset:
         return Joint(self.elements, self.load, self.offset, made_from=self.name)
 
 
-def _mu(alpha_drive: float, alpha_back: float) -> dict[str, float]:
-    # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
-    return {
-        "gearbox.load_drive": 1.0 / alpha_drive - 1.0,
-        "gearbox.load_back": 1.0 - 1.0 / alpha_back,
-    }
-
-
 PRESETS: dict[str, Preset] = {
     preset.name: preset
     for preset in (
@@ -428,7 +420,9 @@ PRESETS: dict[str, Preset] = {
                 "motor.viscous": 4.0e-3,
                 "motor.coulomb_positive": 0.087,
                 "motor.coulomb_negative": 0.091,
-                **_mu(0.7432, 1.408),
+                # alpha_1 = 1/(1 + mu_1), alpha_2 = 1/(1 - mu_2), eq. (6)
+                "gearbox.load_drive": 1.0 / 0.7432 - 1.0,
+                "gearbox.load_back": 1.0 - 1.0 / 1.408,
                 "joint.viscous": 3.12,
                 "joint.coulomb_positive": 5.03,
                 "joint.coulomb_negative": 5.15,

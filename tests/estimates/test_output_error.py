@@ -21,9 +21,38 @@ from bayesfric.estimates.output_error import (
 )
 from bayesfric.estimates.point_estimate import Estimate, Estimation, Knowledge
 from bayesfric.mechanism.element import Element, Load
+from bayesfric.mechanism.experiment import multisine, square
+from bayesfric.mechanism.forward import simulate
 from bayesfric.mechanism.joint import PRESETS, Joint
 from bayesfric.mechanism.scaling import scalings
-from tests.estimates.simulated import PERIOD, excite, move, prepare
+from bayesfric.recordings.measurement import Inputs
+from bayesfric.recordings.observation import observe
+from bayesfric.recordings.source import Processing
+from bayesfric.recordings.trajectory import trajectory
+from tests.conftest import made_recording
+
+PERIOD = 2e-3
+
+
+def excite(seconds, amplitude, seed=3):
+    """Square wave and multisine: everything a joint has shows in its motion."""
+    stamps = np.arange(round(seconds / PERIOD)) * PERIOD
+    lines = multisine(stamps, 0.45 * amplitude, (0.3, 0.7, 1.3, 2.9, 5.3), seed=seed)
+    return square(stamps, amplitude, 1.0) + lines
+
+
+def move(chain, values, torque):
+    return simulate(chain, chain.vector(values), torque, PERIOD, substeps=1)
+
+
+def prepare(position, torque, length=np.inf, name="made-up", **keys):
+    stamps = np.arange(position.size) * PERIOD
+    recording = made_recording(
+        stamps, position, torque, PERIOD, name=name, inputs=Inputs(0.0, 0.0, name)
+    )
+    observation = observe(recording, Processing(**keys))
+    return trajectory(recording, observation, length), observation
+
 
 # torque that moves each joint well, s of it
 SETTINGS = {"rabbit-knee": (4.0, 0.8), "motor-axis": (2.0, 0.5), "servo-pendulum": (3.0, 0.15)}
