@@ -86,9 +86,9 @@ class FittedModel:
         quarters of the recordings in a row: a term that fits a single place or minute does not help
         in others.
         """
-        chain, observations = self.inputs.chain, self.inputs.observations
-        problem = TorqueProblem(chain, observations, self.inputs.knowledge)
-        start = problem.inside(chain.vector(dict(self.estimate.point)))
+        joint, observations = self.inputs.chain, self.inputs.observations
+        problem = TorqueProblem(joint, observations, self.inputs.knowledge)
+        start = problem.inside(joint.vector(dict(self.estimate.point)))
         squares, n = 0.0, problem.measured.size
         with few_threads(observations):
             for part in np.array_split(np.arange(n), 4):

@@ -43,7 +43,7 @@ _WEIGHINGS, _RESTARTS, _STATE_STEPS = 4, 3, 20
 
 
 def output_error(
-    chain: Joint,
+    joint: Joint,
     trajectories: Sequence[Trajectory],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -57,7 +57,7 @@ def output_error(
 
     Parameters
     ----------
-    chain
+    joint
         The mechanism.
     trajectories
         Recordings to simulate, not yet divided into segments.
@@ -88,7 +88,7 @@ def output_error(
     each other. They last 0.5 s, or less where that leaves fewer than two for each parameter. The
     search begins at the input error.
     """
-    inertia = [p.name for p in chain.parameters if p.quantity == "inertia"]
+    inertia = [p.name for p in joint.parameters if p.quantity == "inertia"]
     inertias = [n for n in inertia if knowledge.fixed.get(n, 1.0) > 0.0]
     if not inertias and not all(t.inputs.added_mass for t in trajectories):
         raise BadInput(
@@ -96,8 +96,8 @@ def output_error(
             "has no inertia, so a torque does not determine a motion to compare with",
             "give an element or the load inertia, or use the input error",
         )
-    problem = OutputError(chain, trajectories, observations, knowledge, options)
-    values = chain.vector({**dict(start.point), **knowledge.fixed})
+    problem = OutputError(joint, trajectories, observations, knowledge, options)
+    values = joint.vector({**dict(start.point), **knowledge.fixed})
     if not problem.fit(values):
         raise BadInput(
             ", ".join(f"recording '{t.name}'" for t in trajectories),
@@ -110,8 +110,8 @@ def output_error(
 class Shooting:
     """Simulation of recordings, each of their K segments from its own state."""
 
-    def __init__(self, chain: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
-        self.chain, self.trajectories, self.substeps = chain, tuple(trajectories), substeps
+    def __init__(self, joint: Joint, trajectories: Sequence[Trajectory], substeps: int) -> None:
+        self.chain, self.trajectories, self.substeps = joint, tuple(trajectories), substeps
         # (n,) position inside the segments of all recordings, rad or m; of each sample the
         # recording, the segment counted over all, the place on an even grid of time
         self.measured = np.concatenate([t.position[t.samples] for t in trajectories])
@@ -287,20 +287,20 @@ class OutputError:
 
     def __init__(
         self,
-        chain: Joint,
+        joint: Joint,
         trajectories: Sequence[Trajectory],
         observations: Sequence[Observation],
         knowledge: Knowledge,
         options: Estimation,
     ) -> None:
-        self.chain, self.knowledge, self.options = chain, knowledge, options
+        self.chain, self.knowledge, self.options = joint, knowledge, options
         self.observations = tuple(observations)
-        self.torque = TorqueProblem(chain, observations, knowledge)
+        self.torque = TorqueProblem(joint, observations, knowledge)
         self.columns = self.torque.columns
         self.deadline = time.process_time() + options.max_seconds
         length = options.segment or segment_length(trajectories, self.columns.size)
         parts = [divided(t, o, length) for t, o in zip(trajectories, observations, strict=True)]
-        self.shooting = Shooting(chain, parts, options.substeps or 1)
+        self.shooting = Shooting(joint, parts, options.substeps or 1)
         # sd of the rounding to counts, of each recording, rad or m
         self.grain = np.array([resolution(t.position[t.samples]) for t in trajectories]) / 12**0.5
         # steps of the states' differences

@@ -72,7 +72,7 @@ class BandFit(NamedTuple):
 
 
 def attenuations(
-    chain: Joint,
+    joint: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
     processing: Processing,
@@ -86,7 +86,7 @@ def attenuations(
     """
     attenuated = {}
     for recording, observation in zip(recordings, observations, strict=True):
-        first = _fit_band(chain, recording, observation)
+        first = _fit_band(joint, recording, observation)
         # noise that takes a share of the inertia leaves at least that share of its torque
         if first is None or first.freedom * first.sd**2 < _LEAST_GROWTH * first.inertia**2:
             continue
@@ -103,7 +103,7 @@ def attenuations(
                 filtered = observe(recording, processing.model_copy(update=settings))
             except BadInput:  # it leaves no output
                 break
-            if (fit := _fit_band(chain, recording, filtered)) is None:
+            if (fit := _fit_band(joint, recording, filtered)) is None:
                 break
             best, missed = (fit, 0) if _contradicts(fit, best) else (best, missed + 1)
         if best is not first:
@@ -112,13 +112,13 @@ def attenuations(
 
 
 def _fit_band(
-    chain: Joint, recording: Measurement, o: Observation, *, least_freedom: int = 20
+    joint: Joint, recording: Measurement, o: Observation, *, least_freedom: int = 20
 ) -> BandFit | None:
     """Fit the totals in a band; ``None`` where the inertia is not identified.
 
     The torque's rate is one more regressor: a delay leaves torque as well, and is another matter.
     """
-    names, totals = totals_regressors(replace(chain, delay=False), [o])
+    names, totals = totals_regressors(replace(joint, delay=False), [o])
     freedom = o.measured.size - len(names) - 1
     if "inertia" not in names or freedom < least_freedom:
         return None
@@ -157,7 +157,7 @@ def _contradicts(narrow: BandFit, wide: BandFit) -> bool:
 
 
 def estimate_delay(
-    chain: Joint,
+    joint: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -165,29 +165,29 @@ def estimate_delay(
 ) -> float:
     """Estimate ``drive.delay``, s: by least squares of a linear torque, else input error."""
     pairs = list(zip(recordings, observations, strict=True))
-    if any(p.row.bends for p in chain.parameters):
+    if any(p.row.bends for p in joint.parameters):
         point: dict[str, float] | None = None
 
         def estimate(observations: Sequence[Observation]) -> Estimate:
             nonlocal point  # the next round starts where this one ends
-            fitted = input_error(chain, observations, knowledge, options, point)
+            fitted = input_error(joint, observations, knowledge, options, point)
             point = dict(fitted.point)
             return fitted
 
-        return settled_delay(pairs, estimate, chain)
-    return settled_delay(pairs, lambda observations: least_squares(chain, observations), chain)
+        return settled_delay(pairs, estimate, joint)
+    return settled_delay(pairs, lambda observations: least_squares(joint, observations), joint)
 
 
 def settled_delay(
     pairs: Sequence[tuple[Measurement, Observation]],
     estimate: Callable[[Sequence[Observation]], Estimate],
-    chain: Joint,
+    joint: Joint,
 ) -> float:
     """Repeat an estimate, recordings shifted by its delay, until it settles; 0 if undetermined."""
-    delay = _first(TotalsProjection(replace(chain, delay=False), [o for _, o in pairs]), pairs)
+    delay = _first(TotalsProjection(replace(joint, delay=False), [o for _, o in pairs]), pairs)
     for _ in range(10):  # each linear about the delay of the last
         fitted = estimate([retimed(o, r.segments, r.period, delay, r) for r, o in pairs])
-        value, previous = fitted[chain.delay_name], delay
+        value, previous = fitted[joint.delay_name], delay
         if fitted.method == "least-squares" and not value.determined:
             return 0.0
         delay = _within(value.value, pairs)
@@ -233,7 +233,7 @@ def _first(projection: TotalsProjection, pairs: Sequence[tuple[Measurement, Obse
 
 
 def with_fine_motion(
-    chain: Joint,
+    joint: Joint,
     recordings: Sequence[Measurement],
     observations: Sequence[Observation],
     knowledge: Knowledge,
@@ -251,17 +251,17 @@ def with_fine_motion(
     try:
         for _ in range(2):
             excerpts = [o.excerpt() for o in refined]
-            point = dict(input_error(chain, excerpts, knowledge, options, point).point)
-            values = chain.vector(point)
+            point = dict(input_error(joint, excerpts, knowledge, options, point).point)
+            values = joint.vector(point)
             pairs = zip(recordings, observations, strict=True)
-            refined = [fine_motion(chain, values, r, o) for r, o in pairs]
+            refined = [fine_motion(joint, values, r, o) for r, o in pairs]
     except BadInput:
         return None, list(observations)
     return values, refined
 
 
 def fine_motion(
-    chain: Joint, values: Array, recording: Measurement, observation: Observation
+    joint: Joint, values: Array, recording: Measurement, observation: Observation
 ) -> Observation:
     """Refine the motion of one recording by parameters ``(n_parameters,)`` of its joint.
 
@@ -284,7 +284,7 @@ def fine_motion(
     q, qd, qdd, handover = o.q, o.qd, o.qdd, 0.0
     for _ in range(4):  # each takes the direction of motion of the last
         low, torque, high = (
-            inverse_torque(chain, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
+            inverse_torque(joint, values, q, qd, qdd + d, inputs=inputs, time=o.stamps)
             for d in (-step, 0.0, step)
         )
         inertia, residual = (high - low) / (2.0 * step), o.compared - torque

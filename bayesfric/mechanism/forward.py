@@ -66,7 +66,7 @@ class Motion:
 
 
 def simulate(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -89,12 +89,12 @@ def simulate(
     if not (np.isfinite([q0, qd0]).all() and np.isfinite(measured).all()):
         raise ValueError("torque, q0 and qd0 must be finite")
     vector = np.asarray(values, dtype=np.float64)
-    elements, load, carried = _tables(chain, vector[np.newaxis], inputs)
-    for reason, flags in _impossible(chain, vector[np.newaxis], elements, load).items():
+    elements, load, carried = _tables(joint, vector[np.newaxis], inputs)
+    for reason, flags in _impossible(joint, vector[np.newaxis], elements, load).items():
         if flags[0]:
             raise ValueError(reason)
     plant = plant_of(elements, load, carried, 0)
-    fine, finer = _fine(chain, vector[np.newaxis], measured, period, hold)
+    fine, finer = _fine(joint, vector[np.newaxis], measured, period, hold)
 
     def run(each: int) -> Motion:
         """Integrate in ``each`` steps a piece; the error is not known."""
@@ -124,7 +124,7 @@ def simulate(
 
 
 def simulate_segments(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     torque: ArrayLike,
     period: float,
@@ -147,13 +147,13 @@ def simulate_segments(
     start, speed = (
         np.ascontiguousarray(np.broadcast_to(np.asarray(x, np.float64), shape)) for x in (q0, qd0)
     )
-    elements, load, carried = _tables(chain, vectors, inputs)
-    fine, finer = _fine(chain, vectors, np.asarray(torque, dtype=np.float64), period, hold)
+    elements, load, carried = _tables(joint, vectors, inputs)
+    fine, finer = _fine(joint, vectors, np.asarray(torque, dtype=np.float64), period, hold)
     q, qd = integrate_segments(
         elements,
         load,
         carried,
-        _possible(chain, vectors, elements, load),
+        _possible(joint, vectors, elements, load),
         fine,
         float(period) / finer,
         float(begin),
@@ -167,10 +167,10 @@ def simulate_segments(
     return np.asarray(q[:, ::finer]), np.asarray(qd[:, ::finer])
 
 
-def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array, Carried | None]:
+def _tables(joint: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array, Carried | None]:
     """Lay parameter vectors out for the forward model; a delay is no term of it."""
-    elements, load, values = chain.tables(vectors, inputs)
-    all_terms = chain.carried_terms(inputs)
+    elements, load, values = joint.tables(vectors, inputs)
+    all_terms = joint.carried_terms(inputs)
     columns = [k for k, term in enumerate(all_terms) if term.row.column is not None]
     if not columns:
         return elements, load, None
@@ -194,15 +194,15 @@ def _tables(chain: Joint, vectors: Array, inputs: Inputs) -> tuple[Array, Array,
 
 
 def _fine(
-    chain: Joint, vectors: Array, torque: Array, period: float, hold: Hold
+    joint: Joint, vectors: Array, torque: Array, period: float, hold: Hold
 ) -> tuple[Array, int]:
     """Give the torque that acts, ``(1, N)`` or each vector's own, in pieces to integrate.
 
     It acts when the recorded motion shows it. A cubic is cut into four straight pieces a sample.
     """
     rows = torque[np.newaxis]
-    if chain.delay and not chain.by_target:
-        rows = np.stack([later(torque, s) for s in (chain.delays(vectors) / period).tolist()])
+    if joint.delay and not joint.by_target:
+        rows = np.stack([later(torque, s) for s in (joint.delays(vectors) / period).tolist()])
     if hold != "cubic":
         return rows, 1
     finer, n = 4, torque.size
@@ -217,7 +217,7 @@ def _fine(
     return out, finer
 
 
-def _impossible(chain: Joint, vectors: Array, elements: Array, load: Array) -> dict[str, Flags]:
+def _impossible(joint: Joint, vectors: Array, elements: Array, load: Array) -> dict[str, Flags]:
     """Flag the vectors that are outside the support, or have no single motion, by reason.
 
     A motion is unique where the motor torque rises with the acceleration for every direction of
@@ -228,7 +228,7 @@ def _impossible(chain: Joint, vectors: Array, elements: Array, load: Array) -> d
         f"{p.name} is not finite, or outside its support": ~(
             np.isfinite(x) & (x >= p.lower) & (x <= p.upper)
         )
-        for p, x in zip(chain.parameters, vectors.T, strict=True)
+        for p, x in zip(joint.parameters, vectors.T, strict=True)
     }
     speeds = elements[:, :, STRIBECK_VELOCITY]
     low, high = slope_bounds(elements, load[:, LOAD_INERTIA])
@@ -242,8 +242,8 @@ def _impossible(chain: Joint, vectors: Array, elements: Array, load: Array) -> d
     }
 
 
-def _possible(chain: Joint, vectors: Array, elements: Array, load: Array) -> Flags:
-    flags: Flags = np.any(list(_impossible(chain, vectors, elements, load).values()), axis=0)
+def _possible(joint: Joint, vectors: Array, elements: Array, load: Array) -> Flags:
+    flags: Flags = np.any(list(_impossible(joint, vectors, elements, load).values()), axis=0)
     return ~flags
 
 
@@ -292,7 +292,7 @@ class _Drive(NamedTuple):
 
 
 def follow(
-    chain: Joint,
+    joint: Joint,
     values: ArrayLike,
     law: Law,
     period: float,
@@ -312,21 +312,21 @@ def follow(
     the motion, is predicted with a constant torque and corrected once (Heun's method).
     """
     vectors = np.ascontiguousarray(values, dtype=np.float64)
-    elements, load, carried = _tables(chain, vectors, inputs)
+    elements, load, carried = _tables(joint, vectors, inputs)
     on = np.ones(law.command.size) if law.off is None else 1.0 - law.off
     rows = np.zeros((1, on.size)) if push is None else push
     command, scale, on, pushed = (
         np.ascontiguousarray(x, dtype=np.float64) for x in (law.command, law.scale, on, rows)
     )
     kp, kd, limit, back_emf = map(float, (law.kp, law.kd, law.limit, law.back_emf))
-    late = chain.by_target and law.closed
-    delays = chain.delays(vectors) / period if late else np.zeros(len(vectors))
+    late = joint.by_target and law.closed
+    delays = joint.delays(vectors) / period if late else np.zeros(len(vectors))
     drive = _Drive(command, scale, on, pushed, kp, kd, limit, back_emf, held, delays)
     q, qd = _follow(
         elements,
         load,
         carried,
-        _possible(chain, vectors, elements, load),
+        _possible(joint, vectors, elements, load),
         drive,
         float(period),
         float(begin),

@@ -385,7 +385,7 @@ def slots_of(p: Parameter) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Preset:
-    """A named chain with values to simulate it with."""
+    """A named joint with values to simulate it with."""
 
     name: str  # as written in a configuration
     meaning: str  # one line
