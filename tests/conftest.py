@@ -48,7 +48,7 @@ LONG = {
     "diagnostics": """
         calibration_check explanation regression""",
     "estimates": """
-        attenuation collinear_losses delay input_error output_error shooting""",
+        assemble input_error output_error processing""",
     "export": """
         command mujoco""",
     "fleet": """

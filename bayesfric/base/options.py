@@ -18,6 +18,10 @@ class Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    def settings(self) -> dict[str, Any]:
+        """Keys that the configuration sets; a preset's values count for the others."""
+        return self.model_dump(exclude_unset=True)
+
 
 def configuration_error(
     prefix: str, name: str, error: ValidationError, document: Any, model: Any

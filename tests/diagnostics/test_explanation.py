@@ -10,7 +10,7 @@ from bayesfric.diagnostics.regression import regression_of
 from bayesfric.fit.model import Model
 from tests.axis import recording_of
 from tests.diagnostics.bench import QUICK, axis, model, recording, table
-from tests.estimates.test_delay import PENDULUM, SERVO, servo
+from tests.estimates.test_processing import PENDULUM, SERVO, servo
 
 # whose target is said to act at once
 PROMPT = replace(SERVO, delay=False)
