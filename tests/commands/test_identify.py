@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesfric.commands.identify import identify
+from bayesfric.commands.analyse import identify
 from bayesfric.fit.model import Model
 from bayesfric.problem.config import read_config
 

@@ -145,7 +145,7 @@ def test_the_plan_of_a_fleet_works_as_it_is(bench, validators):
         (bench.folder / "recordings" / f"{name}.csv").write_text(table)
     plan = read_plan(bench.folder / "fleet.toml")
     assert [unit.name for unit in plan.units] == ["left", "right"]
-    (source,) = parse_config(plan.template.filled(plan.units[1]), plan.path).tables.recordings
+    (source,) = parse_config(plan.configuration(plan.units[1]), plan.path).tables.recordings
     assert source.files == ["recordings/right.csv"]
     # every example can be uncommented, but for what the glob excludes
     full = tomllib.loads(re.sub(r"^# (\w+ = .*)$", r"\1", text.replace("# table", "#"), flags=re.M))

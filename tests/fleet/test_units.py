@@ -82,7 +82,7 @@ def test_the_template_is_filled(tmp_path):
     plan = read_plan(write_fleet(tmp_path))
     import tomllib
 
-    filled = tomllib.loads(plan.template.filled(plan.units[1]))
+    filled = tomllib.loads(plan.configuration(plan.units[1]))
     assert filled["sampling"] == {"min_ess": 300, "seed": 1}
     assert filled["recordings"][0]["file"] == "u1.csv"
 

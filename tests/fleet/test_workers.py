@@ -32,15 +32,15 @@ def fit_here(text, folder, template, draws=300):
 
 def test_a_unit_is_a_small_run_that_can_be_gone_on_with(tmp_path):
     plan = read_plan(write_fleet(tmp_path, good=1))
-    text, run = plan.template.filled(plan.units[0]), tmp_path / "units" / "a0"
-    why, _, seconds = fit_here(text, run, plan.template.path)
+    text, run = plan.configuration(plan.units[0]), tmp_path / "units" / "a0"
+    why, _, seconds = fit_here(text, run, plan.template)
     assert why == ""
     assert seconds > 0.0
-    assert is_fitted(run, text, plan.template.path)
-    assert not is_fitted(run, text.replace("300", "301"), plan.template.path)
+    assert is_fitted(run, text, plan.template)
+    assert not is_fitted(run, text.replace("300", "301"), plan.template)
     mark = (run / UNIT).stat().st_mtime
     os.utime(tmp_path / "u0.csv", (mark + 1.0, mark + 1.0))
-    assert not is_fitted(run, text, plan.template.path)
+    assert not is_fitted(run, text, plan.template)
     assert sum(file.stat().st_size for file in run.iterdir()) < 130_000
     found = read_draws(run, Summary.read(read_summary_file(run)))
     assert found.values
