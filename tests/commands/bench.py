@@ -146,7 +146,7 @@ class Bench:
                 code = stop.code
         return Outcome(code, *self._capture.readouterr())
 
-    def told(self, *arguments, codes=(0,)):
+    def record(self, *arguments, codes=(0,)):
         """Run the command with ``--json``, which ends well, and give what it prints."""
         ended = self.run(*arguments, "--json")
         assert ended.code in codes, ended
