@@ -191,15 +191,6 @@ def test_figures_of_a_posterior():
         bf.report(posterior.sel(draw=[0, 1]), "run")
 
 
-def test_objects_show_themselves():
-    model = bf.Model(axis(), recording_of(name="one"))
-    assert re.match(r"one: \d+ outputs\n", repr(model))
-    assert "\nmotor.inertia ~ " in repr(model)
-    assert "motor.inertia (kg m²): " in repr(model.chain)
-    shown = repr(recording_of(name="one", added_mass="2 kg", radius=0.3))
-    assert {"name: one", "radius: 0.3"} < set(shown.splitlines())
-
-
 @pytest.mark.parametrize(
     ("keywords", "match"),
     [
@@ -221,7 +212,7 @@ def test_bad_keywords_are_named(keywords, match):
 
 
 @pytest.mark.parametrize(
-    ("viscous", "given", "name"),
+    ("viscous", "reference", "name"),
     [
         ("by-direction", "motor.viscous", "total.viscous"),
         ("by-direction", "total.viscous", "total.viscous"),
@@ -229,11 +220,11 @@ def test_bad_keywords_are_named(keywords, match):
         (True, "motor.viscous", "motor.viscous"),
     ],
 )
-def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, given, name):
+def test_a_reference_is_of_the_same_loss_by_direction_or_not(viscous, reference, name):
     """What ``explain`` advises to add does not break what a configuration compares with."""
     motor = bf.Element("motor", inertia=True, coulomb="symmetric", viscous=viscous)
     joint = bf.Joint([motor], bf.Load(), offset=True)
-    references = bf.Model(joint, recording_of(), references={given: 0.05}).references()
+    references = bf.Model(joint, recording_of(), references={reference: 0.05}).references()
     assert set(references) == {name}
     assert references[name]["value"] == 0.05
     with pytest.raises(BadInput, match="no result of this mechanism"):

@@ -47,9 +47,8 @@ def read_text(path: Path, hint: str = "check the name", *, largest: int | None =
         return path.read_text(encoding="utf-8-sig")  # editors on Windows write a mark
     except OSError as error:
         raise unreadable(path, error) from None
-    except UnicodeDecodeError as error:
-        what = f"is not UTF-8 (byte {error.start})"
-        raise BadInput(str(path), what, "save it as UTF-8") from None
+    except UnicodeDecodeError:
+        raise BadInput(str(path), "is not UTF-8", "save it as UTF-8") from None
 
 
 def parse_json(where: str, text: str, hint: str = "make it again") -> Any:
@@ -82,8 +81,7 @@ def open_hdf5(path: Path, hint: str = "check the name") -> Iterator[h5py.File]:
 def check_size(size: int) -> None:
     """Refuse an array of too many bytes with ``ValueError``, before memory is allocated."""
     if size > LARGEST_ARRAY:
-        most = f"more than {LARGEST_ARRAY / 2**20:.3g}"
-        raise ValueError(f"an array of {size / 2**20:.3g} MiB, {most}")
+        raise ValueError(f"more than {LARGEST_ARRAY / 2**20:.3g} MiB in an array")
 
 
 def read_array(dataset: h5py.Dataset) -> NDArray[Any]:

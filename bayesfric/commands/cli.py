@@ -67,13 +67,9 @@ def _progress() -> Any:
 
 @app.command()
 def init(
-    preset: str | None = Argument(
-        None, help="rabbit-knee, motor-axis, servo-pendulum; or fleet, arm"
-    ),
+    preset: str | None = Argument(None, help="rabbit-knee, motor-axis, servo-pendulum, fleet, arm"),
     output: Path | None = Option(None, *OUTPUT, help="file to write"),
-    log: Path | None = Option(
-        None, "--from", metavar="LOG", help="take this recording's columns by name"
-    ),
+    log: Path | None = Option(None, "--from", metavar="LOG", help="recording, columns by name"),
     table: str | None = Option(None, help="with --from: table, group or topic in it"),
     joint: str | None = Option(None, help="with --from: which joint of several"),
     urdf: Path | None = Option(None, metavar="ROBOT.urdf", help="of an arm"),
@@ -168,9 +164,7 @@ def identify(
 @app.command()
 def explain(
     config: ConfigFile,
-    output: Path | None = Option(
-        None, *OUTPUT, help="BETTER.toml: the configuration with these terms"
-    ),
+    output: Path | None = Option(None, *OUTPUT, help="configuration to write with these terms"),
     as_json: AsJson = False,
 ) -> None:
     """Find what else explains the torque, tested against simulated replicates."""
@@ -241,7 +235,7 @@ def report(run: RunFolder, paper: Paper = False, as_json: AsJson = False) -> Non
 def rollout(
     run: RunFolder,
     config: Path | None = Argument(
-        None, metavar="CONFIG", help="other recordings (TOML); the run's if left out"
+        None, metavar="CONFIG", help="with other recordings"
     ),
     draws: int = Option(100, min=2, max=10_000, help="of the posterior"),
     every: bool = Option(False, "--all", help="also what was fitted, not held out"),
@@ -298,25 +292,16 @@ def compare(
 @app.command()
 def arm(
     urdf: Path = Argument(..., metavar="ROBOT.urdf", help="of the arm, with inertials"),
-    log: list[Path] = Argument(
-        ..., metavar="LOG", help="positions and efforts of its joints; or more"
-    ),
+    log: list[Path] = Argument(..., metavar="LOG", help="positions and efforts of its joints"),
     output: Path | None = Option(None, *OUTPUT, help="folder to make; LOG-arm if left out"),
     config: Path | None = Option(None, "--config", metavar="arm.toml", help="what else is known"),
     predict: Path | None = Option(None, metavar="LOG", help="another motion, to be predicted"),
     full: bool = Option(False, "--full", help="figures, tables and page of each joint"),
-    to_files: bool = Option(
-        False, "--export", help="URDF, MJCF, ros2_control and Python of the result"
-    ),
+    to_files: bool = Option(False, "--export", help="as URDF, MJCF, ros2_control and Python"),
     roll_out: float | None = Option(
-        None,
-        "--rollout",
-        metavar="SECONDS",
-        help="simulate the efforts, restarting so often, as CSV",
+        None, "--rollout", metavar="SECONDS", help="simulate the efforts in such parts, as CSV"
     ),
-    advise: bool = Option(
-        False, "--advise", help="the most informative next motion, as CSV and JointTrajectory"
-    ),
+    advise: bool = Option(False, "--advise", help="most informative next motion, CSV and YAML"),
     wanted: list[str] | None = Option(
         None, metavar="JOINT.NUMBER", help="with --advise: what it is to determine"
     ),
@@ -368,10 +353,10 @@ def fleet(
     from bayesfric.report.words import filled
 
     fleet, folder = Fleet.from_config(plan), output or Path(f"{plan.stem}-fleet")
-    options = {"workers": workers, "scheduler": scheduler}
+    options: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "resume": resume}
     try:
         with _progress() as progress:
-            result = fleet.run(folder, resume=resume, progress=progress, **options)
+            result = fleet.run(folder, progress=progress, **options)
     except KeyboardInterrupt:
         if not (folder / PLAN).exists():
             raise

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from filelock import FileLock, Timeout
 from pydantic import ValidationError
 
-from bayesfric.base.atomic_write import write_files
+from bayesfric.base.atomic_write import check_output_folder, run_lock, write_files
 from bayesfric.base.errors import BadInput
 from bayesfric.base.options import configuration_error
 from bayesfric.base.progress import Progress, ProgressCallback, progress_shown
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 # Files of a fleet's folder.
-PLAN, TABLE, UNITS, LOCK = "fleet.toml", "results.parquet", "units", ".lock"
+PLAN, TABLE, UNITS = "fleet.toml", "results.parquet", "units"
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class FleetRun:
     @property
     def outliers(self) -> list[dict[str, Any]]:
         """Units that are likelier outliers than not."""
-        return population_record(self.population)["outliers"]
+        return list(population_record(self.population)["outliers"])
 
     def as_json(self) -> dict[str, Any]:
         """Give the output of ``bayesfric fleet --json``."""
@@ -166,24 +165,21 @@ class Fleet:
         arguments = {"workers": workers, "scheduler": scheduler}
         update = {key: value for key, value in arguments.items() if value is not None}
         options = self.plan.cluster.model_copy(update=update)
-        _check(folder, resume=resume)
+        has_fleet = (folder / PLAN).is_file()
+        if resume and not has_fleet:
+            raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
+        if has_fleet and not resume:
+            hint = "add --resume to continue, or name another folder with -o"
+            raise BadInput(str(folder), "holds a fleet", hint)
+        if not resume:
+            check_output_folder(folder, force=None)
         check_dask(options)
         # what the table was made of: template, number of units and options
         record = {"template": self.plan.document, "units": {"count": len(self.plan.units)}}
         text = document_text(record | {"runs": self.plan.runs.model_dump()})
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with FileLock(folder / LOCK).acquire(timeout=0), progress_shown(progress) as report:
-                write_files({folder / PLAN: text}, replace=True)
-                result = self._run(folder, options, report, start)
-                (folder / LOCK).unlink(missing_ok=True)
-                return result
-        except Timeout:
-            problem = "another process is fitting this fleet"
-            raise BadInput(str(folder), problem, "wait for it, or name another folder") from None
-        except OSError as error:
-            problem = f"cannot be written ({error.strerror or error})"
-            raise BadInput(str(folder), problem, "correct that, then use --resume") from None
+        with run_lock(folder), progress_shown(progress) as report:
+            write_files({folder / PLAN: text}, replace=True)
+            return self._run(folder, options, report, start)
 
     def _run(
         self, folder: Path, options: ClusterOptions, progress: ProgressCallback, start: float
@@ -246,17 +242,3 @@ class Fleet:
             cpu_seconds=cpu_seconds + time.process_time(),
             population=population,
         )
-
-
-def _check(folder: Path, *, resume: bool) -> None:
-    """Refuse a folder that is not empty, or has no fleet to resume."""
-    if folder.exists() and not folder.is_dir():
-        raise BadInput(str(folder), "is a file", "name a folder with -o")
-    has_fleet = (folder / PLAN).is_file()
-    if resume and not has_fleet:
-        raise BadInput(str(folder), "there is no fleet to resume", "leave --resume out")
-    # hidden files are of a process that was killed at its start
-    occupied = folder.exists() and any(path.name[0] != "." for path in folder.iterdir())
-    if not resume and occupied:
-        hint = "add --resume to continue, or name another with -o" if has_fleet else ""
-        raise BadInput(str(folder), "is not empty", hint or "name another folder with -o")

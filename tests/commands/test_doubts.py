@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bayesfric as bf
-from bayesfric.diagnostics.before_a_fit import doubts_before, other_units
-from bayesfric.estimates.point_estimate import Estimate, EstimatedValue
+from bayesfric.diagnostics.before_a_fit import other_units
+from bayesfric.estimates.point_estimate import Estimate
 from bayesfric.mechanism.presets import PRESETS
 from bayesfric.report.messages import messages_of
 from bayesfric.report.summary.doubts import find_doubts
@@ -134,26 +134,6 @@ def test_data_and_prior_that_contradict_each_other():
 # -- before a fit
 
 
-@pytest.mark.parametrize(
-    ("name", "doubted"),
-    [
-        ("total.inertia", True),
-        ("motor.viscous", True),
-        ("total.coulomb", True),
-        ("total.quadratic", False),  # it bends the friction curve, which may still be positive
-        ("total.gravity", False),
-        ("offset", False),
-        # a recording may have any name
-        ("offset.inertia", False),
-        ("total.offset.viscous", False),
-    ],
-)
-def test_friction_and_inertia_are_not_negative(name, doubted):
-    value = EstimatedValue(name, "", "", "", -1.0, 0.01, 0.01)
-    doubts = doubts_before(Estimate("least-squares", (value,), 0.1, 100, ""), [])
-    assert doubts == ([{"kind": "negative", "values": {name: -1.0}}] if doubted else [])
-
-
 def pendulum(scale=1.0, preset="servo-pendulum", late=0, spins=True, delay=False):
     """A SIMULATED pendulum; its position is scaled, and samples late."""
     q = -8.0 + 8.0 * np.cos(2 * np.pi * 0.1 * T) if spins else 0.2 * np.sin(2 * np.pi * 0.3 * T)
@@ -171,35 +151,10 @@ def unexplained_doubts(model):
     return [doubt for doubt in doubts if doubt["kind"] == "unexplained"]
 
 
-@pytest.mark.usefixtures("unexplained")
-@pytest.mark.parametrize(
-    ("scale", "unit", "assumed"),
-    [
-        (np.pi / 180.0, "rad", "deg"),
-        (180.0 / np.pi, "deg", "rad"),
-        (2.0 * np.pi, "rad", "turn"),
-        (0.5 / np.pi, "turn", "rad"),
-    ],
-)
-def test_the_right_unit_of_a_position_is_named_first(scale, unit, assumed):
-    (doubt,) = unexplained_doubts(pendulum(scale))
-    best = doubt["units"][0]
-    assert (best["is"], best["taken"]) == (unit, assumed)
-    assert best["share"] > 0.98
-    assert doubt["presets"] == []
-
-
 def test_no_other_unit_where_it_changes_nothing():
     """A small swing of another scale has other parameters, not another torque."""
     for model in (pendulum(spins=False), pendulum(np.pi / 180.0, spins=False), pendulum()):
         assert other_units(model.chain, model.observations) == []
-
-
-@pytest.mark.usefixtures("unexplained")
-def test_another_preset_is_proposed():
-    (doubt,) = unexplained_doubts(pendulum(preset="motor-axis"))
-    assert doubt["presets"] == ["servo-pendulum"]
-    assert doubt["units"] == []
 
 
 @pytest.mark.slow

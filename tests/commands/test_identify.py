@@ -11,7 +11,7 @@ from bayesfric.recordings.recording import Recording
 from bayesfric.recordings.source import Processing, Source
 
 from ..conftest import REPOSITORY
-from .bench import JOINT, SMALL, cases, has, recorded, simulated, simulation
+from .bench import JOINT, SMALL, has, recorded, simulated, simulation
 
 FOLDER = Path(str(files("bayesfric") / "examples"))
 UR10E = REPOSITORY / "studies" / "ur10e" / "ur10e-joint2.toml"
@@ -158,22 +158,21 @@ def test_the_best_excitation_is_a_file_that_can_be_played(axis):
 
 
 @pytest.mark.parametrize(
-    ("advice", "arguments", "parts"),
-    cases(
-        ("misspelt", "", ["--advise", "motor.inertai"], ["--advise", "'motor.inertia'"]),
-        ("no CSV", "", ["--advise", "motor.inertia", "-o", "a.txt"], ["a.txt", ".csv"]),
-        ("output alone", "", ["-o", "a.csv"], ["--output", "--advise"]),
-        ("force alone", "", ["--force"], ["--force", "--advise"]),
-        ("key", "torque = 3", [], ["advice.torque", "torque_limit"]),
-        ("angles", "angle_limits = [1, -1]", [], ["advice.angle_limits"]),
-        ("unit", 'masses = [{ mass = "2 m", radius = 1 }]', [], ["advice.masses.1.mass"]),
-        ("no mass", "masses = [{ mass = 0, radius = 1 }]", [], ["advice.masses.1.mass"]),
-    ),
+    ("advice", "arguments", "part"),
+    [
+        ("", ["--advise", "motor.inertai"], "'motor.inertia'"),
+        ("", ["--advise", "motor.inertia", "-o", "a.txt"], "a.txt"),
+        ("", ["-o", "a.csv"], "--output"),
+        ("", ["--force"], "--force"),
+        ("torque = 3", [], "advice.torque"),
+        ("angle_limits = [1, -1]", [], "advice.angle_limits"),
+        ('masses = [{ mass = "2 m", radius = 1 }]', [], "advice.masses.1.mass"),
+    ],
 )
-def test_bad_advice(bench, advice, arguments, parts):
+def test_bad_advice(bench, advice, arguments, part):
     bench.simulated(AXIS)
     bench.config(f"{AXIS}\n[advice]\n{advice}\n")
-    has(bench.refused("identify", "c.toml", *arguments), *parts)
+    has(bench.refused("identify", "c.toml", *arguments), part)
 
 
 def test_masses_with_units(axis):

@@ -18,7 +18,7 @@ from bayesfric.report.figures import style
 from tests.report.made_summaries import LEG, TOTALS, knee, loaded
 from tests.report.page_reader import number, read_page
 
-from .bench import SAMPLED, below_a_file, has, simulated, without_figures
+from .bench import SAMPLED, has, simulated, without_figures
 from .test_fit import draws
 
 pytestmark = pytest.mark.usefixtures("nothing_explained")
@@ -39,7 +39,7 @@ def runs(bench):
         (bench.folder / folder).mkdir(parents=True)
         write(bench.folder / folder, summary)
     (bench.folder / "link").symlink_to("knee", target_is_directory=True)
-    below_a_file(bench.folder)
+    (bench.folder / "plain").write_text("a file, not a folder")
     return bench
 
 
